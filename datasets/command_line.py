@@ -1,0 +1,40 @@
+"""How every command of Talus begins and ends: flags by cyclopts, mistakes in one line, exit status 0, 1 or 2."""
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from cyclopts import App, CycloptsError
+
+from datasets.errors import InputError
+
+
+class WorkFailed(RuntimeError):
+    """The input was right, the work did not succeed: exit status 1."""
+
+
+def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run `command` with the flags on the command line and return its exit status.
+
+    0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C. No traceback for a user's mistake.
+    """
+    # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
+    app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
+    app.default(command)
+    try:
+        status = app(
+            sys.argv[1:] if arguments is None else list(arguments),
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+        )
+    except (CycloptsError, InputError) as error:
+        print(f"talus: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except WorkFailed as error:
+        print(f"talus: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("talus: interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    return status if isinstance(status, int) else 0

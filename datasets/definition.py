@@ -1,0 +1,63 @@
+"""Definition: what a dataset consists of, scene by scene, before anything is simulated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.scene import Scene
+
+
+class Split(StrEnum):
+    """The part of a dataset that a trajectory belongs to; also the name of its folder."""
+
+    TRAIN = "train"
+    VALID = "valid"
+    TEST = "test"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One trajectory of a dataset, to be simulated."""
+
+    split: Split
+    name: str
+    """File name without its ending."""
+    scene: Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Definition:
+    """A family of scenes, numbered from 0, and how they are divided."""
+
+    name: str
+    size: int
+    """Number of scenes in the whole dataset."""
+    connectivity_radius: float
+    """The radius [m] that goes into `metadata.json` for readers of the peers' format; Talus itself does not read it."""
+    split: Callable[[int], Split]
+    """Number of a scene -> its split."""
+    draw: Callable[[np.random.Generator, int], Scene]
+    """Random stream and number of a scene -> the scene."""
+
+    def entries(self, *, seed: int, count: int | None = None) -> tuple[Entry, ...]:
+        """The first `count` scenes of the dataset of `seed`, all of them where `count` is None.
+
+        Scene `index` draws from its own stream `[seed, index]`: a smaller count is a prefix of a larger one, and no
+        scene depends on another.
+        """
+        count = self.size if count is None else count
+        if not 1 <= count <= self.size:
+            raise InputError(f"expected 1 to {self.size} trajectories of {self.name}, got {count}", key="count")
+        if seed < 0:
+            raise InputError(f"expected an integer of at least 0, got {seed}", key="seed")
+        return tuple(
+            Entry(
+                split=self.split(index),
+                name=f"{self.name}-{index:04d}",
+                scene=self.draw(np.random.default_rng([seed, index]), index),
+            )
+            for index in range(count)
+        )

@@ -1,0 +1,74 @@
+"""Scene -> material points: a jittered lattice in each mass."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.material import Material
+from datasets.scene import Mass, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialPoints:
+    """The points of a scene at time 0."""
+
+    positions: NDArray[np.float64]
+    """Positions [m], shape [N, D]."""
+    velocities: NDArray[np.float64]
+    """Velocities [m/s], shape [N, D]."""
+    material: NDArray[np.int32]
+    """Index into `materials` of each point, shape [N]."""
+    materials: tuple[Material, ...]
+    """The different materials of the scene."""
+    volume: float
+    """Initial volume of one point [m^D]."""
+
+    @property
+    def friction(self) -> NDArray[np.float32]:
+        """tan(phi) of each point [-], shape [N]."""
+        return np.array([material.friction for material in self.materials], np.float32)[self.material]
+
+
+def material_points(scene: Scene) -> MaterialPoints:
+    """Fill every mass of `scene` with points.
+
+    A mass gets a lattice of about `cell / points_per_axis`, fitted to its size (`lattice_counts`); each point is moved
+    at random inside the share `jitter` of its own lattice cell. A mass draws from its own stream, so that adding one
+    leaves the others.
+    """
+    share = scene.domain.cell / scene.points_per_axis
+    materials: list[Material] = []
+    positions, velocities, indices = [], [], []
+    for number, mass in enumerate(scene.masses):
+        counts = lattice_counts(mass, share)
+        spacing = np.array(mass.size) / counts
+        lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
+        offset = np.random.default_rng([scene.seed, number]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
+        positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
+        velocities.append(np.broadcast_to(np.array(mass.velocity or (0.0,) * scene.dimension), lattice.shape))
+        material = scene.material_of(mass)
+        if material not in materials:
+            materials.append(material)
+        indices.append(np.full(len(lattice), materials.index(material), np.int32))
+    return MaterialPoints(
+        positions=np.concatenate(positions),
+        velocities=np.concatenate(velocities),
+        material=np.concatenate(indices),
+        materials=tuple(materials),
+        volume=scene.point_volume,
+    )
+
+
+def lattice_counts(mass: Mass, share: float) -> list[int]:
+    """Points along each axis of `mass`, about `share` [m] apart.
+
+    Every point weighs the same, so their number must stand for the volume of the mass: where the lengths are no
+    multiples of `share`, the longest axis makes good what rounding the others gained or lost.
+    """
+    counts = [max(1, round(length / share)) for length in mass.size]
+    longest = int(np.argmax(mass.size))
+    others = math.prod(counts) // counts[longest]
+    counts[longest] = max(1, round(math.prod(mass.size) / (share ** len(counts) * others)))
+    return counts

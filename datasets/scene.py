@@ -1,0 +1,208 @@
+"""Scene: everything a simulation needs to know, in one frozen value."""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.strict import Strict, from_mapping
+
+Vector = tuple[float, ...]
+
+TOLERANCE = 1.0e-9
+"""Slack [m] in comparisons of lengths that a user wrote in decimals."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Domain(Strict):
+    """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
+
+    size: Vector
+    """Extent in x, y and, in 3D, z [m]; a whole number of cells."""
+    cell: float
+    """Edge of a grid cell [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mass(Strict):
+    """A box of material at the start."""
+
+    lower: Vector
+    """Lower corner [m]."""
+    size: Vector
+    """Extent [m]."""
+    velocity: Vector | None = None
+    """Initial velocity [m/s]; at rest where absent."""
+    material: Material | None = None
+    """Its own material; the scene's where absent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baffle(Strict):
+    """A fixed rigid box that stands in the flow's way."""
+
+    lower: Vector
+    """Lower corner [m]."""
+    size: Vector
+    """Extent [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(Strict):
+    """Domain, material, masses, baffles and how long to watch them."""
+
+    domain: Domain
+    material: Material
+    """The material of every mass that brings none of its own."""
+    masses: tuple[Mass, ...]
+    baffles: tuple[Baffle, ...] = ()
+    duration: float = 1.0
+    """Simulated time [s], a whole number of frames."""
+    frame_dt: float = 0.0025
+    """Time between two frames [s]."""
+    gravity: float = 9.81
+    """Gravitational acceleration [m/s^2]."""
+    slope_deg: float = 0.0
+    """Inclination of the floor [deg], in (-90, 90): downhill is +x; the box is drawn level, gravity tilts instead."""
+    floor_friction: float = 0.0
+    """Coulomb coefficient of the floor y = 0 [-]."""
+    wall_friction: float = 0.0
+    """Coulomb coefficient of every other wall of the box [-]."""
+    damping: float = 0.0
+    """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
+    step_fraction: float = 0.4
+    """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
+    points_per_axis: int = 2
+    """Material points per cell along one axis: 2 gives 4 points per cell in 2D, 8 in 3D."""
+    jitter: float = 0.8
+    """Random displacement of a point at the start, as a fraction of its share of the cell, in [0, 1]."""
+    seed: int = 0
+    """Seed of that displacement."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return len(self.domain.size)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, the initial state included."""
+        return round(self.duration / self.frame_dt) + 1
+
+    @property
+    def point_volume(self) -> float:
+        """Initial volume of one material point [m^D]."""
+        return (self.domain.cell / self.points_per_axis) ** self.dimension
+
+    @property
+    def gravity_vector(self) -> Vector:
+        """Gravitational acceleration in the axes of the box [m/s^2]."""
+        slope = math.radians(self.slope_deg)
+        along, down = self.gravity * math.sin(slope), -self.gravity * math.cos(slope)
+        return (along, down) if self.dimension == 2 else (along, down, 0.0)
+
+    def material_of(self, mass: Mass) -> Material:
+        """The material that `mass` is made of."""
+        return mass.material or self.material
+
+    def with_friction_deg(self, friction_deg: float) -> "Scene":
+        """The same scene, its shared material at another angle of friction [deg]."""
+        return dataclasses.replace(self, material=dataclasses.replace(self.material, friction_deg=friction_deg))
+
+    def to_json(self) -> str:
+        """The scene as a JSON string; `Scene.from_json` reads it back."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @staticmethod
+    def from_json(text: str) -> "Scene":
+        """Read what `to_json` wrote. Raises InputError."""
+        try:
+            data: Any = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"expected a scene in JSON, {error}", key="scene") from None
+        if not isinstance(data, dict):
+            raise InputError("expected a scene in JSON", key="scene")
+        return from_mapping(Scene, data)
+
+
+def check(scene: Scene) -> None:
+    """Raise InputError for a scene that cannot be simulated: each key with what was expected of it."""
+
+    def require(ok: bool, key: str, expected: str, got: object) -> None:
+        if not ok:
+            raise InputError(f"expected {expected}, got {got}", key=key)
+
+    domain, dimension = scene.domain, len(scene.domain.size)
+    require(dimension in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
+    require(domain.cell > 0.0, "domain.cell", "a positive length in m", domain.cell)
+    for length in domain.size:
+        cells = length / domain.cell
+        require(
+            length > 0.0 and abs(cells - round(cells)) < 1e-6 * max(cells, 1.0),
+            "domain.size",
+            f"a positive whole number of cells of {domain.cell:g} m",
+            list(domain.size),
+        )
+    require(scene.frame_dt > 0.0, "frame_dt", "a positive time in s", scene.frame_dt)
+    frames = scene.duration / scene.frame_dt
+    require(
+        scene.duration > 0.0 and abs(frames - round(frames)) < 1e-6 * max(frames, 1.0),
+        "duration",
+        f"a positive whole number of frames of {scene.frame_dt:g} s",
+        scene.duration,
+    )
+    require(scene.gravity >= 0.0, "gravity", "an acceleration of at least 0 m/s^2", scene.gravity)
+    require(-90.0 < scene.slope_deg < 90.0, "slope_deg", "an angle in (-90, 90) degrees", scene.slope_deg)
+    require(scene.floor_friction >= 0.0, "floor_friction", "a coefficient of at least 0", scene.floor_friction)
+    require(scene.wall_friction >= 0.0, "wall_friction", "a coefficient of at least 0", scene.wall_friction)
+    require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
+    require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
+    require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
+    require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
+    require(scene.points_per_axis >= 1, "points_per_axis", "an integer of at least 1", scene.points_per_axis)
+    require(len(scene.masses) > 0, "masses", "at least one mass", "none")
+    groups: dict[str, tuple[Mass | Baffle, ...]] = {"masses": scene.masses, "baffles": scene.baffles}
+    for kind, boxes in groups.items():
+        for index, box in enumerate(boxes):
+            key = f"{kind}[{index}]"
+            require(len(box.lower) == dimension, f"{key}.lower", f"{dimension} lengths in m", list(box.lower))
+            require(len(box.size) == dimension, f"{key}.size", f"{dimension} lengths in m", list(box.size))
+            require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
+            inside = all(
+                low >= -TOLERANCE and low + size <= limit + TOLERANCE
+                for low, size, limit in zip(box.lower, box.size, domain.size, strict=True)
+            )
+            require(
+                inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
+            )
+    for index, mass in enumerate(scene.masses):
+        if mass.velocity is not None:
+            require(
+                len(mass.velocity) == dimension and all(map(math.isfinite, mass.velocity)),
+                f"masses[{index}].velocity",
+                f"{dimension} finite components in m/s",
+                list(mass.velocity),
+            )
+        for other in range(index):
+            require(
+                not overlap(mass, scene.masses[other]),
+                f"masses[{index}]",
+                f"a box clear of masses[{other}]",
+                "an overlap",
+            )
+        for other, baffle in enumerate(scene.baffles):
+            require(not overlap(mass, baffle), f"baffles[{other}]", f"a box clear of masses[{index}]", "an overlap")
+
+
+def overlap(a: Mass | Baffle, b: Mass | Baffle) -> bool:
+    """Whether two boxes share volume; touching faces do not count."""
+    return all(
+        low_a + TOLERANCE < low_b + size_b and low_b + TOLERANCE < low_a + size_a
+        for low_a, size_a, low_b, size_b in zip(a.lower, a.size, b.lower, b.size, strict=True)
+    )

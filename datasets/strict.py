@@ -1,0 +1,75 @@
+"""TOML or JSON into frozen dataclasses, strictly: an unknown key or a wrong type is an error that names it."""
+
+import difflib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from datasets.errors import InputError
+
+T = TypeVar("T")
+
+
+class Strict:
+    """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
+    """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
+
+    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`.
+    """
+    try:
+        # JSON mode is the strict one that still takes an array for a tuple.
+        return TypeAdapter(kind).validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        mistakes = error.errors(include_url=False)
+        # A misspelt key is also a missing one; "did you mean" helps more.
+        first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
+        path = dotted(first["loc"])
+        cause = first.get("ctx", {}).get("error")
+        if isinstance(cause, InputError):
+            # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
+            key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
+            raise InputError(cause.message, key=".".join(part for part in (path, key) if part)) from None
+        if first["type"] == "unexpected_keyword_argument":
+            known = _names(kind)
+            near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
+            hint = f", did you mean {near[0]!r}?" if near else ""
+            raise InputError(f"expected a known key{hint}", key=path) from None
+        if first["type"] == "missing":
+            raise InputError("expected a value, the key is missing", key=path) from None
+        expected = first["msg"].removeprefix("Input should be ")
+        raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file. Raises InputError, which names the file."""
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except FileNotFoundError:
+        raise InputError("expected a TOML file, there is none", where=str(path)) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"expected a readable TOML file, {error}", where=str(path)) from None
+
+
+def dotted(location: tuple[int | str, ...]) -> str:
+    """`("masses", 1, "velocity")` as `masses[1].velocity`."""
+    path = ""
+    for part in location:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
+    return path
+
+
+def _names(kind: type) -> list[str]:
+    """Every field name of a dataclass and of the dataclasses in it, for "did you mean"."""
+    schema = TypeAdapter(kind).json_schema()
+    parts = [schema, *schema.get("$defs", {}).values()]
+    return [name for part in parts for name in part.get("properties", {})]

@@ -1,0 +1,38 @@
+"""Fewer points for the same flow: keep some of the points of each cell, which then carry the volume of all."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thinned:
+    """The points that stay, and the volume that each of them stands for."""
+
+    indices: NDArray[np.int64]
+    """Indices of the kept points, ascending, shape [n]."""
+    volumes: NDArray[np.float32]
+    """Initial volume of each kept point [m^D], shape [n]; the sum is that of all points."""
+
+
+def thin(
+    positions: NDArray[np.floating], volume: float, *, cell: float, kept: int, rng: np.random.Generator
+) -> Thinned:
+    """Keep at random `kept` points of each cell.
+
+    positions: initial positions [m], shape [N, D]; volume: of one point [m^D]; cell: edge of a cell [m].
+    The points of a cell (all of them where it holds no more than `kept`) share its volume equally. Two draws
+    from `rng` keep different points of the same flow: that is the augmentation of the training data.
+    """
+    cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
+    cells -= cells.min(axis=0)
+    group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    shuffled = rng.permutation(len(group))
+    order = shuffled[np.argsort(group[shuffled], kind="stable")]
+    _, first, count = np.unique(group[order], return_index=True, return_counts=True)
+    rank = np.arange(len(order)) - np.repeat(first, count)
+    shared = np.repeat(count / np.minimum(count, kept), count) * volume
+    stays = rank < kept
+    ascending = np.argsort(order[stays])
+    return Thinned(indices=order[stays][ascending], volumes=shared[stays][ascending].astype(np.float32))

@@ -1,0 +1,149 @@
+"""How good a model is: whole rollouts of flows it has not seen, from the MPM's first frames. `python -m gns.score`."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datasets import command_line, files, measures
+from datasets.samples import Flow, cut, load_flows
+from gns import checkpoint
+from gns.batch import batched
+from gns.simulator import Simulator
+from gns.unroll import unroll
+
+START = 0.05
+"""Time [s] of the MPM's frames that a scored rollout is given: a twentieth of a run of one second."""
+SPACING = 0.02
+"""Distance [m] between the stations of the height profiles."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Errors of one rollout against the MPM, on the same thinned points."""
+
+    name: str
+    """The flow's file."""
+    released: bool
+    """Whether the flow starts at rest."""
+    friction_deg: float
+    """Mean angle of friction [deg]."""
+    front_error: float
+    """Front of the deposit, model less MPM, over the MPM's [-]."""
+    profile_error: float
+    """Area between the two height profiles over that under the MPM's [-]; 0 is equal, 2 disjoint."""
+    rmse: tuple[float, float, float]
+    """Root mean square distance of the points [m] at a quarter, half and all of the rollout."""
+
+
+def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
+    """Roll out `flows` of one domain and length, `at_once` side by side."""
+    settings = simulator.settings
+    now = round(START / settings.step)
+    rng = np.random.default_rng(seed)
+    scores: list[Score] = []
+    for first in range(0, len(flows), at_once):
+        group = flows[first : first + at_once]
+        steps = min(len(flow.positions) for flow in group) - 1 - now
+        samples = [
+            cut(
+                flow,
+                now=now,
+                steps=steps,
+                history=settings.history,
+                cell=settings.cell,
+                kept=settings.points_per_cell,
+                rng=rng,
+            )
+            for flow in group
+        ]
+        size, gravity = group[0].size, group[0].gravity
+        batch = batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+        with torch.no_grad():
+            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].numpy()
+        ends = np.cumsum([len(sample.friction) for sample in samples])[:-1]
+        for flow, sample, positions in zip(group, samples, np.split(moved, ends, axis=1), strict=True):
+            distance = np.square(positions - sample.targets).sum(axis=2).mean(axis=1) ** 0.5
+            stations = np.linspace(0.0, size[0], round(size[0] / SPACING) + 1)
+            volume = sample.volume.astype(np.float64)
+            wanted = measures.height_profile(sample.targets[-1], volume, stations)
+            got = measures.height_profile(positions[-1], volume, stations)
+            front = measures.front(sample.targets[-1])
+            scores.append(
+                Score(
+                    name=flow.name,
+                    released=flow.released,
+                    friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
+                    front_error=(measures.front(positions[-1]) - front) / front,
+                    profile_error=float(np.abs(got - wanted).sum() / wanted.sum()),
+                    rmse=(float(distance[steps // 4]), float(distance[steps // 2]), float(distance[-1])),
+                )
+            )
+    return scores
+
+
+def badness(scores: Sequence[Score]) -> float:
+    """What the best model has least of: mean front error plus mean profile error [-]."""
+    return float(np.mean([abs(score.front_error) + score.profile_error for score in scores]))
+
+
+def table(scores: Sequence[Score]) -> str:
+    """Markdown: releases and moving starts apart, mean over the flows of each and the worst front."""
+    lines = [
+        "| start | flows | front error, mean | rms | worst | profile error | rmse 1/4 [mm] | 1/2 [mm] | end [mm] |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for title, released in (("released at rest", True), ("moving", False)):
+        group = [score for score in scores if score.released == released]
+        if not group:
+            continue
+        front = 100.0 * np.array([score.front_error for score in group])
+        worst = front[np.abs(front).argmax()]
+        profile = 100.0 * np.mean([score.profile_error for score in group])
+        rms = np.sqrt(np.square(front).mean())
+        rmse = 1000.0 * np.mean([score.rmse for score in group], axis=0)
+        lines.append(
+            f"| {title} | {len(group)} | {front.mean():+.1f} % | {rms:.1f} % | {worst:+.1f} % "
+            f"| {profile:.1f} % | {rmse[0]:.1f} | {rmse[1]:.1f} | {rmse[2]:.1f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def score(
+    *datasets: Path, model: Path, split: str = "test", seed: int = 0, threads: int = 1, out: Path | None = None
+) -> None:
+    """Score a model by whole rollouts from the MPM's first frames.
+
+    Parameters
+    ----------
+    datasets
+        Folders that `python -m mpm.generate` made.
+    model
+        The model's file.
+    split
+        train, valid or test.
+    seed
+        Seed of the choice of points.
+    threads
+        Threads of torch.
+    out
+        Markdown file to write the table to as well.
+    """
+    torch.set_num_threads(threads)
+    simulator = checkpoint.load(model).simulator
+    settings = simulator.settings
+    lines = []
+    for dataset in datasets:
+        flows = load_flows(dataset, split, step=settings.step, dimension=settings.dimension, progress=True)
+        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(simulator, flows, seed=seed)))
+    text = "\n".join(lines)
+    print(text)
+    if out is not None:
+        files.write_text(out, text)
+
+
+if __name__ == "__main__":
+    sys.exit(command_line.run(score, "python -m gns.score"))

@@ -1,0 +1,94 @@
+"""Where a rollout begins: at a scene's own start, or where the MPM's first frames end."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.points import material_points
+from datasets.samples import frames_per_step
+from datasets.scene import Scene
+from datasets.thinning import thin
+from datasets.trajectory import Floats, Trajectory
+from gns.settings import ModelSettings
+from gns.state import Conditions, State
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitialValueProblem:
+    """All that `gns.unroll.unroll` needs, and what is known before."""
+
+    state: State
+    """Where the rollout begins."""
+    conditions: Conditions
+    """What stays as it is."""
+    steps: int
+    """Steps to the end of the scene."""
+    known: Floats
+    """Positions one step apart from time 0 to where the rollout begins, that one included [m], shape [F, n, D]."""
+    velocity0: Floats
+    """Velocities at time 0 [m/s], shape [n, D]."""
+    indices: NDArray[np.int64]
+    """The points that were kept of all the scene's, shape [n]."""
+
+    def times(self, step: float) -> NDArray[np.float64]:
+        """Times of the known positions and of those to come [s], shape [F + steps]."""
+        return step * np.arange(len(self.known) + self.steps, dtype=np.float64)
+
+
+def at_rest(scene: Scene, settings: ModelSettings, rng: np.random.Generator) -> InitialValueProblem:
+    """Begin with the scene itself: its points and their initial velocities. `rng` chooses the points that stay."""
+    points = material_points(scene)
+    return _problem(
+        scene,
+        points.positions[None].astype(np.float32),
+        points.velocities.astype(np.float32),
+        points.friction,
+        settings,
+        rng,
+    )
+
+
+def after_frames(
+    start: Trajectory, scene: Scene, settings: ModelSettings, rng: np.random.Generator
+) -> InitialValueProblem:
+    """Begin at the last whole step of `start`, a run of `scene` that may have ended early. Raises InputError."""
+    stride = frames_per_step(start.scene.frame_dt, settings.step, "start")
+    frames = start.positions[::stride]
+    return _problem(scene, frames, start.velocity0, start.friction, settings, rng)
+
+
+def _problem(
+    scene: Scene,
+    frames: Floats,
+    velocity0: Floats,
+    friction: Floats,
+    settings: ModelSettings,
+    rng: np.random.Generator,
+) -> InitialValueProblem:
+    if scene.dimension != settings.dimension:
+        raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
+    if scene.baffles:
+        raise InputError("expected a scene without baffles, the model knows none", key="baffles")
+    thinned = thin(frames[0], scene.point_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
+    known, velocity0 = frames[:, thinned.indices], velocity0[thinned.indices]
+    return InitialValueProblem(
+        state=State.observed(
+            torch.from_numpy(known[-settings.history - 1 :]),
+            torch.from_numpy(velocity0),
+            step=settings.step,
+            history=settings.history,
+        ),
+        conditions=Conditions(
+            friction=torch.from_numpy(friction[thinned.indices]),
+            volume=torch.from_numpy(thinned.volumes),
+            size=scene.domain.size,
+            gravity=scene.gravity,
+        ),
+        steps=max(0, round(scene.duration / settings.step) - len(known) + 1),
+        known=known,
+        velocity0=velocity0,
+        indices=thinned.indices,
+    )

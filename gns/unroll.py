@@ -1,0 +1,62 @@
+"""The rollout loop, the only one: validation, the command and the inversion all step through it."""
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+from tqdm import tqdm
+
+from gns.simulator import Simulator
+from gns.state import Conditions, State
+
+
+def unroll(
+    simulator: Simulator,
+    start: State,
+    conditions: Conditions,
+    steps: int,
+    *,
+    kept_steps: int = 0,
+    progress: bool = False,
+) -> Tensor:
+    """Positions [m] at the start and after each step, shape [steps + 1, N, D].
+
+    Where a gradient is wanted, a step leaves only its state behind and is computed again in the backward pass (a
+    state is a few kilobytes, the activations of a step are megabytes); the last `kept_steps` steps keep their
+    activations and save that second computation. The result and the gradient do not depend on `kept_steps`.
+    `step_activation_bytes` tells what a kept step costs. For a gradient with respect to state or conditions freeze
+    the weights (`simulator.requires_grad_(False)`): the backward pass is then much cheaper.
+    """
+    state, positions = start, [start.positions]
+    for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
+        if torch.is_grad_enabled() and step < steps - kept_steps:
+            state = checkpoint(simulator, state, conditions, use_reentrant=False, preserve_rng_state=False)
+        else:
+            state = simulator(state, conditions)
+        positions.append(state.positions)
+    return torch.stack(positions)
+
+
+def step_activation_bytes(simulator: Simulator, state: State, conditions: Conditions) -> int:
+    """Memory that one step's activations take until the backward pass [bytes].
+
+    Measured: every storage that autograd saves is counted once, weights and inputs left out. As in the middle of a
+    rollout, the state is taken to depend on what the gradient is wanted for.
+    """
+    outside = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.volume]
+    known = {tensor.untyped_storage().data_ptr() for tensor in outside}
+    saved: dict[int, int] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        if storage.data_ptr() not in known:
+            saved[storage.data_ptr()] = storage.nbytes()
+        return tensor
+
+    inside = State(
+        positions=state.positions.detach().clone().requires_grad_(),
+        displacements=state.displacements.detach().clone().requires_grad_(),
+    )
+    with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        after = simulator(inside, conditions)
+    del after
+    return sum(saved.values())

@@ -1,0 +1,67 @@
+"""Forward: from a vector of unknowns to the observation it predicts. The MPM and the GNS are two of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import Values
+from inverse.unknowns import Vector
+
+
+class Forward(Protocol):
+    """Predicts the observation of given unknowns."""
+
+    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
+        """The observation [M] for each vector of unknowns [U]; several may run side by side."""
+
+
+class Differentiable(Forward, Protocol):
+    """A forward that autograd can look through."""
+
+    def predict(self, unknowns: Tensor) -> Tensor:
+        """The observation, float64 of shape [M], of unknowns, float64 of shape [U]."""
+
+
+class Surrogate(Differentiable, Protocol):
+    """A learned simulator of one flow, started from the MPM's first frames."""
+
+    def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
+        """Where its points come to rest [m], shape [N, D]: for pictures."""
+
+
+class SurrogateSource(Protocol):
+    """Makes surrogates of a flow."""
+
+    def first_frames(self, scene: Scene) -> Scene:
+        """`scene`, cut to the first frames that a surrogate is started from."""
+
+    def start(self, beginning: Trajectory) -> Surrogate:
+        """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts."""
+
+
+Simulate = Callable[[Sequence[Scene]], list[Trajectory]]
+"""The MPM, or what stands for it: scenes, side by side, to their trajectories."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """The loss and its gradient at one vector of unknowns."""
+
+    unknowns: Vector
+    """Where, shape [U]."""
+    observation: Values
+    """What the forward predicts there [m], shape [M]."""
+    loss: float
+    """Mean squared difference from the target [m^2]."""
+    gradient: Vector
+    """d(loss)/d(unknowns), shape [U]."""
+    forward_s: float
+    """Seconds of prediction."""
+    backward_s: float
+    """Seconds for the gradient on top of it."""

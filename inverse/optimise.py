@@ -1,0 +1,138 @@
+"""Minimising the loss inside bounds: the paper's gradient descent, or L-BFGS-B. Every evaluation is kept."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from inverse.forward import Evaluation
+from inverse.gradient import Evaluate
+from inverse.problem import Method, OptimiserSettings
+from inverse.unknowns import Vector
+
+RESOLUTION = 5.0e-4
+"""A step shorter than this fraction of every unknown's range is not worth a simulation."""
+LONGEST_FIRST_STEP = 0.2
+"""Of L-BFGS-B, as a fraction of the range: one gradient at the start says little of what lies far off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """The box in which the unknowns lie."""
+
+    lower: Vector
+    upper: Vector
+
+    @property
+    def range(self) -> Vector:
+        """Width of the box, shape [U]."""
+        return self.upper - self.lower
+
+    @property
+    def middle(self) -> Vector:
+        """Centre of the box, shape [U]."""
+        return 0.5 * (self.lower + self.upper)
+
+    def clip(self, unknowns: Vector) -> Vector:
+        """The nearest point of the box."""
+        return np.clip(unknowns, self.lower, self.upper)
+
+    def around(self, centre: Vector, reach: Vector) -> "Bounds":
+        """The part of the box within `reach` of `centre`."""
+        return Bounds(lower=np.maximum(self.lower, centre - reach), upper=np.minimum(self.upper, centre + reach))
+
+
+class _Enough(Exception):
+    """The search is over."""
+
+
+class _Recorder:
+    """Evaluates, keeps every evaluation and says when it is enough."""
+
+    def __init__(self, evaluate: Evaluate, settings: OptimiserSettings, bounds: Bounds, progress: str) -> None:
+        self.evaluate, self.settings, self.bounds = evaluate, settings, bounds
+        self.records: list[Evaluation] = []
+        self.bar = tqdm(total=settings.max_iterations, desc=progress, unit="it", leave=False, disable=None)
+
+    def __call__(self, unknowns: Vector) -> Evaluation:
+        near = RESOLUTION * self.bounds.range
+        for record in self.records:
+            if np.all(np.abs(record.unknowns - unknowns) <= 1e-12 * self.bounds.range):
+                return record
+            if np.all(np.abs(record.unknowns - unknowns) < near):
+                raise _Enough
+        if len(self.records) >= self.settings.max_iterations:
+            raise _Enough
+        record = self.evaluate(unknowns)
+        self.records.append(record)
+        self.bar.set_postfix_str(f"loss {record.loss:.2e} m^2 at {np.array2string(unknowns, precision=2)}")
+        self.bar.update()
+        if record.loss < self.settings.stop_below or not np.isfinite(record.loss):
+            raise _Enough
+        return record
+
+
+def minimise(
+    evaluate: Evaluate, start: Vector, bounds: Bounds, settings: OptimiserSettings, progress: str = "inversion"
+) -> list[Evaluation]:
+    """Every evaluation from `start` to the end, in order; the answer is the one of least loss (`best`).
+
+    It ends below `stop_below`, after `max_iterations` evaluations, or when the method itself finds a minimum.
+    """
+    recorder = _Recorder(evaluate, settings, bounds, progress)
+    try:
+        _SEARCHES[settings.method](recorder, bounds.clip(start), bounds, settings)
+    except _Enough:
+        pass
+    finally:
+        recorder.bar.close()
+    return recorder.records
+
+
+def best(records: list[Evaluation]) -> Evaluation:
+    """The evaluation of least loss."""
+    return min(records, key=lambda record: record.loss if np.isfinite(record.loss) else np.inf)
+
+
+def _gradient_descent(recorder: _Recorder, start: Vector, bounds: Bounds, settings: OptimiserSettings) -> None:
+    """u <- u - rate * d(loss)/du, projected onto the bounds (the paper, section "Inverse problem")."""
+    unknowns = start
+    while True:
+        unknowns = bounds.clip(unknowns - settings.learning_rate * recorder(unknowns).gradient)
+
+
+def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds, settings: OptimiserSettings) -> None:
+    """L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) in variables scaled so that its first step is a sensible one.
+
+    Its first trial step has length one along the steepest descent. One is made 2 f / |f'|, which for a single
+    observation that can be met is the Gauss-Newton step (Polyak's step, doubled).
+    """
+    first = recorder(start)
+    # Steepest descent in fractions of the range, so that unknowns of different units count alike.
+    slope = first.gradient * bounds.range
+    steepness = float(np.linalg.norm(slope))
+    if steepness == 0.0:
+        return
+    unit = bounds.range * min(2.0 * first.loss / steepness, LONGEST_FIRST_STEP)
+
+    def scaled(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        record = recorder(bounds.clip(start + x * unit))
+        return record.loss / first.loss, record.gradient * unit / first.loss
+
+    scipy.optimize.minimize(
+        scaled,
+        np.zeros_like(start),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip((bounds.lower - start) / unit, (bounds.upper - start) / unit, strict=True)),
+        options={"ftol": 1e-12, "gtol": 1e-6},
+    )
+
+
+_SEARCHES: dict[Method, Callable[[_Recorder, Vector, Bounds, OptimiserSettings], None]] = {
+    Method.GRADIENT_DESCENT: _gradient_descent,
+    Method.LBFGSB: _lbfgsb,
+}

@@ -1,0 +1,97 @@
+"""The target: what was observed, and, for a twin experiment, the truth that the inversion must not see."""
+
+import csv
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import measures
+from datasets.errors import InputError
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import Observation, Profile, Values
+from inverse.problem import Problem
+from inverse.unknowns import KINDS, with_unknowns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What the inversion is given (`values`) and what only the report may look at (the rest)."""
+
+    values: Values
+    """The observation [m], shape [M]."""
+    edge: float
+    """How far the deposit reaches [m]: what the front of an MPM run is held against."""
+    deposit: NDArray[np.floating] | None = None
+    """Where known: positions of the deposit [m], shape [N, D]."""
+    truth: dict[str, float] | None = None
+    """Where known: the true unknowns."""
+
+    def front_error(self, observation: Observation, deposit: NDArray[np.floating]) -> float:
+        """Relative error of the front of `deposit`, positions [m], shape [N, D].
+
+        Where the target's deposit is not known, both reach as far as the observation says.
+        """
+        known = self.deposit is not None
+        reached = measures.front(deposit) if known else observation.edge(observation.exact(deposit))
+        return (reached - self.edge) / self.edge
+
+
+def hidden_scene(problem: Problem) -> Scene:
+    """The scene of a twin experiment: the true unknowns and a jitter of its own."""
+    names = list(problem.target.truth)
+    scene = with_unknowns(problem.scene, names, [problem.target.truth[name] for name in names])
+    return dataclasses.replace(scene, seed=problem.target.seed)
+
+
+def read_target(problem: Problem, observation: Observation, simulate: Callable[[Scene], Trajectory]) -> Target:
+    """The target of `problem`; a hidden one is made with `simulate`. Raises InputError."""
+    settings = problem.target
+    if settings.value is not None:
+        values = np.array([settings.value])
+        return Target(values=values, edge=observation.edge(values))
+    if settings.csv is not None:
+        assert isinstance(observation, Profile)
+        values = read_profile(problem.folder / settings.csv, observation.stations)
+        return Target(values=values, edge=observation.edge(values))
+    truth = None
+    if settings.hidden:
+        scene = hidden_scene(problem)
+        trajectory = simulate(scene)
+        truth = {unknown.name: KINDS[unknown.name].read(scene) for unknown in problem.unknowns}
+    else:
+        path = problem.folder / str(settings.trajectory)
+        trajectory = Trajectory.load(path)
+        if trajectory.scene.dimension != problem.scene.dimension:
+            raise InputError(
+                f"expected a {problem.scene.dimension}D trajectory as the scene's, got {trajectory.scene.dimension}D",
+                where=str(path),
+            )
+    deposit = trajectory.positions[-1]
+    return Target(values=observation.exact(deposit), edge=measures.front(deposit), deposit=deposit, truth=truth)
+
+
+def read_profile(path: Path, stations: NDArray[np.float64]) -> Values:
+    """Heights [m] at `stations` [m] from a CSV with the columns `x` and `height`, linear in between, 0 beyond."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except FileNotFoundError:
+        raise InputError("expected a measured profile (CSV), there is none", where=str(path)) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
+    if len(rows) < 2 or not {"x", "height"} <= rows[0].keys():
+        raise InputError("expected the columns x and height and at least two rows", where=str(path))
+    try:
+        x, height = (np.array([float(row[column]) for row in rows]) for column in ("x", "height"))
+    except (TypeError, ValueError):
+        raise InputError("expected numbers in the columns x and height", where=str(path)) from None
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(height)) and np.all(np.diff(x) > 0.0)):
+        raise InputError("expected finite numbers, x in ascending order", where=str(path))
+    if height.min() < 0.0 or height.max() <= 0.0:
+        raise InputError("expected heights of at least 0 m, not all 0", where=str(path))
+    return np.asarray(np.interp(stations, x, height, left=0.0, right=0.0))

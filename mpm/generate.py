@@ -1,0 +1,181 @@
+"""python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import reduce
+from itertools import islice
+from multiprocessing import get_context
+from operator import add
+from pathlib import Path
+
+from tqdm import tqdm
+
+from datasets.command_line import WorkFailed, run
+from datasets.definition import Definition, Entry, Split
+from datasets.errors import InputError
+from datasets.files import write_json
+from datasets.flow2d import FLOW2D
+from datasets.metadata import metadata
+from datasets.releases2d import RELEASES2D
+from datasets.scene import Scene
+from datasets.statistics import MotionStatistics, motion_statistics
+from datasets.trajectory import Trajectory, stored_scene
+
+DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D)}
+
+TIMINGS = ("wall_s", "compile_s")
+"""Keys of a summary that differ from run to run; the files of a dataset must not."""
+
+
+def command(definition: str, /, *, out: Path, count: int | None = None, seed: int = 0, jobs: int | None = None) -> None:
+    """Simulate the trajectories of a dataset definition with the MPM.
+
+    Running the same command again finishes what is missing. The files are the same for the same seed, whatever the
+    number of jobs.
+
+    Parameters
+    ----------
+    definition
+        flow2d or releases2d.
+    out
+        Folder of the dataset: train, valid, test, metadata.json, generation.json.
+    count
+        How many trajectories, the first ones of the definition; all of them unless given.
+    seed
+        Seed of the dataset.
+    jobs
+        Processes that simulate; one per processor unless given.
+    """
+    if definition == "obstacle3d":
+        raise InputError("expected a 2D definition, obstacle3d needs the 3D solver, which is not there yet")
+    if definition not in DEFINITIONS:
+        raise InputError(f"expected one of {', '.join(DEFINITIONS)}, got {definition!r}", key="definition")
+    generate(DEFINITIONS[definition], out, seed=seed, count=count, jobs=processors() if jobs is None else jobs)
+
+
+def generate(definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int) -> None:
+    """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
+
+    Raises InputError where `out` holds other trajectories than these, WorkFailed where a simulation fails.
+    """
+    if jobs < 1:
+        raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
+    start = time.perf_counter()
+    entries = definition.entries(seed=seed, count=count)
+    missing = not_yet_there(entries, out)
+    with pool(jobs) as executor:
+        simulate_all(executor, missing, out, jobs=jobs, total=len(entries))
+        statistics = statistics_of(executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
+    write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
+    write_json(
+        out / "generation.json",
+        {
+            "simulated": len(missing),
+            "kept": len(entries) - len(missing),
+            "jobs": jobs,
+            "wall_s": time.perf_counter() - start,
+        },
+    )
+
+
+def place_of(entry: Entry, out: Path) -> Path:
+    """The file of a trajectory in the dataset folder `out`."""
+    return out / entry.split.value / f"{entry.name}.npz"
+
+
+def not_yet_there(entries: Iterable[Entry], out: Path) -> list[Entry]:
+    """The entries without a file. Raises InputError for a file that is not of this dataset: nothing is overwritten."""
+    wanted = {place_of(entry, out): entry for entry in entries}
+    # Parts of files that a killed process left begin with a dot.
+    found = {path: None for split in Split for path in sorted((out / split.value).glob("[!.]*.npz"))}
+    for path in found:
+        if path not in wanted:
+            raise InputError("expected no trajectory but those of this definition, seed and count", where=str(path))
+        if stored_scene(path) != wanted[path].scene:
+            raise InputError("expected the scene that this definition and seed give, found another", where=str(path))
+    return [entry for path, entry in wanted.items() if path not in found]
+
+
+def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: int, total: int) -> None:
+    """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it."""
+    waiting = iter(entries)
+    running: dict[Future[None], str] = {}
+    failures = []
+    with tqdm(total=total, initial=total - len(entries), unit="trajectory", dynamic_ncols=True) as bar:
+        while True:
+            # No more than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
+            for entry in islice(waiting, jobs - len(running)):
+                running[executor.submit(simulate_one, entry.scene, place_of(entry, out))] = entry.name
+            if not running:
+                break
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                name = running.pop(future)
+                try:
+                    future.result()
+                except BrokenProcessPool:
+                    raise
+                except Exception as error:  # whatever goes wrong in one scene, the others are worth having
+                    failures.append(f"{name} ({type(error).__name__}: {error})")
+                bar.update()
+    if failures:
+        raise WorkFailed(f"{len(failures)} of {len(entries)} trajectories failed, first {min(failures)}")
+
+
+def simulate_one(scene: Scene, path: Path) -> None:
+    """Simulate `scene` and save its trajectory to `path`; runs in a process of the pool."""
+    # Taichi belongs to the processes that simulate: the one that directs them neither needs nor waits for it.
+    from mpm.simulate import simulate
+
+    trajectory = simulate(scene, precision="f32", threads=1)
+    summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
+    replace(trajectory, summary=summary).save(path)
+
+
+def statistics_of(executor: Executor, entries: Iterable[Entry], out: Path) -> MotionStatistics:
+    """The statistics of all `entries` together, added in their order whoever is ready first."""
+    paths = [place_of(entry, out) for entry in entries]
+    each = executor.map(statistics_of_one, paths)
+    bar: Iterable[MotionStatistics] = tqdm(
+        each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True
+    )
+    return reduce(add, bar)
+
+
+def statistics_of_one(path: Path) -> MotionStatistics:
+    """The statistics of the trajectory at `path`; runs in a process of the pool."""
+    trajectory = Trajectory.load(path)
+    return motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
+
+
+@contextmanager
+def pool(jobs: int) -> Iterator[Executor]:
+    """Processes started afresh. When the block ends early they finish the scene in hand and take no other."""
+    executor = ProcessPoolExecutor(
+        max_workers=jobs,
+        mp_context=get_context("spawn"),
+        # Ctrl-C reaches every process of the terminal; only the director answers it.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    try:
+        yield executor
+    except BrokenProcessPool:
+        raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m mpm.generate"))

@@ -1,0 +1,163 @@
+"""The two 2D dataset definitions: reproducible, divided as promised, and blind to the test scenarios."""
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from datasets.definition import Definition, Entry, Split
+from datasets.errors import InputError
+from datasets.flow2d import FLOW2D, FRICTION_DEG
+from datasets.library import read_scene
+from datasets.points import material_points
+from datasets.releases2d import RELEASES2D, held_out
+
+both = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D], ids=lambda definition: definition.name)
+
+
+@both
+def test_a_smaller_dataset_is_a_prefix_of_a_larger_one(definition: Definition) -> None:
+    whole = definition.entries(seed=3)
+    assert len(whole) == definition.size
+    assert definition.entries(seed=3, count=17) == whole[:17]
+    assert len({entry.name for entry in whole}) == definition.size
+
+
+@both
+def test_the_seed_decides(definition: Definition) -> None:
+    assert definition.entries(seed=0, count=5) == definition.entries(seed=0, count=5)
+    ours = definition.entries(seed=0, count=5)
+    theirs = definition.entries(seed=1, count=5)
+    assert all(a.scene != b.scene for a, b in zip(ours, theirs, strict=True))
+
+
+@both
+def test_every_scene_has_its_own_shape_and_jitter(definition: Definition) -> None:
+    entries = definition.entries(seed=0)
+    assert len({entry.scene.seed for entry in entries}) == definition.size
+    assert len({entry.scene.masses for entry in entries}) > 0.9 * definition.size
+
+
+@both
+@pytest.mark.parametrize("count", [0, -1, 1000])
+def test_a_count_out_of_range(definition: Definition, count: int) -> None:
+    with pytest.raises(InputError, match=str(definition.size)):
+        definition.entries(seed=0, count=count)
+
+
+@both
+def test_a_negative_seed(definition: Definition) -> None:
+    with pytest.raises(InputError, match="seed"):
+        definition.entries(seed=-1)
+
+
+@both
+@pytest.mark.parametrize("seed", [0, 1])
+def test_shapes_are_whole_cells_and_settings_the_columns_own(definition: Definition, seed: int) -> None:
+    column = read_scene("column-short-21")
+    for entry in definition.entries(seed=seed):
+        corners = np.array([[mass.lower, mass.size] for mass in entry.scene.masses]) / 0.01
+        np.testing.assert_allclose(corners, corners.round(), atol=1e-9)
+        same = entry.scene.with_friction_deg(21.0)
+        for key in ("domain", "material", "duration", "frame_dt", "gravity", "floor_friction", "wall_friction"):
+            assert getattr(same, key) == getattr(column, key)
+        assert (same.damping, same.step_fraction, same.jitter) == (column.damping, column.step_fraction, column.jitter)
+
+
+def splits(entries: tuple[Entry, ...]) -> Counter[Split]:
+    return Counter(entry.split for entry in entries)
+
+
+def test_flow2d_is_the_paper_s() -> None:
+    entries = FLOW2D.entries(seed=0)
+    assert splits(entries) == {Split.TRAIN: 345, Split.VALID: 20, Split.TEST: 20}
+    by_angle = Counter((entry.scene.material.friction_deg, entry.split) for entry in entries)
+    for angle in (15.0, 22.5, 30.0, 37.5, 45.0):
+        assert [by_angle[angle, split] for split in Split] == [69, 4, 4]
+    (masses,) = zip(*(entry.scene.masses for entry in entries), strict=True)
+    sides = np.array([mass.size for mass in masses])
+    np.testing.assert_array_equal(sides[:, 0], sides[:, 1])
+    assert (sides.min(), sides.max()) == (0.2, 0.4)
+    velocities = np.array([mass.velocity for mass in masses])
+    assert -2.0 <= velocities.min() < -1.9
+    assert 1.9 < velocities.max() <= 2.0
+    # Squares fly as well as stand, and everywhere.
+    lower = np.array([mass.lower for mass in masses])
+    assert np.all(lower.min(axis=0) < 0.05)
+    assert np.all((lower + sides).max(axis=0) > 0.95)
+    largest = entries[int(sides[:, 0].argmax())].scene
+    assert len(material_points(largest).positions) == 6400
+
+
+def test_a_small_flow2d_has_every_angle_and_every_split() -> None:
+    entries = FLOW2D.entries(seed=0, count=3 * len(FRICTION_DEG))
+    by_angle = Counter((entry.scene.material.friction_deg, entry.split) for entry in entries)
+    assert all(by_angle[angle, split] == 1 for angle in FRICTION_DEG for split in Split)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_releases2d_is_what_it_says(seed: int) -> None:
+    entries = RELEASES2D.entries(seed=seed)
+    assert splits(entries) == {Split.TRAIN: 216, Split.VALID: 12, Split.TEST: 12}
+    angles = [entry.scene.material.friction_deg for entry in entries]
+    assert 15.0 <= min(angles) < 17.0
+    assert 43.0 < max(angles) <= 45.0
+    columns = Counter(len(entry.scene.masses) for entry in entries)
+    assert sorted(columns) == [1, 2, 3]
+    assert min(columns.values()) > 50
+    for entry in entries:
+        masses = entry.scene.masses
+        assert all(mass.velocity is None and mass.lower[1] == 0.0 for mass in masses)
+        lengths, heights = np.array([mass.size for mass in masses]).T
+        assert 0.0999 < lengths.sum() < 0.4501
+        assert 0.0799 < heights.min() <= heights.max() < 0.5001
+        assert 0.0199 < (lengths * heights).sum() < 0.1201
+        assert np.all(np.abs(np.diff(heights)) > 0.0299)
+        for left, right in pairwise(masses):
+            assert left.lower[0] + left.size[0] == pytest.approx(right.lower[0])
+
+
+def leaning(entry: Entry) -> str:
+    first, last = entry.scene.masses[0], entry.scene.masses[-1]
+    if first.lower[0] == 0.0:
+        return "left"
+    return "right" if last.lower[0] + last.size[0] == pytest.approx(1.0) else "free"
+
+
+def test_half_of_the_releases_lean_on_the_left_wall() -> None:
+    entries = RELEASES2D.entries(seed=0)
+    assert Counter(map(leaning, entries)) == {"left": 120, "free": 80, "right": 40}
+    for split in Split:
+        assert {"left", "free"} <= {leaning(entry) for entry in entries if entry.split is split}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_release_is_a_test_scenario(seed: int) -> None:
+    scenarios = [read_scene(f"column-{kind}-21").masses[0].size for kind in ("short", "tall")]
+    for entry in RELEASES2D.entries(seed=seed):
+        if len(entry.scene.masses) == 1 and leaning(entry) != "free":
+            length, height = entry.scene.masses[0].size
+            for other_length, other_height in scenarios:
+                assert max(abs(length - other_length), abs(height - other_height)) > 0.03 + 1e-9
+            if 0.06 <= length * height <= 0.10:
+                assert min(abs(height / length / aspect - 1.0) for aspect in (0.5, 0.8, 1.0, 2.0, 3.0)) > 0.04
+
+
+@pytest.mark.parametrize(
+    ("length", "height", "kept"),
+    [
+        (0.40, 0.20, True),
+        (0.37, 0.23, True),
+        (0.36, 0.20, False),
+        (0.36, 0.18, True),  # aspect 0.5, area 0.065
+        (0.20, 0.10, False),  # aspect 0.5, area 0.02
+        (0.20, 0.40, True),
+        (0.30, 0.30, True),  # aspect 1
+        (0.30, 0.28, False),
+        (0.16, 0.48, True),  # aspect 3
+        (0.35, 0.28, True),  # aspect 0.8: the layered column
+    ],
+)
+def test_held_out_boxes(length: float, height: float, kept: bool) -> None:
+    assert held_out(length, height) is kept

@@ -1,0 +1,66 @@
+"""`docs/formats.md` names every key that the files have, with the defaults they have, and shows a scene that loads."""
+
+import dataclasses
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.definition import Definition
+from datasets.flow2d import FLOW2D
+from datasets.material import Material
+from datasets.metadata import metadata
+from datasets.releases2d import RELEASES2D
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.statistics import MOVING_SPEED, motion_statistics
+from datasets.strict import from_mapping
+from datasets.trajectory import Trajectory
+
+PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+
+
+def section(title: str) -> str:
+    """The part of the page under `title`."""
+    return PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Baffle])
+def test_every_key_of_a_scene(kind: type) -> None:
+    rows = [line.split("|") for line in section("Scene (TOML)").splitlines() if line.startswith("|")]
+    for field in dataclasses.fields(kind):
+        if field.name in ("domain", "masses", "baffles"):
+            assert f"[{field.name}]" in PAGE
+            continue
+        (row, *_) = [row for row in rows if f"`{field.name}`" in row[1]]
+        if isinstance(field.default, int | float):
+            place = re.findall(r"`(\w+)`", row[1]).index(field.name)
+            assert float(row[2].split(",")[place]) == field.default
+
+
+def test_the_scene_on_the_page_loads() -> None:
+    (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    assert from_mapping(Scene, tomllib.loads(text)).damping == 0.12
+
+
+def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> None:
+    trajectory.save(tmp_path / "trajectory.npz")
+    with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
+        assert set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE)) == set(file.files)
+
+
+def test_every_key_of_the_metadata() -> None:
+    written = metadata(
+        FLOW2D, FLOW2D.entries(seed=0, count=1), seed=0, statistics=motion_statistics(np.zeros((3, 1, 2)), 0.0025)
+    )
+    named = re.findall(r"`(\w+)`", section("Dataset (folder)"))
+    assert written.keys() | written["statistics"].keys() <= set(named)
+    assert f"{MOVING_SPEED:g} m/s" in PAGE
+
+
+@pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D], ids=lambda definition: definition.name)
+def test_the_sizes_of_the_datasets(definition: Definition) -> None:
+    entries = definition.entries(seed=0)
+    parts = [sum(entry.split == split for entry in entries) for split in ("train", "valid", "test")]
+    assert f"| `{definition.name}` | {len(entries)} ({', '.join(map(str, parts))}) |" in PAGE

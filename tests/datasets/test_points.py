@@ -1,0 +1,63 @@
+"""Material points: as many as the volume asks for, inside their masses, each mass from its own stream."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datasets.library import read_scene
+from datasets.material import Material
+from datasets.points import material_points
+from datasets.scene import Mass, Scene
+
+
+@pytest.mark.parametrize("name", ["column-tall-21", "layers-10"])
+def test_points_lie_inside_their_masses(name: str) -> None:
+    scene = read_scene(name)
+    points = material_points(scene)
+    inside = np.zeros(len(points.positions), int)
+    for mass in scene.masses:
+        lower = np.array(mass.lower)
+        inside += np.all((points.positions > lower) & (points.positions < lower + mass.size), axis=1)
+    assert np.all(inside == 1)
+
+
+@pytest.mark.parametrize("size", [(0.04, 0.02), (0.043, 0.028), (0.1, 0.0024)])
+def test_points_stand_for_the_volume_of_the_mass(scene: Scene, size: tuple[float, float]) -> None:
+    scene = dataclasses.replace(scene, masses=(Mass(lower=(0.05, 0.0), size=size),))
+    points = material_points(scene)
+    # To the nearest row of points across the longest axis.
+    row = points.volume * max(1, round(min(size) / 0.005))
+    assert abs(points.volume * len(points.positions) - size[0] * size[1]) <= 0.51 * row
+
+
+def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
+    second = Mass(lower=(0.1, 0.0), size=(0.02, 0.02), material=Material(friction_deg=20.0))
+    alone = material_points(scene)
+    together = material_points(dataclasses.replace(scene, masses=(*scene.masses, second)))
+    count = len(alone.positions)
+    np.testing.assert_array_equal(together.positions[:count], alone.positions)
+    np.testing.assert_array_equal(together.velocities[count:], 0.0)
+    assert [material.friction_deg for material in together.materials] == [30.0, 20.0]
+    np.testing.assert_allclose(together.friction[[0, -1]], np.tan(np.radians([30.0, 20.0])), rtol=1e-6)
+
+
+def test_masses_of_the_same_shape_are_jittered_differently(scene: Scene) -> None:
+    twin = dataclasses.replace(scene.masses[0], lower=(0.1, 0.0))
+    points = material_points(dataclasses.replace(scene, masses=(scene.masses[0], twin))).positions
+    first, second = np.split(points, 2)
+    assert np.abs(second - first - [0.05, 0.0]).max() > 1e-4
+
+
+def test_the_seed_decides_the_jitter(scene: Scene) -> None:
+    again = material_points(scene).positions
+    np.testing.assert_array_equal(material_points(scene).positions, again)
+    other = material_points(dataclasses.replace(scene, seed=1)).positions
+    assert 0.0 < np.abs(other - again).max() <= 0.8 * 0.005
+
+
+def test_without_jitter_points_form_a_lattice(scene: Scene) -> None:
+    points = material_points(dataclasses.replace(scene, jitter=0.0))
+    np.testing.assert_allclose(np.unique(points.positions[:, 1].round(9)), [0.0025, 0.0075, 0.0125, 0.0175])
+    assert points.velocities.shape == points.positions.shape == (32, 2)
+    np.testing.assert_array_equal(points.velocities[0], [0.1, -0.2])

@@ -1,0 +1,85 @@
+"""Streaming statistics against numpy on all samples at once; what is counted; what goes into metadata.json."""
+
+import json
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from datasets.definition import Split
+from datasets.flow2d import FLOW2D
+from datasets.metadata import metadata
+from datasets.statistics import MOVING_SPEED, Moments, motion_statistics
+
+FRAME_DT = 0.0025
+
+
+def test_moments_of_parts_are_those_of_the_whole() -> None:
+    # A mean far above the spread: the sum of squares alone would lose every digit.
+    samples = np.random.default_rng(0).normal([1.0e6, -3.0], [0.01, 2.0], (1000, 2))
+    parts = np.split(samples, [1, 1, 300, 999])
+    joint = reduce(add, map(Moments.of, parts))
+    assert joint.count == 1000
+    np.testing.assert_allclose(joint.mean, samples.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(joint.std, samples.std(axis=0), rtol=1e-7)
+
+
+def test_moments_of_nothing() -> None:
+    empty = Moments.of(np.zeros((0, 2)))
+    assert (empty + empty).count == 0
+    np.testing.assert_array_equal((empty + empty).std, [0.0, 0.0])
+    full = empty + Moments.of(np.array([[1.0, 2.0], [3.0, 6.0]]))
+    np.testing.assert_array_equal(full.mean, [2.0, 4.0])
+    np.testing.assert_array_equal(full.std, [1.0, 2.0])
+
+
+def walk(seed: int, frames: int, points: int) -> np.ndarray:
+    """Points that always move faster than the threshold; positions [m], shape [T, N, 2]."""
+    steps = np.random.default_rng(seed).uniform(0.001, 0.01, (frames, points, 2))
+    return np.cumsum(steps, axis=0)
+
+
+def test_statistics_of_moving_points_are_numpys() -> None:
+    sequences = [walk(0, 6, 40), walk(1, 9, 10)]
+    joint = reduce(add, (motion_statistics(sequence, FRAME_DT) for sequence in sequences))
+    velocities = np.concatenate([np.diff(sequence, axis=0).reshape(-1, 2) for sequence in sequences])
+    accelerations = np.concatenate([np.diff(sequence, 2, axis=0).reshape(-1, 2) for sequence in sequences])
+    for kept, samples in ((joint.velocity, velocities), (joint.acceleration, accelerations)):
+        assert kept.count == len(samples)
+        np.testing.assert_allclose(kept.mean, samples.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(kept.std, samples.std(axis=0), rtol=1e-12)
+
+
+def test_points_at_rest_do_not_count() -> None:
+    moving = walk(0, 6, 40)
+    resting = np.broadcast_to([0.5, 0.1], (6, 1000, 2)).copy()
+    resting[1:, :, 0] += 0.9 * MOVING_SPEED * FRAME_DT  # one step just below the threshold
+    both = motion_statistics(np.concatenate([moving, resting], axis=1), FRAME_DT)
+    alone = motion_statistics(moving, FRAME_DT)
+    assert (both.velocity.count, both.acceleration.count) == (5 * 40, 4 * 40)
+    assert both.metadata() == alone.metadata()
+
+
+def test_a_stop_counts_as_an_acceleration() -> None:
+    step = 2.0 * MOVING_SPEED * FRAME_DT
+    x = np.array([0.0, step, 2 * step, 2 * step, 2 * step])
+    statistics = motion_statistics(np.stack([x, np.zeros(5)], axis=-1)[:, None, :], FRAME_DT)
+    # Two steps of motion; going on and stopping, but not the rest after it.
+    assert (statistics.velocity.count, statistics.acceleration.count) == (2, 2)
+    np.testing.assert_allclose(statistics.velocity.mean, [step, 0.0])
+    np.testing.assert_allclose(statistics.acceleration.mean, [-step / 2, 0.0])
+
+
+def test_metadata_has_the_peers_keys_and_ours() -> None:
+    entries = FLOW2D.entries(seed=5, count=15)
+    written = metadata(FLOW2D, entries, seed=5, statistics=motion_statistics(walk(0, 6, 40), FRAME_DT))
+    read = json.loads(json.dumps(written))
+    assert read["bounds"] == [[0.0, 1.0], [0.0, 1.0]]
+    assert (read["sequence_length"], read["dim"], read["dt"]) == (401, 2, 0.0025)
+    assert read["default_connectivity_radius"] == 0.02
+    for key in ("vel_mean", "vel_std", "acc_mean", "acc_std"):
+        assert len(read[key]) == 2
+    assert (read["definition"], read["seed"], read["count"]) == ("flow2d", 5, 15)
+    assert read["splits"] == {split.value: 5 for split in Split}
+    assert read["material"]["cohesion"] == 100.0
+    assert read["friction_deg"] == [15.0, 45.0]

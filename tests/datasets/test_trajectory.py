@@ -1,0 +1,133 @@
+"""Trajectory files: written whole and the same every time, read back exactly, anything else refused in one line."""
+
+import pickle
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.trajectory import Trajectory, stored_scene
+
+
+def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
+    path = tmp_path / "deep" / "trajectory.npz"
+    trajectory.save(path)
+    again = Trajectory.load(path)
+    for key in ("positions", "time", "velocity0", "friction"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(trajectory, key))
+        assert getattr(again, key).dtype == getattr(trajectory, key).dtype
+    assert (again.scene, again.summary) == (trajectory.scene, trajectory.summary)
+    assert stored_scene(path) == trajectory.scene
+    assert [file.name for file in path.parent.iterdir()] == ["trajectory.npz"]
+
+
+def test_the_bytes_do_not_depend_on_when(
+    tmp_path: Path, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trajectory.save(tmp_path / "now.npz")
+    later = time.time() + 1.0e6
+    monkeypatch.setattr(time, "time", lambda: later)
+    trajectory.save(tmp_path / "later.npz")
+    assert (tmp_path / "now.npz").read_bytes() == (tmp_path / "later.npz").read_bytes()
+
+
+def refused(path: Path) -> InputError:
+    with pytest.raises(InputError) as caught:
+        Trajectory.load(path)
+    assert caught.value.where == str(path)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def test_no_file(tmp_path: Path) -> None:
+    assert "there is none" in refused(tmp_path / "absent.npz").message
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_truncated_file(tmp_path: Path, trajectory: Trajectory, share: float) -> None:
+    path = tmp_path / "trajectory.npz"
+    trajectory.save(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    assert "whole NPZ" in refused(path).message
+
+
+def test_a_damaged_array(tmp_path: Path, trajectory: Trajectory) -> None:
+    path = tmp_path / "trajectory.npz"
+    trajectory.save(path)
+    content = bytearray(path.read_bytes())
+    place = content.index(trajectory.positions.tobytes())
+    content[place] ^= 0xFF
+    path.write_bytes(content)
+    assert "whole NPZ" in refused(path).message
+
+
+class Intruder:
+    """Leaves a mark when unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.mark,))
+
+
+def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    (tmp_path / "plain.npz").write_bytes(pickle.dumps(Intruder(mark)))
+    np.savez(tmp_path / "object.npz", gns_data=np.array([Intruder(mark)], dtype=object))
+    for name in ("plain.npz", "object.npz"):
+        assert "whole NPZ of plain arrays" in refused(tmp_path / name).message
+    assert not mark.exists()
+
+
+def test_text_and_a_single_array(tmp_path: Path) -> None:
+    (tmp_path / "text.npz").write_text("x, y\n1, 2\n")
+    refused(tmp_path / "text.npz")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    refused(tmp_path / "array.npy")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("positions", None, "missing"),
+        ("scene", None, "missing"),
+        ("positions", np.zeros((3, 5)), "[T, N, 2 or 3]"),
+        ("positions", np.zeros((3, 5, 3)), "(5, 3)"),
+        ("time", np.zeros(4), "(3,)"),
+        ("friction", np.zeros(4), "(5,)"),
+        ("positions", np.full((3, 5, 2), "a"), "numbers"),
+        ("scene", np.array("{}"), "missing"),
+        ("scene", np.array("nonsense"), "JSON"),
+        ("summary", np.array("nonsense"), "JSON"),
+    ],
+)
+def test_a_foreign_npz(
+    tmp_path: Path, trajectory: Trajectory, key: str, value: np.ndarray | None, expected: str
+) -> None:
+    path = tmp_path / "trajectory.npz"
+    trajectory.save(path)
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    if value is None:
+        del arrays[key]
+    else:
+        arrays[key] = value
+    np.savez(path, **arrays)
+    assert expected in str(refused(path))
+
+
+def test_three_dimensional_points_of_a_two_dimensional_scene(tmp_path: Path, trajectory: Trajectory) -> None:
+    path = tmp_path / "trajectory.npz"
+    np.savez(
+        path,
+        positions=np.zeros((3, 5, 3), np.float32),
+        time=trajectory.time,
+        velocity0=np.zeros((5, 3), np.float32),
+        friction=trajectory.friction,
+        scene=np.array(trajectory.scene.to_json()),
+    )
+    assert "2D positions as in the scene" in refused(path).message

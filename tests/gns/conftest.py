@@ -1,0 +1,100 @@
+"""A tiny model, a random cloud, and flows with a formula."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.material import Material
+from datasets.points import material_points
+from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
+from gns.state import Conditions, State
+
+NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
+Cloud = Callable[..., tuple[State, Conditions]]
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    """The models are tiny: a second thread only waits, and for long on a busy machine."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def settings() -> ModelSettings:
+    """A model that takes milliseconds."""
+    return ModelSettings(width=16, layers=2, rounds=2, grid_channels=8, grid_layers=2)
+
+
+@pytest.fixture
+def simulator(settings: ModelSettings) -> Simulator:
+    """The untrained tiny model."""
+    torch.manual_seed(1)
+    return Simulator(settings, NORMALISATION)
+
+
+@pytest.fixture
+def lively(simulator: Simulator) -> Simulator:
+    """The tiny model with an output that matters."""
+    with torch.no_grad():
+        simulator.network.decoder[-1].weight.normal_(std=0.3)
+    return simulator
+
+
+@pytest.fixture
+def cloud(settings: ModelSettings) -> Cloud:
+    """A block of 10 x 12 jittered points in a box of one metre, and what it takes to move it."""
+
+    def build(
+        lower: tuple[float, float] = (0.45, 0.3), velocity: tuple[float, float] = (0.0, 0.0), seed: int = 0
+    ) -> tuple[State, Conditions]:
+        generator = torch.Generator().manual_seed(seed)
+        lattice = torch.cartesian_prod(torch.arange(10.0), torch.arange(12.0)) + 0.5
+        jitter = 0.6 * (torch.rand(lattice.shape, generator=generator) - 0.5)
+        positions = torch.tensor(lower) + settings.cell * (lattice + jitter)
+        velocities = torch.tensor(velocity).expand_as(positions)
+        state = State.launched(positions, velocities, step=settings.step, history=settings.history)
+        friction = torch.full((len(positions),), 0.5)
+        volume = torch.full((len(positions),), settings.point_volume)
+        return state, Conditions(friction=friction, volume=volume, size=(1.0, 1.0))
+
+    return build
+
+
+def spreading(
+    friction_deg: float, *, length: float = 0.12, height: float = 0.16, duration: float = 0.25, seed: int = 0
+) -> Trajectory:
+    """A column at the left wall that spreads and flattens at constant volume, the less the rougher it is."""
+    scene = Scene(
+        domain=Domain(size=(0.6, 0.4), cell=0.01),
+        material=Material(friction_deg=friction_deg),
+        masses=(Mass(lower=(0.0, 0.0), size=(length, height)),),
+        duration=duration,
+        seed=seed,
+    )
+    points = material_points(scene)
+    time = np.arange(scene.frames) * scene.frame_dt
+    stretch = 1.0 + (1.2 - points.friction[0]) * (1.0 - np.cos(np.pi * time / duration))
+    factors = np.stack((stretch, 1.0 / stretch), axis=1)
+    return Trajectory(
+        positions=(points.positions * factors[:, None]).astype(np.float32),
+        time=time,
+        velocity0=points.velocities.astype(np.float32),
+        friction=points.friction,
+        scene=scene,
+    )
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Spreading columns: four to train, two to validate, one to test."""
+    folder = tmp_path_factory.mktemp("spreading")
+    for split, count in (("train", 4), ("valid", 2), ("test", 1)):
+        for index in range(count):
+            spreading(20.0 + 8.0 * index, seed=index).save(folder / split / f"{index:04d}.npz")
+    return folder

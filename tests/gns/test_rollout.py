@@ -1,0 +1,90 @@
+"""`python -m gns.rollout` from rest and from frames, and its refusals."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import command_line, measures
+from datasets.trajectory import Trajectory
+from gns import checkpoint
+from gns.rollout import rollout
+from gns.simulator import Simulator
+from tests.gns.conftest import spreading
+
+SCENE = """
+duration = 0.25
+[domain]
+size = [0.6, 0.4]
+cell = 0.01
+[material]
+friction_deg = 30.0
+[[masses]]
+lower = [0.0, 0.0]
+size = [0.12, 0.16]
+"""
+
+
+@pytest.fixture
+def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
+    """A scene, a model and the first 21 frames of a run of the scene."""
+    paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.pt", "start": tmp_path / "start.npz"}
+    paths["scene"].write_text(SCENE)
+    checkpoint.save(paths["model"], simulator, {})
+    whole = spreading(30.0)
+    dataclasses.replace(
+        whole,
+        positions=whole.positions[:21],
+        time=whole.time[:21],
+        scene=dataclasses.replace(whole.scene, duration=0.05),
+    ).save(paths["start"])
+    return paths
+
+
+def run(files: dict[str, Path], out: Path, *flags: str) -> int:
+    """Run the command."""
+    arguments = [str(files["scene"]), "--out", str(out), "--model", str(files["model"]), "--threads", "1", *flags]
+    return command_line.run(rollout, "rollout", arguments)
+
+
+def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> None:
+    assert run(files, tmp_path / "rest") == 0
+    assert run(files, tmp_path / "frames", "--start", str(files["start"])) == 0
+    for name, kind, steps in (("rest", "rest", 25), ("frames", "frames", 20)):
+        trajectory = Trajectory.load(tmp_path / name / "trajectory.npz")
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        np.testing.assert_allclose(trajectory.time, np.arange(26) * 0.01)
+        assert trajectory.positions.shape == (26, 12 * 16, 2)
+        assert (summary["start"], summary["steps"], summary["particles"]) == (kind, steps, 192)
+        assert summary["front"] == pytest.approx(measures.front(trajectory.positions[-1]))
+    # The known frames are those of the run that was handed over, whatever the model makes of the rest.
+    known = Trajectory.load(files["start"]).positions[::4]
+    first = Trajectory.load(tmp_path / "frames" / "trajectory.npz").positions[:6]
+    assert all(point in known[5].tolist() for point in first[5].tolist())
+
+
+def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = files["model"].read_bytes()
+    short = tmp_path / "short.pt"
+    short.write_bytes(whole[:1000])
+    spreading(31.0).save(tmp_path / "other.npz")
+    baffled = tmp_path / "baffled.toml"
+    baffled.write_text(SCENE + "[[baffles]]\nlower = [0.3, 0.0]\nsize = [0.05, 0.1]\n")
+    deep = tmp_path / "deep.toml"
+    deep.write_text(SCENE.replace("0.4]", "0.4, 0.1]").replace("0.0]", "0.0, 0.0]").replace("0.16]", "0.16, 0.1]"))
+    cases = [
+        ({**files, "model": short}, [], "short.pt: expected whole weights"),
+        ({**files, "model": tmp_path / "none.pt"}, [], "there is no such file"),
+        (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
+        (files, ["--start", str(tmp_path / "none.npz")], "expected a trajectory"),
+        ({**files, "scene": baffled}, [], "without baffles"),
+        ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),
+    ]
+    for paths, flags, message in cases:
+        assert run(paths, tmp_path / "out", *flags) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,57 @@
+"""Scores: nothing wrong with a model that is right, and the table of them."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import command_line
+from datasets.samples import Flow, load_flows
+from gns import checkpoint
+from gns.score import Score, badness, evaluate, score, table
+from gns.settings import ModelSettings
+from gns.simulator import Simulator
+
+
+def flying(flow: Flow) -> Flow:
+    """Free flight, as the model steps it: its displacement changes by -g dt^2 a step."""
+    step = np.arange(16)[:, None, None]
+    fall = -9.81 * flow.step**2 * step * (step + 1) / 2
+    start = flow.positions[0] + np.array([0.2, 0.1], np.float32)
+    positions = start + step * np.array([1e-3, 1e-2]) + fall * np.array([0.0, 1.0])
+    velocity0 = np.full_like(start, 1.0) * np.array([0.1, 1.0], np.float32)
+    return dataclasses.replace(flow, positions=positions.astype(np.float32), velocity0=velocity0)
+
+
+def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
+    simulator: Simulator, settings: ModelSettings, dataset: Path
+) -> None:
+    flows = load_flows(dataset, "valid", step=settings.step, dimension=2)
+    right, wrong = evaluate(simulator, [flying(flows[0]), flows[1]], seed=0, at_once=1)
+    assert not right.released
+    assert max(abs(right.front_error), right.rmse[2]) < 2e-3
+    assert right.profile_error < 0.02
+    assert wrong.released
+    assert wrong.front_error < -0.1
+    assert min(wrong.rmse) > 0.01
+    assert badness([wrong]) > badness([right])
+
+
+def test_the_table_keeps_kinds_of_start_apart() -> None:
+    common = {"name": "a", "friction_deg": 30.0, "profile_error": 0.25, "rmse": (0.001, 0.002, 0.003)}
+    scores = [Score(released=True, front_error=error, **common) for error in (-0.03, 0.04)]
+    lines = table([*scores, Score(released=False, front_error=0.1, **common)]).splitlines()
+    assert len(lines) == 4
+    assert lines[2] == "| released at rest | 2 | +0.5 % | 3.5 % | +4.0 % | 25.0 % | 1.0 | 2.0 | 3.0 |"
+
+
+def test_the_command_writes_the_table(
+    simulator: Simulator, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkpoint.save(tmp_path / "model.pt", simulator, {})
+    arguments = [str(dataset), "--model", str(tmp_path / "model.pt"), "--out", str(tmp_path / "scores.md")]
+    assert command_line.run(score, "score", arguments) == 0
+    assert "released at rest | 1" in (tmp_path / "scores.md").read_text()
+    assert command_line.run(score, "score", [str(tmp_path), *arguments[1:]]) == 2
+    assert "expected trajectories in test" in capsys.readouterr().err

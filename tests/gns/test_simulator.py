@@ -1,0 +1,79 @@
+"""One step: its symmetries, free flight, and walls that hold."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gns.settings import ModelSettings
+from gns.simulator import Simulator
+from gns.state import State
+from gns.unroll import unroll
+from tests.gns.conftest import NORMALISATION, Cloud
+
+
+def test_the_order_of_the_points_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
+    lively.double()
+    state, conditions = cloud(lower=(0.0, 0.0))
+    friction = torch.linspace(0.3, 0.9, len(state.positions), dtype=torch.float64)
+    conditions = dataclasses.replace(conditions, friction=friction, volume=conditions.volume.double())
+    state = State(positions=state.positions.double(), displacements=state.displacements.double())
+    order = torch.randperm(len(friction), generator=torch.Generator().manual_seed(3))
+    shuffled = State(positions=state.positions[order], displacements=state.displacements[:, order])
+    after = lively(shuffled, dataclasses.replace(conditions, friction=friction[order]))
+    torch.testing.assert_close(after.positions, lively(state, conditions).positions[order])
+
+
+def test_away_from_the_walls_a_shift_by_grid_cells_changes_nothing(cloud: Cloud) -> None:
+    # With convolutions the walls are within sight: they are what lies around the grid.
+    torch.manual_seed(1)
+    simulator = Simulator(ModelSettings(width=16, layers=2, grid_channels=8, grid_layers=0), NORMALISATION)
+    with torch.no_grad():
+        simulator.network.decoder[-1].weight.normal_(std=0.3)
+    state, conditions = cloud()
+    shift = 3 * simulator.settings.grid_cell
+    moved = State(positions=state.positions + shift, displacements=state.displacements)
+    with torch.no_grad():
+        after, after_moved = simulator(state, conditions), simulator(moved, conditions)
+    assert after.displacements[-1].std() > 1e-5
+    torch.testing.assert_close(after_moved.displacements[-1], after.displacements[-1], atol=1e-6, rtol=0.0)
+
+
+def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> None:
+    velocity = torch.tensor([1.0, 2.0])
+    state, conditions = cloud(lower=(0.1, 0.2), velocity=(1.0, 2.0))
+    steps, step = 20, simulator.settings.step
+    with torch.no_grad():
+        moved = unroll(simulator, state, conditions, steps)[-1] - state.positions
+    # Semi-implicit Euler falls through g t (t + dt) / 2.
+    time = steps * step
+    expected = velocity * time - torch.tensor([0.0, 0.5 * 9.81 * time * (time + step)])
+    torch.testing.assert_close(moved, expected.expand_as(moved), atol=3e-4, rtol=0.0)
+
+
+def test_nothing_leaves_the_box(lively: Simulator, cloud: Cloud) -> None:
+    state, conditions = cloud(lower=(0.05, 0.05), velocity=(-3.0, -5.0))
+    with torch.no_grad():
+        positions = unroll(lively, state, conditions, 12)
+    assert positions[-1, :, 1].min() == 0.0
+    assert positions.min() >= 0.0
+    assert positions.max() <= 1.0
+
+
+def test_a_stopped_point_keeps_the_displacement_it_really_had(simulator: Simulator, cloud: Cloud) -> None:
+    state, conditions = cloud(lower=(0.4, 0.0), velocity=(0.0, -5.0))
+    with torch.no_grad():
+        after = simulator(state, conditions)
+    torch.testing.assert_close(after.displacements[-1], after.positions - state.positions)
+    torch.testing.assert_close(after.displacements[:-1], state.displacements[1:])
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4, 6])
+def test_a_short_past_is_continued_with_the_initial_velocity(frames: int) -> None:
+    velocity = torch.tensor([[1.0, 0.0]])
+    track = torch.arange(frames).view(-1, 1, 1).square() * torch.tensor([0.0, 0.01])
+    state = State.observed(track, velocity, step=0.1, history=3)
+    known = (track[1:] - track[:-1])[-3:]
+    made_up = torch.tensor([0.1, 0.0]).expand(3 - len(known), 1, 2)
+    torch.testing.assert_close(state.displacements, torch.cat((made_up, known)))
+    torch.testing.assert_close(state.positions, track[-1])

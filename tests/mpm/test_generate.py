@@ -1,0 +1,179 @@
+"""`python -m mpm.generate`: the same files whatever the jobs, resumable, and nothing of another dataset overwritten."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.command_line import WorkFailed, run
+from datasets.definition import Definition, Split
+from datasets.errors import InputError
+from datasets.flow2d import FLOW2D
+from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm.generate import command, generate
+
+ROOT = Path(__file__).parents[2]
+
+
+def draw(stream: np.random.Generator, index: int) -> Scene:
+    """A small falling block on a coarse grid, for four frames."""
+    scene = FLOW2D.entries(seed=0, count=1)[0].scene
+    x, y = stream.uniform(0.2, 0.6, 2)
+    return replace(
+        scene,
+        domain=Domain(size=(1.0, 1.0), cell=0.05),
+        masses=(Mass(lower=(float(x), float(y)), size=(0.2, 0.2), velocity=(1.0, 0.0)),),
+        duration=0.01,
+        seed=index,
+    )
+
+
+TINY = Definition(
+    name="tiny",
+    size=4,
+    connectivity_radius=0.1,
+    split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index],
+    draw=draw,
+)
+
+FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file of a dataset but the one that tells how it was made."""
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    del files["generation.json"]
+    return files
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole tiny dataset, made by one process."""
+    out = tmp_path_factory.mktemp("dataset")
+    generate(TINY, out, seed=7, count=None, jobs=1)
+    return out
+
+
+def test_what_is_left_behind(dataset: Path) -> None:
+    assert sorted(contents(dataset)) == sorted(["metadata.json", *FILES])
+    for entry in TINY.entries(seed=7):
+        trajectory = Trajectory.load(dataset / entry.split.value / f"{entry.name}.npz")
+        assert trajectory.scene == entry.scene
+        assert trajectory.positions.shape == (5, 64, 2)
+        assert not {"wall_s", "compile_s"} & trajectory.summary.keys()
+    metadata = json.loads((dataset / "metadata.json").read_text())
+    assert metadata["splits"] == {"train": 2, "valid": 1, "test": 1}
+    assert metadata["sequence_length"] == 5
+    # Thrown at 1 m/s along x: 2.5 mm a frame.
+    assert metadata["vel_mean"][0] == pytest.approx(0.0025, rel=0.05)
+
+
+def test_statistics_are_those_of_the_training_split(dataset: Path) -> None:
+    metadata = json.loads((dataset / "metadata.json").read_text())
+    positions = [Trajectory.load(dataset / "train" / f"tiny-000{index}.npz").positions for index in (0, 3)]
+    velocities = np.diff(np.array(positions, np.float64), axis=1).reshape(-1, 2)
+    np.testing.assert_allclose(metadata["vel_mean"], velocities.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(metadata["vel_std"], velocities.std(axis=0), rtol=1e-9)
+
+
+def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> None:
+    generate(TINY, tmp_path, seed=7, count=None, jobs=2)
+    assert contents(tmp_path) == contents(dataset)
+
+
+def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_path: Path) -> None:
+    for name in FILES[1:3]:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((dataset / name).read_bytes())
+    # What a killed process leaves of a file it was writing.
+    (tmp_path / "train" / ".tiny-0000-x.npz").write_bytes(b"half")
+    before = (tmp_path / FILES[1]).stat().st_mtime_ns
+    generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+    (tmp_path / "train" / ".tiny-0000-x.npz").unlink()
+    assert contents(tmp_path) == contents(dataset)
+    assert (tmp_path / FILES[1]).stat().st_mtime_ns == before
+    generation = json.loads((tmp_path / "generation.json").read_text())
+    assert (generation["simulated"], generation["kept"]) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("seed", "count", "named"),
+    [(8, None, "train/tiny-0000.npz"), (7, 2, "train/tiny-0003.npz")],
+    ids=["another seed", "fewer than there are"],
+)
+def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, count: int | None, named: str) -> None:
+    before = contents(dataset)
+    with pytest.raises(InputError) as caught:
+        generate(TINY, dataset, seed=seed, count=count, jobs=1)
+    assert caught.value.where == str(dataset / named)
+    assert contents(dataset) == before
+
+
+def test_a_broken_file_is_refused(dataset: Path, tmp_path: Path) -> None:
+    broken = tmp_path / FILES[1]
+    broken.parent.mkdir()
+    broken.write_bytes((dataset / FILES[1]).read_bytes()[:1000])
+    with pytest.raises(InputError, match="whole NPZ"):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+
+
+def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tmp_path: Path) -> None:
+    # A file where a folder belongs: the second scene cannot be saved.
+    (tmp_path / "valid").write_text("")
+    with pytest.raises(WorkFailed, match=r"1 of 4 trajectories failed, first tiny-0001 \(FileExistsError"):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+    for name in FILES[:3]:
+        assert (tmp_path / name).read_bytes() == (dataset / name).read_bytes()
+    assert not (tmp_path / "metadata.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["obstacle3d"], "3D solver"),
+        (["flow3d"], "one of flow2d, releases2d"),
+        (["flow2d", "--count", "386"], "1 to 385"),
+        (["flow2d", "--count", "0"], "1 to 385"),
+        (["flow2d", "--seed", "-1"], "seed"),
+        (["flow2d", "--jobs", "0"], "at least 1 job"),
+        (["flow2d", "--cuont", "3"], "--count"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
+) -> None:
+    assert run(command, "generate", [*arguments, "--out", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert line in told
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mpm.generate", "releases2d", "--out", str(tmp_path), "--jobs", "1"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not list(tmp_path.rglob("[!.]*.npz")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, told = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert told.splitlines()[-1] == "talus: interrupted; what was finished is kept"
+    assert "Traceback" not in told
+    for path in tmp_path.rglob("*.npz"):
+        Trajectory.load(path)

@@ -1,0 +1,162 @@
+"""The return map against closed forms, one element at a time."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from datasets.material import Material
+from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_controlled, returned, yield_function
+
+SAND = Material(friction_deg=30.0, cohesion=1.0e4, tension_cutoff=5.0e3)
+
+
+def trial_states(scale: float, count: int = 4000) -> np.ndarray:
+    """Sorted random principal stresses [Pa], far beyond yield, mostly compressive."""
+    states = np.random.default_rng(3).normal(-scale, scale, (count, 3))
+    return -np.sort(-states, axis=1)
+
+
+def test_triaxial_compression_reaches_the_mohr_circle() -> None:
+    """s1 = s3 N + 2 c sqrt(N): 334.6 kPa at phi 30, c 10 kPa, s3 100 kPa. Here y is axial; z and x are the cell."""
+    # Plane strain cannot hold two equal cell stresses; the principal return can, at constant mean stress (psi = 0).
+    n = (1 + np.sin(np.radians(30))) / (1 - np.sin(np.radians(30)))
+    strength = 100.0e3 * n + 2 * 1.0e4 * np.sqrt(n)
+    assert strength == pytest.approx(334.6e3, abs=50.0)
+    mean = -(2 * 100.0e3 + strength) / 3
+    for deviator in (3.0e5, 1.0e6):
+        trial = np.array([[mean + deviator / 3, mean + deviator / 3, mean - 2 * deviator / 3]])
+        np.testing.assert_allclose(returned(SAND, trial)[0], [-100.0e3, -100.0e3, -strength], rtol=1e-9)
+
+
+def test_triaxial_extension_reaches_the_mohr_circle() -> None:
+    """The same circle with the cell as the larger pressure: s_cell = s_axial N + 2 c sqrt(N)."""
+    n = 3.0
+    cell = 100.0e3 * n + 2 * 1.0e4 * np.sqrt(n)
+    mean = -(100.0e3 + 2 * cell) / 3
+    trial = np.array([[mean + 6.0e5, mean - 3.0e5, mean - 3.0e5]])
+    np.testing.assert_allclose(returned(SAND, trial)[0], [-100.0e3, -cell, -cell], rtol=1e-9)
+
+
+def test_plane_strain_compression_at_constant_lateral_stress() -> None:
+    """Biaxial test: the lateral stress is held, the axial one climbs to s3 N + 2 c sqrt(N) and stays."""
+    history = follow_controlled(
+        SAND,
+        start=np.array([-1e5, -1e5, 0.0, -1e5]),
+        steps=60,
+        gradient=lambda free: np.array([[free[0], 0.0], [0.0, -1e-2]]),
+        held={XX: -1e5},
+    )
+    np.testing.assert_allclose(history[-1, [XX, YY]], [-1e5, -334.641e3], rtol=1e-4)
+    assert -334.7e3 < history[-1, ZZ] < -1e5
+
+
+def test_uniaxial_strain_is_elastic_then_on_the_yield_line() -> None:
+    """Elastic: lateral over axial stress nu / (1 - nu); plastic where that leaves the cone: 1 / N of cohesionless sand."""
+    squeeze = np.tile([[0.0, 0.0], [0.0, -1e-5]], (200, 1, 1))
+    firm = Material(friction_deg=45.0, poisson=0.3)
+    history = follow(firm, squeeze)
+    np.testing.assert_allclose(history[-1, XX] / history[-1, YY], 0.3 / 0.7, rtol=1e-9)
+    np.testing.assert_allclose(history[-1, YY], -200e-5 * (firm.lame + 2 * firm.shear_modulus), rtol=1e-9)
+    soft = Material(friction_deg=15.0, poisson=0.3)
+    history = follow(soft, squeeze)
+    n = (1 + np.sin(np.radians(15))) / (1 - np.sin(np.radians(15)))
+    np.testing.assert_allclose(history[-1, XX] / history[-1, YY], 1 / n, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("friction_deg", "dilation_deg"), [(30.0, 0.0), (30.0, 10.0), (42.0, 42.0)])
+def test_simple_shear_reaches_davis(friction_deg: float, dilation_deg: float) -> None:
+    """tau / s_n = sin phi cos psi / (1 - sin phi sin psi) under constant normal stress (Davis 1968)."""
+    sand = Material(friction_deg=friction_deg, dilation_deg=dilation_deg, young=2.0e8)
+    history = follow_controlled(
+        sand,
+        start=np.array([-1e4, -1e4, 0.0, -1e4]),
+        steps=150,
+        gradient=lambda free: np.array([[0.0, 1e-5], [0.0, free[0]]]),
+        held={YY: -1e4},
+    )
+    phi, psi = np.radians(friction_deg), np.radians(dilation_deg)
+    davis = np.sin(phi) * np.cos(psi) / (1 - np.sin(phi) * np.sin(psi))
+    assert history[-1, XY] / 1e4 == pytest.approx(davis, rel=2e-3)
+
+
+def test_pure_tension_stops_at_the_cutoff() -> None:
+    history = follow(SAND, np.tile([[0.0, 0.0], [0.0, 1e-4]], (100, 1, 1)))
+    assert history[:, YY].max() == pytest.approx(SAND.tension_cutoff)
+    assert np.all(np.diff(history[:, YY]) > -1e-6)
+
+
+def test_the_apex_carries_the_cutoff_in_all_directions() -> None:
+    history = follow(SAND, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
+    np.testing.assert_allclose(history[-1], [5e3, 5e3, 0.0, 5e3], rtol=1e-9)
+    weak = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=1e9)
+    history = follow(weak, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
+    np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
+
+
+def test_cohesionless_sand_bears_no_tension() -> None:
+    history = follow(Material(friction_deg=33.0), np.random.default_rng(0).normal(1e-4, 1e-3, (500, 2, 2)))
+    assert history[:, [XX, YY, ZZ]].max() <= 1e-6
+
+
+@pytest.mark.parametrize("dilation_deg", [0.0, 7.0, 30.0])
+def test_the_return_lands_on_the_hexagon_or_leaves_alone(dilation_deg: float) -> None:
+    sand = Material(friction_deg=30.0, cohesion=1.0e4, dilation_deg=dilation_deg)
+    trial = trial_states(3.0e5)
+    trial = trial[trial.sum(axis=1) < -3.0e5]
+    result = returned(sand, trial)
+    before, after = yield_function(sand, trial), yield_function(sand, result)
+    assert np.abs(after[before > 0]).max() < 1e-4
+    np.testing.assert_array_equal(result[before <= 0], trial[before <= 0])
+    assert (before > 0).sum() > 500 and (before <= 0).sum() > 100
+    assert np.all(np.diff(result, axis=1) <= 1e-6)
+    faces = (np.diff(result, axis=1) < -1.0).all(axis=1) & (before > 0)
+    upper = (np.abs(result[:, 0] - result[:, 1]) < 1e-6) & (before > 0)
+    lower = (np.abs(result[:, 1] - result[:, 2]) < 1e-6) & (before > 0)
+    assert min(faces.sum(), upper.sum(), lower.sum()) > 50
+
+
+def test_without_dilation_the_mean_stress_is_kept() -> None:
+    trial = trial_states(3.0e5)
+    result = returned(SAND, trial)
+    np.testing.assert_allclose(result.sum(axis=1), trial.sum(axis=1), atol=1e-4)
+
+
+def test_the_associated_return_is_the_closest_point_in_energy() -> None:
+    """psi = phi: the return minimises the complementary energy of the stress correction (Simo & Hughes 1998, 2.2)."""
+    sand = Material(friction_deg=30.0, cohesion=1.0e4, dilation_deg=30.0)
+    sin_phi, k = 0.5, 2 * 1.0e4 * np.cos(np.radians(30.0))
+    compliance = np.linalg.inv(sand.lame * np.ones((3, 3)) + 2 * sand.shear_modulus * np.eye(3))
+    trial = trial_states(3.0e5, 200)
+    trial = trial[(yield_function(sand, trial) > 0) & (trial.sum(axis=1) < -3.0e5)]
+    for state, ours in zip(trial[:25], returned(sand, trial)[:25], strict=True):
+        unit = 1.0e5
+        best = minimize(
+            lambda s, state=state: (s - state / unit) @ compliance @ (s - state / unit) * 1e6,
+            ours / unit + 0.1,
+            constraints=[
+                {"type": "ineq", "fun": lambda s, i=i, j=j: k / unit - s[i] * (1 + sin_phi) + s[j] * (1 - sin_phi)}
+                for i in range(3)
+                for j in range(3)
+                if i != j
+            ],
+            options={"ftol": 1e-14, "maxiter": 500},
+        )
+        np.testing.assert_allclose(ours / unit, best.x, atol=2e-3)
+
+
+def test_rotation_turns_the_stress_with_the_material() -> None:
+    """A rigid rotation by a quarter turn in small steps exchanges xx and yy (Jaumann rate)."""
+    steps = 20_000
+    angle = np.pi / 2 / steps
+    rotation = np.tile([[0.0, -angle], [angle, 0.0]], (steps, 1, 1))
+    firm = Material(friction_deg=45.0, cohesion=1e9, tension_cutoff=1e9)
+    history = follow(firm, rotation, np.array([3e4, -1e4, 5e3, 2e3]))
+    np.testing.assert_allclose(history[-1], [-1e4, 3e4, -5e3, 2e3], rtol=2e-4, atol=5.0)
+
+
+def test_single_precision_returns_what_double_does() -> None:
+    gradients = np.random.default_rng(5).normal(0.0, 2e-4, (300, 2, 2)) - 2e-5 * np.eye(2)
+    sand = Material(friction_deg=35.0, cohesion=100.0, tension_cutoff=50.0)
+    exact = follow(sand, gradients)
+    history = follow(sand, gradients, precision="f32")
+    np.testing.assert_allclose(history, exact, atol=2e-3 * np.abs(exact).max())

@@ -1,0 +1,128 @@
+"""The arrows between the folders, held on every module: who may import whom, what nobody may, how long a file is."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+MAY_IMPORT = {
+    "datasets": set[str](),
+    "mpm": {"datasets"},
+    "gns": {"datasets"},
+    "inverse": {"datasets", "mpm", "gns"},
+    "validation": {"datasets", "mpm", "gns", "inverse"},
+}
+BANNED = {
+    "datasets": {"taichi", "torch", "torch_geometric"},
+    "mpm": {"torch", "torch_geometric"},
+    "gns": {"taichi"},
+}
+PICKLERS = {"dill", "cloudpickle", "joblib", "shelve", "marshal"}
+PICKLE_ERRORS = {"PickleError", "UnpicklingError"}
+"""The part of `pickle` that one may name: what torch raises for a file that is none of its own."""
+SAFE_LOADS = {
+    "np.load": ("allow_pickle", False),
+    "numpy.load": ("allow_pickle", False),
+    "torch.load": ("weights_only", True),
+}
+LONGEST = 400
+
+MODULES = sorted(path for house in MAY_IMPORT for path in (ROOT / house).rglob("*.py"))
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and top-level package of every absolute import, those by a call included."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=names):
+                yield from ((node.lineno, alias.name.split(".")[0]) for alias in names)
+            case ast.ImportFrom(module=str(module), level=0):
+                yield node.lineno, module.split(".")[0]
+            case ast.Call(func=function, args=[ast.Constant(value=str(module)), *_]) if ast.unparse(function).endswith(
+                ("import_module", "__import__")
+            ):
+                yield node.lineno, module.split(".")[0]
+
+
+def breaches(text: str, house: str) -> list[str]:
+    """What a module of `house` does against the design, one line each."""
+    tree = ast.parse(text)
+    found = []
+    for line, package in imports(tree):
+        if package in MAY_IMPORT.keys() - MAY_IMPORT[house] - {house}:
+            found.append(f"{line}: {house} imports {package}")
+        if package in BANNED.get(house, set()) | PICKLERS:
+            found.append(f"{line}: {house} imports {package}")
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS:
+                found.append(f"{node.lineno}: uses pickle.{name}")
+            case ast.ImportFrom(module="pickle", names=names) if {each.name for each in names} - PICKLE_ERRORS:
+                found.append(f"{node.lineno}: imports from pickle")
+        if isinstance(node, ast.Call):
+            keyword, value = SAFE_LOADS.get(ast.unparse(node.func), ("", None))
+            given = [each.value for each in node.keywords if each.arg == keyword]
+            if keyword and not (given and isinstance(given[0], ast.Constant) and given[0].value is value):
+                found.append(f"{node.lineno}: loads without {keyword}={value}")
+    if text.count("\n") > LONGEST:
+        found.append(f"{text.count(chr(10))} lines; {LONGEST} are the most")
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_arrows(path: Path) -> None:
+    assert breaches(path.read_text(), path.relative_to(ROOT).parts[0]) == []
+
+
+@pytest.mark.parametrize(
+    ("house", "text"),
+    [
+        ("datasets", "import mpm.run"),
+        ("datasets", "def late():\n    from torch import nn"),
+        ("mpm", "from gns.graph import edges"),
+        ("mpm", "import importlib\nimportlib.import_module('torch')"),
+        ("gns", "import numpy, taichi as ti"),
+        ("gns", "from mpm import simulate"),
+        ("inverse", "from validation import loop"),
+        ("gns", "import torch\ntorch.load('weights.pt')"),
+        ("gns", "import torch\ntorch.load('weights.pt', weights_only=False)"),
+        ("validation", "import numpy as np\nnp.load('data.npz', allow_pickle=True)"),
+        ("validation", "import numpy as np\nnp.load('data.npz')"),
+        ("inverse", "import pickle\npickle.loads(b'')"),
+        ("inverse", "from pickle import load"),
+        ("inverse", "import dill"),
+        ("inverse", "\n" * 401),
+    ],
+)
+def test_a_breach_is_seen(house: str, text: str) -> None:
+    assert len(breaches(text, house)) == 1
+
+
+def test_what_is_allowed_is_no_breach() -> None:
+    assert breaches("import torch\nfrom datasets.scene import Scene\nfrom . import graph", "gns") == []
+    assert breaches("import pickle\npickle.UnpicklingError", "gns") == []
+    assert breaches("import numpy as np\nnp.load('x.npz', allow_pickle=False)", "datasets") == []
+
+
+@pytest.mark.parametrize(("house", "banned"), [("datasets", "torch taichi"), ("mpm", "torch"), ("gns", "taichi")])
+def test_nothing_banned_comes_in_by_the_back_door(house: str, banned: str) -> None:
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES if path.parts[-1][0] != "_"]
+    ours = [module for module in modules if module.startswith(f"{house}.")]
+    code = f"import sys, {', '.join(ours)}; print(*sys.modules.keys() & set({banned.split()!r}))"
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines()[-1] == ""
+
+
+def test_every_package_that_is_imported_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[^\w-]", name)[0].replace("-", "_") for name in project["dependencies"]}
+    used = {package for path in MODULES for _, package in imports(ast.parse(path.read_text()))}
+    assert used - set(sys.stdlib_module_names) - set(MAY_IMPORT) - declared == set()

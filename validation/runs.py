@@ -1,0 +1,56 @@
+"""MPM runs that stay: each is a file, and a scene that was run before is read instead of run again."""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.forward import Simulate
+
+SHARE = "share_s"
+"""In the summary of a kept run: its share of the wall time of all that ran beside it [s]."""
+
+
+class KeptRuns:
+    """`simulate`, with every run kept as `FOLDER/PREFIXNN.npz`: what was finished before a kill is not done again."""
+
+    def __init__(self, folder: Path, simulate: Simulate, *, prefix: str = "", deposit_only: bool = False) -> None:
+        self.folder, self.simulate, self.prefix, self.deposit_only = folder, simulate, prefix, deposit_only
+        self.files: dict[Scene, Path] = {}
+        for path in sorted(folder.glob(f"{prefix}[0-9]*.npz")):
+            try:
+                self.files[Trajectory.load(path).scene] = path
+            except InputError:
+                continue  # Not one of ours, or from another version: run again, under the next number.
+
+    def __call__(self, scenes: Sequence[Scene]) -> list[Trajectory]:
+        """The trajectory of each scene; those that are not there yet run side by side."""
+        missing = [scene for scene in dict.fromkeys(scenes) if scene not in self.files]
+        began = time.perf_counter()
+        trajectories = self.simulate(missing) if missing else []
+        share = (time.perf_counter() - began) / max(1, len(missing))
+        for scene, trajectory in zip(missing, trajectories, strict=True):
+            path = self._free()
+            trajectory = dataclasses.replace(trajectory, summary=trajectory.summary | {SHARE: share})
+            (deposit(trajectory) if self.deposit_only else trajectory).save(path)
+            self.files[scene] = path
+        return [Trajectory.load(self.files[scene]) for scene in scenes]
+
+    def file(self, scene: Scene) -> Path:
+        """Where the run of `scene` lies."""
+        return self.files[scene]
+
+    def _free(self) -> Path:
+        taken = {path.name for path in self.folder.glob(f"{self.prefix}[0-9]*.npz")}
+        number = 1
+        while f"{self.prefix}{number:02d}.npz" in taken:
+            number += 1
+        return self.folder / f"{self.prefix}{number:02d}.npz"
+
+
+def deposit(trajectory: Trajectory) -> Trajectory:
+    """The last frame alone: a hundredth of the file, and all that an observation needs."""
+    return dataclasses.replace(trajectory, positions=trajectory.positions[-1:], time=trajectory.time[-1:])

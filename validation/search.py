@@ -1,0 +1,183 @@
+"""The loop: the surrogate proposes, the MPM confirms or corrects, the surrogate learns from it and proposes again."""
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from datasets import measures
+from datasets.trajectory import Trajectory
+from inverse.forward import Surrogate, SurrogateSource
+from inverse.gradient import automatic
+from inverse.observations import Observation, Values, loss
+from inverse.optimise import Bounds, best, minimise
+from inverse.problem import Method, OptimiserSettings, Problem
+from inverse.result import Round
+from inverse.target import Target
+from inverse.unknowns import Vector, with_unknowns
+from validation.correction import Corrected
+from validation.runs import KeptRuns
+
+SCATTER_CELLS = 0.25
+"""The MPM's own scatter over jitter seeds before an ensemble has measured it, in cells (1 to 3 mm at 10 mm)."""
+SETTLED = 0.01
+"""A proposal this close to the best MPM run, as a fraction of the range, is left to the ensemble (0.4 degrees)."""
+EVALUATIONS_PER_ROUND = 5
+"""Gradients of the surrogate that a round may spend: it starts where the MPM has just been."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """An MPM run at proposed unknowns."""
+
+    unknowns: Vector
+    trajectory: Trajectory
+    observation: Values
+    """Exact [m], shape [M]."""
+    front: float
+    """[m]."""
+    front_error: float
+    """Relative, with its sign."""
+    loss: float
+    """[m^2]."""
+
+
+@dataclass
+class Search:
+    """A search under way, and what it found."""
+
+    problem: Problem
+    target: Target
+    observation: Observation
+    source: SurrogateSource
+    runs: KeptRuns
+    bounds: Bounds
+    rounds: list[Round] = field(default_factory=list)
+    checked: list[Checked] = field(default_factory=list)
+    reachable: bool = True
+    """False once not even the MPM's own slope leads any nearer to the target."""
+    model: Corrected | None = None
+    """The surrogate as corrected by the runs so far."""
+
+    def check(self, unknowns: Vector, seed: int | None = None) -> Checked:
+        """Run the MPM at `unknowns`, with another jitter `seed` than the scene's if so asked."""
+        names = [unknown.name for unknown in self.problem.unknowns]
+        scene = with_unknowns(self.problem.scene, names, unknowns)
+        (trajectory,) = self.runs([scene if seed is None else dataclasses.replace(scene, seed=seed)])
+        run = self.judge(unknowns, trajectory)
+        self.checked.append(run)
+        return run
+
+    def judge(self, unknowns: Vector, trajectory: Trajectory) -> Checked:
+        """Hold an MPM run against the target."""
+        deposit = trajectory.positions[-1]
+        observation = self.observation.exact(deposit)
+        return Checked(
+            unknowns=unknowns,
+            trajectory=trajectory,
+            observation=observation,
+            front=measures.front(deposit),
+            front_error=self.target.front_error(self.observation, deposit),
+            loss=loss(observation, self.target.values),
+        )
+
+    @property
+    def scatter(self) -> float:
+        """What an observed length of the MPM is expected to scatter over jitter seeds [m]."""
+        return SCATTER_CELLS * self.problem.scene.domain.cell
+
+    @property
+    def nearest(self) -> Checked:
+        """The run with the least loss."""
+        return min(self.checked, key=lambda run: run.loss)
+
+    @property
+    def budget(self) -> int:
+        """MPM runs left."""
+        return self.problem.loop.mpm_runs - len(self.checked)
+
+
+def search(state: Search, first: Surrogate) -> None:
+    """Invert `first`, then let the MPM correct it until what is left is scatter.
+
+    Some runs stay in the budget for the answer that the ensemble sharpens (`validation.loop`).
+    """
+    reserved = state.problem.loop.mpm_runs * 3 // 8
+    start = np.array([unknown.initial for unknown in state.problem.unknowns])
+    settings = state.problem.optimiser
+    records = minimise(automatic(first, state.target.values), start, state.bounds, settings, "surrogate")
+    state.rounds.append(Round(number=0, evaluations=records))
+    proposal = best(records).unknowns
+    reach = state.problem.loop.trust * state.bounds.range
+    response = None
+    while True:
+        before = state.nearest if state.checked else None
+        run = state.check(proposal)
+        anchor = state.nearest
+        surrogate = state.source.start(anchor.trajectory)
+        state.model = corrected = Corrected(surrogate, anchor.unknowns, anchor.observation, response)
+        if near(state, anchor) or state.budget <= reserved:
+            return
+        if before is not None:
+            if anchor is before:
+                reach = reach / 2.0  # The step made it worse: believe the corrected surrogate less far.
+            other = run if anchor is before else before
+            corrected.learn(other.unknowns, other.observation, state.scatter)
+            response = corrected.response
+        proposal = propose(state, corrected, reach)
+        if np.any(np.abs(proposal - anchor.unknowns) > SETTLED * state.bounds.range):
+            continue
+        if not off_by_more_than_scatter(state, anchor):
+            return
+        if len(state.checked) > 1:
+            state.reachable = False
+            return
+        # So far it is the surrogate alone that knows no way on: look at the MPM a step away.
+        proposal = anchor.unknowns + np.where(anchor.unknowns > state.bounds.middle, -reach, reach)
+
+
+def near(state: Search, run: Checked) -> bool:
+    """Whether a single observed number is met so well that the rest is scatter: the run's and the target's."""
+    return len(run.observation) == 1 and math.sqrt(run.loss) <= 2.0 * state.scatter
+
+
+def off_by_more_than_scatter(state: Search, run: Checked) -> bool:
+    """Whether the front of `run` misses the target's by more than chance explains."""
+    return abs(run.front_error) > state.problem.loop.confirm_within + 3.0 * state.scatter / state.target.edge
+
+
+def propose(state: Search, corrected: Corrected, reach: Vector) -> Vector:
+    """Where the corrected surrogate meets the target, no further than `reach` from the best MPM run."""
+    anchor = state.nearest
+    # A tenth of the scatter: closer is not worth a gradient.
+    stop_below = (0.1 * state.scatter) ** 2
+    settings = OptimiserSettings(method=Method.LBFGSB, max_iterations=EVALUATIONS_PER_ROUND, stop_below=stop_below)
+    box = state.bounds.around(anchor.unknowns, reach)
+    evaluate = automatic(corrected, state.target.values)
+    number = len(state.rounds)
+    records = minimise(evaluate, anchor.unknowns, box, settings, f"corrected surrogate, round {number}")
+    state.rounds.append(Round(number=number, evaluations=records))
+    proposal = best(records).unknowns
+    if len(proposal) == 1 and len(anchor.observation) == 1:
+        proposal = np.array([inside_bracket(state, float(proposal[0]))])
+    return proposal
+
+
+def inside_bracket(state: Search, proposal: float) -> float:
+    """One unknown and one number: where MPM runs lie on both sides of the target, the answer is between them.
+
+    A proposal outside of the innermost such pair gives way to regula falsi in it.
+    """
+    points = sorted(
+        (float(run.unknowns[0]), float((run.observation - state.target.values)[0])) for run in state.checked
+    )
+    pairs = [(a, b) for a, b in itertools.pairwise(points) if a[1] * b[1] < 0.0]
+    if not pairs:
+        return proposal
+    anchor = float(state.nearest.unknowns[0])
+    (low, below), (high, above) = min(pairs, key=lambda pair: abs(pair[0][0] - anchor) + abs(pair[1][0] - anchor))
+    if low < proposal < high:
+        return proposal
+    return low + (high - low) * float(np.clip(below / (below - above), 0.1, 0.9))
