@@ -44,9 +44,9 @@ def height_profile(
 ) -> NDArray[np.float64]:
     """Height of the deposit at its initial density, per station [m], shape [S].
 
-    The volume of the points (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest stations and divided by
-    the length that a station stands for (half of it at the walls): conserves volume and is continuous in the positions.
-    In 3D the volume is summed over z, so divide by the width for a mean height.
+    The volume of the points (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest
+    stations and divided by the length that a station stands for (half of it at the walls): conserves volume and is
+    continuous in the positions. In 3D the volume is summed over z, so divide by the width for a mean height.
     """
     spacing = stations[1] - stations[0]
     place = np.clip((positions[:, 0].astype(np.float64) - stations[0]) / spacing, 0.0, len(stations) - 1.0)

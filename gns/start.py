@@ -72,6 +72,8 @@ def _problem(
         raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
     if scene.baffles:
         raise InputError("expected a scene without baffles, the model knows none", key="baffles")
+    if scene.slope_deg != 0.0:
+        raise InputError("expected a level floor, the model knows no other", key="slope_deg")
     thinned = thin(frames[0], scene.point_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
     known, velocity0 = frames[:, thinned.indices], velocity0[thinned.indices]
     return InitialValueProblem(

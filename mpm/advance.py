@@ -139,7 +139,11 @@ def advance(
                     i, j = first_node(px), first_node(py)
                     fx, fy = px - i, py - j
                     wx, wy = spline(fx), spline(fy)
-                    sxx, syy, sxy = sigma[4 * p] * force_scale, sigma[4 * p + 1] * force_scale, sigma[4 * p + 2] * force_scale
+                    sxx, syy, sxy = (
+                        sigma[4 * p] * force_scale,
+                        sigma[4 * p + 1] * force_scale,
+                        sigma[4 * p + 2] * force_scale,
+                    )
                     axx, axy = mass * dx * c[4 * p], mass * dx * c[4 * p + 1]
                     ayx, ayy = mass * dx * c[4 * p + 2], mass * dx * c[4 * p + 3]
                     if ti.static(not damped):
@@ -252,7 +256,10 @@ def advance(
                 sxx, syy, sxy, szz = sigma[4 * p], sigma[4 * p + 1], sigma[4 * p + 2], sigma[4 * p + 3]
                 square = sxx * sxx + syy * syy + szz * szz + 2.0 * sxy * sxy
                 trace = sxx + syy + szz
-                deviator, spherical = properties[kind, Property.ELASTIC_DEVIATOR], properties[kind, Property.ELASTIC_TRACE]
+                deviator, spherical = (
+                    properties[kind, Property.ELASTIC_DEVIATOR],
+                    properties[kind, Property.ELASTIC_TRACE],
+                )
                 elastic += volume * (deviator * square - spherical * trace * trace)
             line = frame + places[scene, Place.ENERGY]
             energy[line, Energy.KINETIC] = kinetic

@@ -43,7 +43,7 @@ class Property(Column):
 
 
 class Place(Column):
-    """Columns of `places`, integers, shape [scenes, len(Place)]: where a scene lies in the flat arrays, and counters."""
+    """Columns of `places`, integers, shape [scenes, len(Place)]: where a scene lies in the flat arrays; counters."""
 
     POINT = auto()  # its first point
     POINTS = auto()  # how many

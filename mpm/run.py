@@ -26,9 +26,11 @@ def command(scene: str, /, *, out: Path, precision: Precision = "f32") -> None:
     trajectory.save(out / "trajectory.npz")
     write_json(out / "summary.json", trajectory.summary)
     summary = trajectory.summary
+    rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     print(
         f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m: {summary['particles']} points, "
-        f"{summary['steps']} steps in {summary['wall_s']:.2f} s (and {summary['compile_s']:.2f} s to compile)"
+        f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million point-steps a second), "
+        f"{summary['compile_s']:.2f} s to compile"
     )
 
 

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ def simulate_many(
 class Batch:
     """The flat arrays that the kernel works on, for several scenes in a row."""
 
-    def __init__(self, scenes: Sequence[Scene], real: np.dtype) -> None:
+    def __init__(self, scenes: Sequence[Scene], real: np.dtype[Any]) -> None:
         self.scenes = list(scenes)
         self.points = [material_points(scene) for scene in scenes]
         self.real = real
@@ -151,7 +152,7 @@ class Batch:
             )
         return Trajectory(
             positions=positions,
-            time=np.arange(scene.frames) * scene.frame_dt,
+            time=np.arange(scene.frames, dtype=np.float64) * scene.frame_dt,
             velocity0=points.velocities.astype(np.float32),
             friction=points.friction,
             scene=scene,
@@ -210,6 +211,6 @@ def properties_row(material: Material) -> list[float]:
     return [values[column] for column in Property]
 
 
-def flat(arrays: Sequence[NDArray], kind: np.dtype) -> NDArray:
+def flat(arrays: Sequence[NDArray[Any]], kind: np.dtype[Any]) -> NDArray[Any]:
     """The arrays one after the other, in one dimension."""
     return np.concatenate([array.ravel() for array in arrays]).astype(kind)

@@ -23,10 +23,12 @@ XX, YY, XY, ZZ = range(4)
 def follow_path(
     stress: ti.types.ndarray(), gradients: ti.types.ndarray(), history: ti.types.ndarray(), m: ti.types.ndarray()
 ):
-    for element in range(1):
+    for _ in range(1):
         s = ti.Vector([stress[k] for k in range(4)])
         for step in range(gradients.shape[0]):
-            g = ti.Matrix([[gradients[step, 0, 0], gradients[step, 0, 1]], [gradients[step, 1, 0], gradients[step, 1, 1]]])
+            g = ti.Matrix(
+                [[gradients[step, 0, 0], gradients[step, 0, 1]], [gradients[step, 1, 0], gradients[step, 1, 1]]]
+            )
             s = trial_stress(s, g, m[Property.LAME], m[Property.SHEAR])
             s = plastic_return(
                 s,
@@ -102,8 +104,4 @@ def returned(material: Material, stresses: Vector) -> Vector:
 def yield_function(material: Material, stresses: Vector) -> Vector:
     """F = s1 (1 + sin phi) - s3 (1 - sin phi) - 2 c cos phi [Pa] of sorted principal stresses, shape [E]."""
     phi = np.radians(material.friction_deg)
-    return (
-        stresses[:, 0] * (1 + np.sin(phi))
-        - stresses[:, 2] * (1 - np.sin(phi))
-        - 2 * material.cohesion * np.cos(phi)
-    )
+    return stresses[:, 0] * (1 + np.sin(phi)) - stresses[:, 2] * (1 - np.sin(phi)) - 2 * material.cohesion * np.cos(phi)

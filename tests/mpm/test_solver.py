@@ -102,9 +102,7 @@ def test_an_elastic_bar_rings_with_its_period() -> None:
 def test_a_layer_settles_under_its_weight_by_one_dimensional_compression() -> None:
     """Settlement u = rho g H^2 / (2 M) of the surface of an elastic layer between smooth walls."""
     height, material = 0.4, Material(friction_deg=45.0, cohesion=1e9, tension_cutoff=0.0, young=1.0e5, poisson=0.2)
-    scene = box(
-        Mass(lower=(0.0, 0.0), size=(1.0, height)), material=material, damping=0.3, duration=1.5, jitter=0.0
-    )
+    scene = box(Mass(lower=(0.0, 0.0), size=(1.0, height)), material=material, damping=0.3, duration=1.5, jitter=0.0)
     trajectory = simulate(scene)
     first, last = trajectory.positions[0], trajectory.positions[-1]
     modulus = material.lame + 2 * material.shear_modulus
@@ -241,7 +239,5 @@ def with_a_broken_point(scene: Scene) -> object:
 def test_the_papers_columns_within_five_percent() -> None:
     """rms deviation of the four runouts d from the paper's, with friction 0.385 and damping 0.12 for what it omits."""
     paper = {"short-21": 0.6947, "short-42": 0.6000, "tall-21": 0.8318, "tall-42": 0.5665}
-    deviations = [
-        simulate(read_scene(f"column-{name}")).summary["runout"] / d - 1 for name, d in paper.items()
-    ]
+    deviations = [simulate(read_scene(f"column-{name}")).summary["runout"] / d - 1 for name, d in paper.items()]
     assert math.sqrt(np.mean(np.square(deviations))) < 0.05
