@@ -23,6 +23,8 @@ class ModelSettings:
     """Points closer than this [m] exchange messages."""
     history: int = 3
     """Past displacements that the network sees."""
+    past_accelerations: bool = False
+    """Whether it sees their differences too, scaled as what it has to predict; measured over a few steps only."""
     width: int = 64
     """Width of every latent vector."""
     layers: int = 4

@@ -57,8 +57,9 @@ class Simulator(nn.Module):
         ):
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
         dimension = settings.dimension
-        # displacements; distances to the walls; tan(phi), volume; the grid's surroundings
-        features = settings.history * dimension + 2 * dimension + 2 + (dimension + 2)
+        # displacements and their changes; distances to the walls; tan(phi), volume; the grid's surroundings
+        motion = settings.history + (settings.history - 1 if settings.past_accelerations else 0)
+        features = motion * dimension + 2 * dimension + 2 + (dimension + 2)
         self.network = Network(features, settings)
 
     def forward(self, state: State, conditions: Conditions) -> State:
@@ -82,10 +83,14 @@ class Simulator(nn.Module):
         """Features of the points [N, F]."""
         settings = self.settings
         size = state.positions.new_tensor(conditions.size)
+        motion = state.displacements / self.displacement_scale
+        if settings.past_accelerations:
+            changes = state.displacements[1:] - state.displacements[:-1]
+            motion = torch.cat((motion, changes / self.acceleration_scale))
         walls = torch.cat((state.positions, size - state.positions), dim=1) / settings.radius
         return torch.cat(
             (
-                (state.displacements / self.displacement_scale).movedim(0, 1).flatten(1),
+                motion.movedim(0, 1).flatten(1),
                 walls.clamp(max=1.0),
                 ((conditions.friction - self.friction_mean) / self.friction_std).unsqueeze(1),
                 (conditions.volume / settings.point_volume).unsqueeze(1) - 1.0,

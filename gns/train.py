@@ -13,7 +13,8 @@ from typing import Annotated
 import numpy as np
 import torch
 from cyclopts import Parameter
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
 from datasets import command_line, files
@@ -73,13 +74,18 @@ class Run:
     def __init__(self, simulator: Simulator, training: TrainingSettings, seed: int) -> None:
         self.training = training
         self.simulator = simulator
-        self.average = AveragedModel(simulator, multi_avg_fn=get_ema_multi_avg_fn(training.average))  # type: ignore[no-untyped-call]
+        self.average = AveragedModel(simulator, avg_fn=self._averaged)
         self.optimiser = torch.optim.Adam(simulator.parameters(), lr=training.learning_rate)
         self.rng = np.random.default_rng(seed)
         self.generator = torch.Generator().manual_seed(seed)
         self.elapsed = 0.0
         self.updates = 0
         self.best = math.inf
+
+    def _averaged(self, average: Tensor, current: Tensor, updates: Tensor | int) -> Tensor:
+        """The running average, short at first: the weights of the beginning are forgotten soon."""
+        decay = min(self.training.average, (1.0 + int(updates)) / (10.0 + int(updates)))
+        return torch.lerp(current, average, decay)
 
     def set_learning_rate(self, progress: float) -> None:
         """At `progress` in [0, 1] of the time."""

@@ -1,6 +1,8 @@
 """`python -m inverse PROBLEM --out DIR`: one inversion, by the surrogate or by the MPM, and what it cost."""
 
+import dataclasses
 import sys
+import time
 from enum import StrEnum
 from pathlib import Path
 
@@ -73,17 +75,23 @@ def main(
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     observation = observations.build(asked.observation, asked.scene)
+    mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:
         source = GnsSource(checkpoint.load(model).simulator, asked, observation, memory_gib)
         names = [unknown.name for unknown in asked.unknowns]
         initial = with_unknowns(asked.scene, names, [unknown.initial for unknown in asked.unknowns])
+        began = time.perf_counter()
         chosen = source.start(simulate(source.first_frames(initial)))
+        mpm_seconds = time.perf_counter() - began
     target = read_target(asked, observation, simulate)
     if isinstance(chosen, GnsForward) and gradient is not Gradient.FD:
         result = invert(asked, target, automatic(chosen, target.values))
     else:
         result = invert(asked, target, central(chosen, target.values, asked))
+    if isinstance(chosen, MpmForward):
+        mpm_seconds = result.total_seconds
+    result = dataclasses.replace(result, mpm_seconds=mpm_seconds)
     result.write(out)
     report.write(result, chosen.deposit(result.answer), observation, out)
     print(np.array2string(result.answer, precision=3))

@@ -18,7 +18,7 @@ from inverse.observations import Observation, Values
 from inverse.problem import Problem
 from inverse.unknowns import KINDS, Vector
 
-MEMORY_GIB = 1.0
+MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 THINNING_SEED = 0
 """Which points of a cell the surrogate follows: always the same, so that predictions differ by the unknowns alone."""

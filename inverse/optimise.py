@@ -99,9 +99,9 @@ def best(records: list[Evaluation]) -> Evaluation:
 
 def _gradient_descent(recorder: _Recorder, start: Vector, bounds: Bounds, settings: OptimiserSettings) -> None:
     """u <- u - rate * d(loss)/du, projected onto the bounds (the paper, section "Inverse problem")."""
-    unknowns = start
-    while True:
-        unknowns = bounds.clip(unknowns - settings.learning_rate * recorder(unknowns).gradient)
+    before, unknowns = None, start
+    while before is None or np.any(unknowns != before):
+        before, unknowns = unknowns, bounds.clip(unknowns - settings.learning_rate * recorder(unknowns).gradient)
 
 
 def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds, settings: OptimiserSettings) -> None:

@@ -71,8 +71,7 @@ def sensitive_directions(state: Search, answer: Vector) -> NDArray[np.float64]:
     """
     if state.target.values.size == 1:
         return np.ones((len(answer), 1))
-    assert state.model is not None
-    slopes = jacobian(state.model, answer, SPREAD * state.bounds.range).T
+    slopes = jacobian(state.corrected(), answer, SPREAD * state.bounds.range).T
     length = np.linalg.norm(slopes, axis=1, keepdims=True)
     return slopes / np.where(length > 0.0, length, 1.0)
 

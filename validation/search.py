@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.trajectory import Trajectory
@@ -58,8 +59,8 @@ class Search:
     checked: list[Checked] = field(default_factory=list)
     reachable: bool = True
     """False once not even the MPM's own slope leads any nearer to the target."""
-    model: Corrected | None = None
-    """The surrogate as corrected by the runs so far."""
+    response: NDArray[np.float64] | None = None
+    """What Broyden's updates have made of the surrogate's response (`validation.correction`)."""
 
     def check(self, unknowns: Vector, seed: int | None = None) -> Checked:
         """Run the MPM at `unknowns`, with another jitter `seed` than the scene's if so asked."""
@@ -82,6 +83,11 @@ class Search:
             front_error=self.target.front_error(self.observation, deposit),
             loss=loss(observation, self.target.values),
         )
+
+    def corrected(self) -> Corrected:
+        """The surrogate, started and corrected by the nearest run."""
+        anchor = self.nearest
+        return Corrected(self.source.start(anchor.trajectory), anchor.unknowns, anchor.observation, self.response)
 
     @property
     def scatter(self) -> float:
@@ -111,21 +117,19 @@ def search(state: Search, first: Surrogate) -> None:
     state.rounds.append(Round(number=0, evaluations=records))
     proposal = best(records).unknowns
     reach = state.problem.loop.trust * state.bounds.range
-    response = None
     while True:
         before = state.nearest if state.checked else None
         run = state.check(proposal)
         anchor = state.nearest
-        surrogate = state.source.start(anchor.trajectory)
-        state.model = corrected = Corrected(surrogate, anchor.unknowns, anchor.observation, response)
         if near(state, anchor) or state.budget <= reserved:
             return
+        corrected = state.corrected()
         if before is not None:
             if anchor is before:
                 reach = reach / 2.0  # The step made it worse: believe the corrected surrogate less far.
             other = run if anchor is before else before
             corrected.learn(other.unknowns, other.observation, state.scatter)
-            response = corrected.response
+            state.response = corrected.response
         proposal = propose(state, corrected, reach)
         if np.any(np.abs(proposal - anchor.unknowns) > SETTLED * state.bounds.range):
             continue

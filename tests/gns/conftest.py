@@ -28,7 +28,7 @@ def _one_thread() -> None:
 @pytest.fixture
 def settings() -> ModelSettings:
     """A model that takes milliseconds."""
-    return ModelSettings(width=16, layers=2, rounds=2, grid_channels=8, grid_layers=2)
+    return ModelSettings(history=3, width=16, layers=2, rounds=2, grid_channels=8, grid_layers=2)
 
 
 @pytest.fixture

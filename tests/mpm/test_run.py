@@ -30,7 +30,7 @@ def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 200, 2)
     summary = json.loads((out / "summary.json").read_text())
-    wanted = "runout front toe steps particles wall_s compile_s energy arch precision".split()
+    wanted = ["runout", "front", "toe", "steps", "particles", "wall_s", "compile_s", "energy", "arch", "precision"]
     assert set(wanted) <= set(summary)
     assert summary["particles"] == 200
     assert len(summary["energy"]["kinetic"]) == 5

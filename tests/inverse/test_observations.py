@@ -1,0 +1,97 @@
+"""Observations: the smooth forms against the exact ones, and their gradients against central differences."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats.mstats import hdquantiles
+
+from datasets import measures
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from inverse.observations import Observation, Profile, build, harrell_davis
+from inverse.problem import Observable, ObservationSettings
+
+SCENE = Scene(
+    domain=Domain(size=(1.0, 0.5), cell=0.01),
+    material=Material(friction_deg=30.0),
+    masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
+)
+CELL_VOLUME = 1.0e-4
+
+
+def deposit(points: int, seed: int = 0) -> np.ndarray:
+    """A wedge 0.6 m long [m], shape [points, 2]."""
+    stream = np.random.default_rng(seed)
+    return np.stack([0.6 * (1.0 - np.sqrt(stream.random(points))), 0.1 * stream.random(points)], axis=1)
+
+
+def of(kind: Observable) -> Observation:
+    return build(ObservationSettings(kind=kind), SCENE)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_quantile_is_harrell_and_davis(seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=300)
+    ours = harrell_davis(torch.from_numpy(values), torch.ones(300), 0.995).item()
+    assert ours == pytest.approx(float(hdquantiles(values, [0.995])[0]), rel=1e-9)
+
+
+def test_a_point_of_double_volume_counts_as_two_points() -> None:
+    x = torch.linspace(0.0, 1.0, 400, dtype=torch.float64)
+    volumes = torch.ones(400)
+    volumes[-20:] = 2.0
+    twice = harrell_davis(torch.cat([x, x[-20:]]), torch.ones(420), 0.9).item()
+    assert harrell_davis(x, volumes, 0.9).item() == pytest.approx(twice, abs=2e-3)
+    assert harrell_davis(x, torch.ones(400), 0.9).item() < twice - 2e-3
+
+
+@pytest.mark.parametrize(("kind", "within"), [(Observable.FRONT, 0.005), (Observable.RUNOUT, 0.01)])
+def test_the_smooth_form_of_all_points_is_near_the_exact_one(kind: Observable, within: float) -> None:
+    positions = deposit(3200)
+    smooth = of(kind).smooth(torch.from_numpy(positions), torch.ones(3200)).numpy()
+    assert smooth == pytest.approx(of(kind).exact(positions), abs=within)
+
+
+def test_the_runout_is_never_beyond_the_first_point() -> None:
+    positions = deposit(800)
+    assert of(Observable.RUNOUT).smooth(torch.from_numpy(positions), torch.ones(800)).item() <= positions[:, 0].max()
+
+
+def test_the_smooth_profile_is_the_exact_one() -> None:
+    positions = deposit(800)
+    profile = of(Observable.PROFILE)
+    assert isinstance(profile, Profile)
+    exact = measures.height_profile(positions, CELL_VOLUME, profile.stations)
+    np.testing.assert_allclose(profile.exact(positions), exact, rtol=1e-12, atol=1e-15)
+    smooth = profile.smooth(torch.from_numpy(positions), torch.full((800,), CELL_VOLUME)).numpy()
+    np.testing.assert_allclose(smooth, exact, rtol=1e-6, atol=1e-12)
+
+
+def test_a_profile_weighs_points_by_their_volume() -> None:
+    profile = of(Observable.PROFILE)
+    positions = torch.tensor([[0.10, 0.0], [0.50, 0.0]], dtype=torch.float64)
+    heights = profile.smooth(positions, torch.tensor([3.0, 1.0])).numpy()
+    assert heights[5] == pytest.approx(3.0 * heights[25])
+    # All of it: 0.08 m^2 over stations 0.02 m apart.
+    assert heights.sum() * 0.02 == pytest.approx(0.08)
+
+
+def test_the_edge_of_a_profile_is_the_front_of_its_area() -> None:
+    profile = of(Observable.PROFILE)
+    positions = deposit(3200)
+    assert profile.edge(profile.exact(positions)) == pytest.approx(measures.front(positions), abs=0.01)
+
+
+@pytest.mark.parametrize("kind", list(Observable))
+def test_gradients_agree_with_central_differences(kind: Observable) -> None:
+    observation, volumes = of(kind), torch.ones(300)
+    weights = torch.from_numpy(np.random.default_rng(5).normal(size=len(observation.exact(deposit(300)))))
+
+    def stretched(factor: torch.Tensor) -> torch.Tensor:
+        return (weights * observation.smooth(torch.from_numpy(deposit(300)) * factor, volumes)).sum()
+
+    factor = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(stretched(factor), factor)
+    step = 1.0e-7
+    difference = (stretched(factor.detach() + step) - stretched(factor.detach() - step)) / (2.0 * step)
+    assert gradient.item() == pytest.approx(difference.item(), rel=1e-5)

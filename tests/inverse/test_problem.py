@@ -1,0 +1,180 @@
+"""Problem files: what is shipped reads, what is wrong is told in one line, and targets come from where they say."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse import observations
+from inverse.__main__ import main
+from inverse.problem import PROBLEMS, Observable, Problem, TargetSettings, read_problem
+from inverse.target import hidden_scene, read_target
+
+GOOD = """
+scene = "column-tall-42"
+[[unknowns]]
+name = "friction_deg"
+initial = 30.0
+lower = 12.0
+upper = 52.0
+[observation]
+kind = "front"
+[target]
+value = 0.55
+"""
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "problem.toml"
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.mark.parametrize("path", sorted(PROBLEMS.glob("*.toml")), ids=lambda path: path.stem)
+def test_a_shipped_problem_reads(path: Path) -> None:
+    problem = read_problem(path.stem)
+    assert problem.name == path.stem
+    assert hidden_scene(problem).seed != problem.scene.seed
+    kind = Observable.PROFILE if path.stem.endswith("profile") else Observable.FRONT
+    assert problem.observation.kind is kind
+
+
+def test_the_eight_friction_problems_ship() -> None:
+    assert len(list(PROBLEMS.glob("friction-*.toml"))) == 8
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('kind = "front"', 'knid = "front"', "knid"),
+        ('kind = "front"', 'kind = "fornt"', "observation.kind"),
+        ('kind = "front"', 'kind = "front"\nspacing = 0.0', "observation.spacing"),
+        ("value = 0.55", "", "target"),
+        ("value = 0.55", "value = 0.55\nhidden = true", "target"),
+        ("value = 0.55", "value = 1.55", "target.value"),
+        ("value = 0.55", "value = true", "target.value"),
+        ("value = 0.55", 'csv = "profile.csv"', "target.csv"),
+        ("value = 0.55", "hidden = true\nseed = 0", "target.seed"),
+        ("value = 0.55", "hidden = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
+        ("value = 0.55", "value = 0.55\nnoise = -1.0", "target.noise"),
+        ('"friction_deg"', '"frictoin_deg"', "unknowns[0].name"),
+        ("initial = 30.0", "initial = 60.0", "unknowns[0].initial"),
+        ("lower = 12.0", "lower = 0.0", "unknowns[0].lower"),
+        ("upper = 52.0", "upper = 90.0", "unknowns[0].upper"),
+        ("upper = 52.0", "", "unknowns[0].upper"),
+        ('"column-tall-42"', '"column-tall-43"', "column-tall-43"),
+        ('"column-tall-42"', '"nowhere.toml"', "nowhere.toml"),
+        ("[target]", "[optimiser]\nmax_iterations = 0\n[target]", "optimiser.max_iterations"),
+        ("[target]", "[loop]\nmpm_runs = 0\n[target]", "loop.mpm_runs"),
+        ("[target]", "[loop]\nconfirm_within = -0.1\n[target]", "loop.confirm_within"),
+        ("[target]", "[[target", "problem.toml"),
+    ],
+)
+def test_a_wrong_problem_is_one_line_and_status_2(
+    old: str, new: str, key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert old in GOOD
+    path = written(tmp_path, GOOD.replace(old, new))
+    assert run(main, "inverse", [path, "--out", str(tmp_path / "out")]) == 2
+    error = capfd.readouterr().err.strip()
+    assert error.startswith("talus: ")
+    assert key in error
+    assert "\n" not in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, GOOD)
+    status = run(main, "inverse", [path, "--out", str(tmp_path / "out"), "--model", str(tmp_path / "none.pt")])
+    assert status == 2
+    assert "none.pt" in capfd.readouterr().err
+
+
+def test_the_mpm_has_no_automatic_gradient(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, GOOD)
+    status = run(main, "inverse", [path, "--out", str(tmp_path), "--forward", "mpm", "--gradient", "ad"])
+    assert status == 2
+    assert "--gradient fd" in capfd.readouterr().err
+
+
+def small(kind: Observable, folder: Path, target: TargetSettings) -> Problem:
+    problem = read_problem("friction-tall-42")
+    settings = dataclasses.replace(problem.observation, kind=kind)
+    return dataclasses.replace(problem, observation=settings, folder=folder, target=target)
+
+
+def fall(scene: Scene) -> Trajectory:
+    """A deposit that depends on the angle and on the seed."""
+    x = np.linspace(0.0, 1.0 - scene.material.friction_deg / 100.0 - 0.001 * scene.seed, 500)
+    positions = np.stack([x, np.zeros(500)], axis=1)[None].astype(np.float32)
+    return Trajectory(
+        positions=positions,
+        time=np.array([1.0]),
+        velocity0=np.zeros((500, 2), np.float32),
+        friction=np.full(500, scene.material.friction, np.float32),
+        scene=scene,
+    )
+
+
+def test_a_hidden_target_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
+    settings = TargetSettings(hidden=True, seed=3, truth={"friction_deg": 37.0})
+    problem = small(Observable.FRONT, tmp_path, settings)
+    target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
+    assert target.truth == {"friction_deg": 37.0}
+    assert target.edge == pytest.approx(0.995 * (1.0 - 0.37 - 0.003), rel=1e-6)
+    assert target.values == pytest.approx([target.edge])
+    unstated = small(Observable.FRONT, tmp_path, TargetSettings(hidden=True, seed=3))
+    assert read_target(unstated, observations.build(problem.observation, problem.scene), fall).truth == {
+        "friction_deg": 42.0
+    }
+
+
+def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
+    problem = small(Observable.PROFILE, tmp_path, TargetSettings(trajectory="seen.npz"))
+    seen = fall(problem.scene)
+    seen.save(tmp_path / "seen.npz")
+    observation = observations.build(problem.observation, problem.scene)
+    target = read_target(problem, observation, fall)
+    assert target.truth is None
+    np.testing.assert_allclose(target.values, observation.exact(seen.positions[-1]))
+    assert target.front_error(observation, 1.01 * seen.positions[-1]) == pytest.approx(0.01, rel=1e-4)
+
+
+def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
+    (tmp_path / "profile.csv").write_text("x,height\n0.0,0.2\n0.4,0.0\n")
+    problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
+    target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
+    np.testing.assert_allclose(target.values[:3], [0.2, 0.19, 0.18])
+    assert not target.values[20:].any()
+    # A triangle: 1 - sqrt(1 - q) of its length.
+    assert target.edge == pytest.approx(0.4 * (1.0 - np.sqrt(0.005)), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "x,height\n0.1,0.2\n",
+        "x,y\n0,1\n1,0\n",
+        "x,height\n0,a\n1,0\n",
+        "x,height\n1,1\n0,0\n",
+        "x,height\n0,0\n1,0\n",
+        "x,height\n0,nan\n1,0\n",
+    ],
+)
+def test_a_wrong_csv_names_the_file(text: str, tmp_path: Path) -> None:
+    (tmp_path / "profile.csv").write_text(text)
+    problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
+    with pytest.raises(InputError, match=r"profile\.csv"):
+        read_target(problem, observations.build(problem.observation, problem.scene), fall)
+
+
+def test_a_missing_trajectory_names_the_file(tmp_path: Path) -> None:
+    problem = small(Observable.FRONT, tmp_path, TargetSettings(trajectory="none.npz"))
+    with pytest.raises(InputError, match=r"none\.npz"):
+        read_target(problem, observations.build(problem.observation, problem.scene), fall)

@@ -1,0 +1,123 @@
+"""Gradients and optimisers on a forward that is a formula."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.library import read_scene
+from inverse.finite_difference import central, jacobian
+from inverse.gradient import automatic
+from inverse.optimise import Bounds, best, minimise
+from inverse.problem import Method, OptimiserSettings, Problem, read_problem
+from inverse.unknowns import KINDS
+
+BOUNDS = Bounds(lower=np.array([12.0]), upper=np.array([52.0]))
+SCALE = torch.tensor([1.0, 0.7, 0.3], dtype=torch.float64)
+
+
+class Formula:
+    """Three lengths [m] that fall with the angle [deg]."""
+
+    def __init__(self) -> None:
+        self.predictions = 0
+
+    def predict(self, unknowns: Tensor) -> Tensor:
+        self.predictions += 1
+        return SCALE * (1.2 - 0.02 * unknowns[0] + 0.00015 * unknowns[0] ** 2)
+
+    def observe(self, unknowns: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        return [self.predict(torch.from_numpy(values)).numpy() for values in unknowns]
+
+
+@pytest.fixture
+def problem() -> Problem:
+    return read_problem("friction-tall-42")
+
+
+def at(angle: float) -> NDArray[np.float64]:
+    return Formula().observe([np.array([angle])])[0]
+
+
+@pytest.mark.parametrize("angle", [15.0, 30.0, 50.0])
+def test_both_gradients_agree(problem: Problem, angle: float) -> None:
+    target, point = at(24.0), np.array([angle])
+    by_ad = automatic(Formula(), target)(point)
+    by_differences = central(Formula(), target, problem)(point)
+    assert by_ad.loss == pytest.approx(np.mean((at(angle) - target) ** 2), rel=1e-12)
+    assert by_differences.loss == pytest.approx(by_ad.loss, rel=1e-12)
+    # Exact for a quadratic but for rounding.
+    np.testing.assert_allclose(by_differences.gradient, by_ad.gradient, rtol=1e-9)
+    np.testing.assert_allclose(by_ad.observation, at(angle))
+
+
+def test_differences_cost_two_predictions_per_unknown(problem: Problem) -> None:
+    forward = Formula()
+    central(forward, at(24.0), problem)(np.array([30.0]))
+    assert forward.predictions == 3
+    slopes = jacobian(forward, np.array([30.0]), np.array([0.05]))
+    np.testing.assert_allclose(slopes[:, 0], SCALE.numpy() * (-0.02 + 2.0 * 0.00015 * 30.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("truth", [12.5, 21.0, 42.0, 51.0])
+@pytest.mark.parametrize("start", [12.0, 30.0, 52.0])
+def test_lbfgsb_finds_the_truth_in_few_gradients(truth: float, start: float) -> None:
+    settings = OptimiserSettings(stop_below=1.0e-10)
+    records = minimise(automatic(Formula(), at(truth)), np.array([start]), BOUNDS, settings)
+    assert best(records).unknowns[0] == pytest.approx(truth, abs=0.02)
+    assert len(records) <= 10
+    assert all(12.0 <= record.unknowns[0] <= 52.0 for record in records)
+
+
+def test_the_papers_gradient_descent_stops_by_its_own_rule() -> None:
+    settings = OptimiserSettings(
+        method=Method.GRADIENT_DESCENT, learning_rate=500.0, stop_below=5.0e-4, max_iterations=60
+    )
+    evaluate = automatic(Formula(), at(42.0))
+    records = minimise(evaluate, np.array([30.0]), BOUNDS, settings)
+    assert records[-1].loss < 5.0e-4 <= records[-2].loss
+    # The first step by hand.
+    first = evaluate(np.array([30.0]))
+    np.testing.assert_allclose(records[1].unknowns, 30.0 - 500.0 * first.gradient)
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_an_optimum_beyond_the_bounds_ends_on_the_bound(method: Method) -> None:
+    settings = OptimiserSettings(method=method, stop_below=1.0e-10, max_iterations=40, learning_rate=5000.0)
+    records = minimise(automatic(Formula(), at(8.0)), np.array([30.0]), BOUNDS, settings)
+    assert best(records).unknowns[0] == 12.0
+
+
+def test_the_budget_is_kept() -> None:
+    settings = OptimiserSettings(
+        method=Method.GRADIENT_DESCENT, max_iterations=4, stop_below=1.0e-12, learning_rate=100.0
+    )
+    assert len(minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings)) == 4
+
+
+def test_a_forward_gone_to_nan_ends_the_search_and_is_not_its_answer() -> None:
+    evaluate = automatic(Formula(), at(42.0))
+
+    def breaks(point: NDArray[np.float64]):  # type: ignore[no-untyped-def]
+        record = evaluate(point)
+        return dataclasses.replace(record, loss=float("nan")) if point[0] > 33.0 else record
+
+    records = minimise(breaks, np.array([30.0]), BOUNDS, OptimiserSettings())
+    assert best(records).unknowns[0] == 30.0
+
+
+def test_the_friction_angle_enters_the_scene_and_the_conditions() -> None:
+    kind, scene = KINDS["friction_deg"], read_scene("column-tall-42")
+    assert kind.read(kind.write(scene, 33.0)) == 33.0
+    value = torch.tensor(33.0, dtype=torch.float64, requires_grad=True)
+    other = 0.25
+    friction = torch.tensor([scene.material.friction, other, scene.material.friction], dtype=torch.float32)
+    changed = kind.condition(friction, scene, value)
+    wanted = np.tan(np.radians(33.0))
+    np.testing.assert_allclose(changed.detach().numpy(), [wanted, other, wanted], rtol=1e-6)
+    (gradient,) = torch.autograd.grad(changed.sum(), value)
+    assert gradient.item() == pytest.approx(2.0 * np.radians(1.0) / np.cos(np.radians(33.0)) ** 2, rel=1e-5)

@@ -1,0 +1,32 @@
+"""The reference paper's numbers, read from `paper.toml`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from datasets.strict import Strict, from_mapping, read_toml
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario(Strict):
+    """What the paper reports of one column."""
+
+    name: str
+    phi_estimated: float
+    phi_error_pct: float
+    front_error_pct: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Paper(Strict):
+    """The paper's numbers (`paper.toml`)."""
+
+    scenarios: tuple[Scenario, ...]
+    seconds_per_iteration: dict[str, float]
+    """By method: ad_gns, fd_gns, fd_mpm."""
+    fd_gns_phi_estimated: float
+    """Of the tall column at 42 degrees [deg]."""
+
+
+def read_paper() -> Paper:
+    """The paper's numbers."""
+    return from_mapping(Paper, read_toml(Path(__file__).with_suffix(".toml")))
