@@ -15,7 +15,7 @@ from inverse.unknowns import Vector
 
 RESOLUTION = 5.0e-4
 """A step shorter than this fraction of every unknown's range is not worth a simulation."""
-LONGEST_FIRST_STEP = 0.2
+LONGEST_FIRST_STEP = 0.5
 """Of L-BFGS-B, as a fraction of the range: one gradient at the start says little of what lies far off."""
 
 
@@ -107,8 +107,8 @@ def _gradient_descent(recorder: _Recorder, start: Vector, bounds: Bounds, settin
 def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds, settings: OptimiserSettings) -> None:
     """L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) in variables scaled so that its first step is a sensible one.
 
-    Its first trial step has length one along the steepest descent. One is made 2 f / |f'|, which for a single
-    observation that can be met is the Gauss-Newton step (Polyak's step, doubled).
+    Its first model has curvature one: the first trial goes as far as the gradient is long. Loss and unknowns are
+    scaled so that this is 2 f / |f'|, which for a single observation that can be met is the Gauss-Newton step.
     """
     first = recorder(start)
     # Steepest descent in fractions of the range, so that unknowns of different units count alike.
@@ -116,11 +116,12 @@ def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds, settings: Optimi
     steepness = float(np.linalg.norm(slope))
     if steepness == 0.0:
         return
-    unit = bounds.range * min(2.0 * first.loss / steepness, LONGEST_FIRST_STEP)
+    length = min(2.0 * first.loss / steepness, LONGEST_FIRST_STEP)
+    unit, scale = bounds.range * length, steepness * length
 
     def scaled(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         record = recorder(bounds.clip(start + x * unit))
-        return record.loss / first.loss, record.gradient * unit / first.loss
+        return record.loss / scale, record.gradient * unit / scale
 
     scipy.optimize.minimize(
         scaled,
