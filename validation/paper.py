@@ -11,6 +11,8 @@ class Scenario(Strict):
     """What the paper reports of one column."""
 
     name: str
+    runout: float
+    """Largest x of the deposit in its MPM [m]; the friction and damping behind it are not stated there."""
     phi_estimated: float
     phi_error_pct: float
     front_error_pct: float
