@@ -198,7 +198,7 @@ def train(
     out
         Folder of the run.
     minutes
-        Time to train, all sessions of the run together; curriculum and learning rate are laid over it.
+        Time to train, all parts of a resumed run together; curriculum and learning rate are laid over it.
     resume
         Continue from OUT/last.pt.
     seed

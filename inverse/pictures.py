@@ -21,8 +21,8 @@ from inverse.result import Round
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
 """One colour per deposit, the same in every picture."""
-SPACING = 0.01
-"""Distance between the stations of the profiles drawn [m]."""
+SPACING = 0.02
+"""Distance between the stations of the profiles drawn [m]: two cells hold enough of the surrogate's points."""
 
 
 def draw_deposits(

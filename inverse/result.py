@@ -60,7 +60,7 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """The keys of `result.json`; see DESIGN."""
+    """What `result.json` holds; its keys are in docs/formats.md."""
 
     problem: Problem
     target: Target

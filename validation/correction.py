@@ -12,15 +12,14 @@ With S = 1 this is plain output space mapping (Bandler, Cheng, Dakroury, Mohamed
 mapping: the state of the art, IEEE Trans. Microwave Theory Tech. 52 (2004) 337-361): it agrees with the MPM at u_k and
 has the surrogate's slope. That slope may be wrong by a factor of three, enough to diverge. So S is updated by Broyden's
 rule (A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965) 577-593) until y passes
-through a second MPM run as well. It multiplies, as in manifold mapping (Echeverria & Hemker, Comput. Methods Appl.
-Math. 5 (2005) 107-136), because a surrogate that answers too strongly does so everywhere.
+through other MPM runs as well. It multiplies, as in manifold mapping (Echeverria & Hemker, Comput. Methods Appl. Math.
+5 (2005) 107-136), because a surrogate that answers too strongly does so everywhere.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from inverse.forward import Differentiable
@@ -31,11 +30,9 @@ from inverse.unknowns import Vector
 class Corrected:
     """A differentiable forward that agrees with the MPM where the MPM has been."""
 
-    def __init__(
-        self, surrogate: Differentiable, anchor: Vector, shown: Values, response: NDArray[np.float64] | None = None
-    ) -> None:
+    def __init__(self, surrogate: Differentiable, anchor: Vector, shown: Values) -> None:
         self.surrogate, self.anchor, self.shown = surrogate, anchor, shown
-        self.response = np.eye(len(shown)) if response is None else response
+        self.response = np.eye(len(shown))
         (self.base,) = surrogate.observe([anchor])
 
     def predict(self, unknowns: Tensor) -> Tensor:
@@ -47,13 +44,20 @@ class Corrected:
         """The corrected observation [M] of each vector of unknowns [U]."""
         return [self.shown + self.response @ (value - self.base) for value in self.surrogate.observe(unknowns)]
 
-    def learn(self, unknowns: Vector, shown: Values, scatter: float) -> None:
-        """Broyden's rank-one update: let y pass through the MPM's observation `shown` [M] at `unknowns` [U] as well.
+    def learn(self, unknowns: Sequence[Vector], shown: Sequence[Values], scatter: float) -> None:
+        """Broyden's update for several runs at once: let y pass through the MPM's `shown` [M] at `unknowns` [U] as well.
 
-        Where the surrogate says that the two runs should hardly differ, what they differ by is mostly the MPM's own
-        `scatter` [m], and the update fades.
+        Where the surrogate says that runs should hardly differ, what they differ by is mostly the MPM's own `scatter`
+        [m], and the update fades. Once there are as many runs as unknowns, they say all there is to say to first
+        order: whatever else the surrogate does (a profile of another shape) is left out.
         """
-        change = self.surrogate.observe([unknowns])[0] - self.base
-        missing = shown - self.shown - self.response @ change
-        length = float(change @ change) + 0.5 * len(change) * scatter**2
-        self.response = self.response + np.outer(missing, change) / length
+        if not unknowns:
+            return
+        # Columns are runs: what the surrogate says changes [M, n], and what the MPM says.
+        said = np.stack([value - self.base for value in self.surrogate.observe(unknowns)], axis=1)
+        seen = np.stack([value - self.shown for value in shown], axis=1)
+        gram = said.T @ said + 0.5 * len(said) * scatter**2 * np.eye(len(unknowns))
+        self.response = np.eye(len(said)) + (seen - said) @ np.linalg.solve(gram, said.T)
+        if len(unknowns) >= len(self.anchor):
+            along = np.linalg.svd(said, full_matrices=False)[0][:, : len(self.anchor)]
+            self.response = self.response @ along @ along.T

@@ -9,6 +9,7 @@ from inverse.optimise import best
 from inverse.problem import Observable
 from inverse.report import known, observed, price, quantity, question, table
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
+from inverse.unknowns import KINDS
 from validation.solved import Solved
 
 
@@ -85,7 +86,7 @@ def worth(solved: Solved) -> list[str]:
             "the profile, along the direction in which it changes," if is_profile(solved.result) else "the observation"
         )
         lines += [
-            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per unit of `{name}`, and scatters by "
+            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {KINDS[name].unit} of `{name}`, and scatters by "
             f"{1e3 * calibration.scatter:.1f} mm between MPM runs that differ in nothing but the initial jitter "
             f"({len(solved.certainty.runs)} extra runs). The target is one such flow as well."
         ]

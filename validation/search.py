@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.trajectory import Trajectory
@@ -61,8 +60,6 @@ class Search:
     checked: list[Checked] = field(default_factory=list)
     reachable: bool = True
     """False once not even the MPM's own slope leads any nearer to the target."""
-    response: NDArray[np.float64] | None = None
-    """What Broyden's updates have made of the surrogate's response (`validation.correction`)."""
 
     def check(self, unknowns: Vector, seed: int | None = None) -> Checked:
         """Run the MPM at `unknowns`, with another jitter `seed` than the scene's if so asked."""
@@ -87,9 +84,20 @@ class Search:
         )
 
     def corrected(self) -> Corrected:
-        """The surrogate, started and corrected by the nearest run."""
+        """The surrogate, started by the nearest run and corrected by it and the runs around it."""
         anchor = self.nearest
-        return Corrected(self.source.start(anchor.trajectory), anchor.unknowns, anchor.observation, self.response)
+        model = Corrected(self.source.start(anchor.trajectory), anchor.unknowns, anchor.observation)
+
+        def apart(run: Checked) -> float:
+            return float(np.linalg.norm((run.unknowns - anchor.unknowns) / self.bounds.range))
+
+        others = sorted((run for run in self.checked if apart(run) > 0.0), key=apart)
+        far = 1.5 * self.problem.loop.trust
+        # At least as many as unknowns, wherever they lie: a slope across is better than the surrogate's.
+        count = len(self.bounds.range)
+        learned = [run for number, run in enumerate(others) if number < count or (apart(run) <= far and number < 3)]
+        model.learn([run.unknowns for run in learned], [run.observation for run in learned], self.scatter)
+        return model
 
     @property
     def scatter(self) -> float:
@@ -121,18 +129,13 @@ def search(state: Search, first: Surrogate) -> None:
     reach = state.problem.loop.trust * state.bounds.range
     while True:
         before = state.nearest if state.checked else None
-        run = state.check(proposal)
+        state.check(proposal)
         anchor = state.nearest
         if near(state, anchor) or state.budget <= reserved:
             return
-        corrected = state.corrected()
-        if before is not None:
-            if anchor is before:
-                reach = reach / 2.0  # The step made it worse: believe the corrected surrogate less far.
-            other = run if anchor is before else before
-            corrected.learn(other.unknowns, other.observation, state.scatter)
-            state.response = corrected.response
-        proposal = propose(state, corrected, reach)
+        if anchor is before:
+            reach = reach / 2.0  # The step made it worse: believe the corrected surrogate less far.
+        proposal = propose(state, state.corrected(), reach)
         step = np.max(np.abs(proposal - anchor.unknowns) / state.bounds.range)
         if not off_by_more_than_scatter(state, anchor):
             if step <= SETTLED:

@@ -15,7 +15,7 @@ from inverse.result import Purpose, Result, Verdict
 from validation.loop import finish, solve
 from validation.solved import Solved
 
-DESIGNED_KEYS = {
+RESULT_KEYS = {
     "problem",
     "verdict",
     "unknowns",
@@ -149,7 +149,7 @@ def test_result_and_report_say_what_the_design_promises(make_case: Any, tmp_path
     outcome = solved(case, tmp_path)
     finish(outcome, case.observation, tmp_path)
     result = json.loads((tmp_path / "result.json").read_text())
-    assert result.keys() == DESIGNED_KEYS
+    assert result.keys() == RESULT_KEYS
     assert result["verdict"] == "confirmed"
     assert result["truth"] == {"friction_deg": 24.0}
     assert result["error_pct"]["friction_deg"] == pytest.approx(
