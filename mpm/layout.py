@@ -52,6 +52,7 @@ class Place(Column):
     CELLS_Y = auto()
     RECORD = auto()  # its first number in `record`
     ENERGY = auto()  # its first line in `energy`
+    MATERIAL = auto()  # its (first) material
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     BOX_LEFT = auto()  # the nodes that hold material: columns [left, right), rows [bottom, top)

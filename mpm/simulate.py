@@ -16,8 +16,9 @@ from datasets.points import MaterialPoints, material_points
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.advance import DAMPED_NODE, PLAIN_NODE, advance
+from mpm.advance import advance
 from mpm.layout import PADDING, Energy, Place, Property, Setting
+from mpm.nodes import node_width
 from mpm.runtime import Precision
 from mpm.summary import summarise
 
@@ -71,7 +72,7 @@ class Batch:
         self.damped = any(scene.damping > 0.0 for scene in scenes)
         materials = list(dict.fromkeys(material for points in self.points for material in points.materials))
         self.dilates = any(material.dilation_deg > 0.0 for material in materials)
-        self.several = len(materials) > 1
+        self.several = any(len(points.materials) > 1 for points in self.points)
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.points, strict=True)], real)
         self.properties = np.array([properties_row(material) for material in materials], real)
@@ -91,6 +92,7 @@ class Batch:
             place[Place.POINT], place[Place.POINTS] = point, count
             place[Place.NODE], place[Place.RECORD], place[Place.ENERGY] = node, record, line
             place[Place.CELLS_X], place[Place.CELLS_Y] = cells_x, cells_y
+            place[Place.MATERIAL] = materials.index(points.materials[0])
             place[Place.FRAMES] = scene.frames
             place[Place.SUBSTEPS] = substeps_per_frame(scene, points.materials)
             # The first clearing covers everything, then the box closes around the material.
@@ -99,7 +101,7 @@ class Batch:
             node += (cells_x + 2 * PADDING + 1) * (cells_y + 2 * PADDING + 1)
             record += 2 * count * scene.frames
             line += scene.frames
-        self.grid = np.zeros(node * (DAMPED_NODE if self.damped else PLAIN_NODE), real)
+        self.grid = np.zeros(node * node_width(self.damped), real)
         self.record = np.zeros(record, np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         for index, (scene, points) in enumerate(zip(scenes, self.points, strict=True)):
