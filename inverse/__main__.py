@@ -93,7 +93,7 @@ def main(
         mpm_seconds = result.total_seconds
     result = dataclasses.replace(result, mpm_seconds=mpm_seconds)
     result.write(out)
-    report.write(result, chosen.deposit(result.answer), observation, out)
+    report.write(result, chosen.deposit(result.answer), out)
     print(np.array2string(result.answer, precision=3))
 
 

@@ -21,6 +21,10 @@ Values = NDArray[np.float64]
 """An observation: M numbers [m], shape [M]."""
 
 
+SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
+"""Shares of a profile's area: the middles of twenty equal parts, and the front."""
+
+
 class Observation(Protocol):
     """Something measured on a deposit: M numbers in metres."""
 
@@ -68,16 +72,31 @@ class Runout:
 
 
 class Profile:
-    """The height of the deposit at stations along x (`datasets.measures.height_profile`); in 3D its mean over z."""
+    """The height profile, read sideways: the x behind which a given share of its area lies, for `SHARES` of it.
+
+    The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
+    overlap differ by the same heights however far they are apart. Positions of equal shares move with the deposit, and
+    their mean square difference is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
+    Application of the Wasserstein metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is
+    the mean over z.
+    """
 
     def __init__(self, scene: Scene, spacing: float) -> None:
         self.stations = measures.profile_stations(scene, spacing)
         self.volume = sum(math.prod(mass.size) for mass in scene.masses)
         self.width = math.prod(scene.domain.size[2:])
 
-    def exact(self, positions: NDArray[np.floating]) -> Values:
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
         share = self.volume / (len(positions) * self.width)
         return measures.height_profile(positions, share, self.stations)
+
+    def of_heights(self, heights: Values) -> Values:
+        """The observation [M] of a profile [m] at `stations`."""
+        return np.asarray(self._sideways(torch.from_numpy(heights)).numpy())
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return self.of_heights(self.heights(positions))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         stations = torch.from_numpy(self.stations)
@@ -85,18 +104,25 @@ class Profile:
         place = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
         left = place.detach().long().clamp(max=last - 1)
         share = place - left
-        # The volume of the scene, whatever the rounding of the volumes.
-        area = volumes.double() * (self.volume / (volumes.double().sum() * self.width))
-        height = torch.zeros(last + 1, dtype=torch.float64)
-        height = height.index_add(0, left, area * (1.0 - share)).index_add(0, left + 1, area * share)
-        length = spacing.repeat(last + 1)
-        length[[0, last]] *= 0.5
-        return height / length
+        area = volumes.double()
+        heights = torch.zeros(last + 1, dtype=torch.float64)
+        heights = heights.index_add(0, left, area * (1.0 - share)).index_add(0, left + 1, area * share)
+        # Half of a station's length lies beyond the wall.
+        ends = torch.ones_like(heights)
+        ends[[0, last]] = 2.0
+        return self._sideways(heights * ends)
+
+    def _sideways(self, heights: Tensor) -> Tensor:
+        stations = torch.from_numpy(self.stations)
+        pieces = (heights[1:] + heights[:-1]) * 0.5
+        area = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(pieces, 0)])
+        wanted = torch.tensor(SHARES, dtype=torch.float64) * area[-1]
+        right = torch.searchsorted(area.detach(), wanted.detach()).clamp(1, len(pieces))
+        part = (wanted - area[right - 1]) / pieces[right - 1]
+        return stations[right - 1] + part * (stations[1] - stations[0])
 
     def edge(self, values: Values) -> float:
-        # The front of the area under the profile: its 99.5 % quantile in x.
-        area = np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) * 0.5 * np.diff(self.stations))])
-        return float(np.interp(measures.FRONT_QUANTILE * area[-1], area, self.stations))
+        return float(values[-1])
 
 
 def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:

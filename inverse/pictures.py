@@ -26,11 +26,11 @@ SPACING = 0.02
 
 
 def draw_deposits(
-    path: Path, scene: Scene, deposits: Mapping[str, Deposit], observed: tuple[Profile, Values] | float | None
+    path: Path, scene: Scene, deposits: Mapping[str, Deposit], observed: tuple[Values, Values] | float | None
 ) -> None:
     """Points and height profiles of `deposits` (name -> positions [m], shape [N, D]), one above the other.
 
-    observed: what is known of a target without a deposit, its profile with stations or its front [m].
+    observed: what is known of a target without a deposit, stations and heights of its profile or its front [m].
     """
     profile = Profile(scene, SPACING)
     rows = len(deposits) + 1
@@ -40,9 +40,9 @@ def draw_deposits(
         axis.axvline(measures.front(deposit), color=COLOURS[name], linewidth=0.8)
         axis.set_title(f"{name}: front at {measures.front(deposit):.4f} m", loc="left", fontsize=9)
     for name, deposit in deposits.items():
-        axes[-1].plot(profile.stations, profile.exact(deposit), color=COLOURS[name], label=name)
+        axes[-1].plot(profile.stations, profile.heights(deposit), color=COLOURS[name], label=name)
     if isinstance(observed, tuple):
-        axes[-1].plot(observed[0].stations, observed[1], ".", color=COLOURS["target"], label="target")
+        axes[-1].plot(observed[0], observed[1], ".", color=COLOURS["target"], label="target")
     elif observed is not None:
         axes[-1].axvline(observed, color=COLOURS["target"], linestyle="--", linewidth=0.8, label="target")
     axes[-1].legend(fontsize=8, frameon=False)

@@ -99,8 +99,8 @@ class LoopSettings(Strict):
 
     confirm_within: float = 0.005
     """Relative error of the front within which the MPM confirms."""
-    profile_within: float = 0.05
-    """Share of the deposit's volume that may be misplaced in a confirmed profile."""
+    profile_within: float = 0.01
+    """Mean distance between equal shares of two profiles, over the target's mean, within which one is confirmed."""
     mpm_runs: int = 8
     """Most MPM runs that the loop may spend."""
     seeds: int = 4

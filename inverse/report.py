@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 
 from datasets import files
 from inverse import pictures
-from inverse.observations import Observation, Profile
+from inverse.observations import Values
 from inverse.problem import Problem
 from inverse.result import Result, peak_memory_mib
 from inverse.target import Target
 from inverse.unknowns import KINDS
 
 
-def write(result: Result, deposit: NDArray[np.floating], observation: Observation, folder: Path) -> None:
+def write(result: Result, deposit: NDArray[np.floating], folder: Path) -> None:
     """Write `report.md` and its pictures into `folder`; `deposit` [m], shape [N, D], is the prediction's."""
     problem, target = result.problem, result.target
     deposits = {"surrogate": deposit}
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
-    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target, observation))
+    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target))
     pictures.draw_iterations(folder / "iterations.png", problem, result.rounds, target.truth)
     lines = [
         f"# {problem.name}",
@@ -44,11 +44,9 @@ def write(result: Result, deposit: NDArray[np.floating], observation: Observatio
     files.write_text(folder / "report.md", "\n".join(lines) + "\n")
 
 
-def observed(target: Target, observation: Observation) -> tuple[Profile, NDArray[np.float64]] | float | None:
+def observed(target: Target) -> tuple[Values, Values] | float | None:
     """What a picture shows of a target whose deposit is not known."""
-    if target.deposit is not None:
-        return None
-    return (observation, target.values) if isinstance(observation, Profile) else target.edge
+    return None if target.deposit is not None else target.profile or target.edge
 
 
 def question(problem: Problem) -> str:

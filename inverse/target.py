@@ -28,6 +28,8 @@ class Target:
     """How far the deposit reaches [m]: what the front of an MPM run is held against."""
     deposit: NDArray[np.floating] | None = None
     """Where known: positions of the deposit [m], shape [N, D]."""
+    profile: tuple[NDArray[np.float64], Values] | None = None
+    """Where it was measured: stations and heights of the deposit [m], both of shape [S]."""
     truth: dict[str, float] | None = None
     """Where known: the true unknowns."""
 
@@ -56,8 +58,9 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
         return Target(values=values, edge=observation.edge(values))
     if settings.csv is not None:
         assert isinstance(observation, Profile)
-        values = read_profile(problem.folder / settings.csv, observation.stations)
-        return Target(values=values, edge=observation.edge(values))
+        heights = read_profile(problem.folder / settings.csv, observation.stations)
+        values = observation.of_heights(heights)
+        return Target(values=values, edge=observation.edge(values), profile=(observation.stations, heights))
     truth = None
     if settings.hidden:
         scene = hidden_scene(problem)

@@ -45,7 +45,7 @@ class Corrected:
         return [self.shown + self.response @ (value - self.base) for value in self.surrogate.observe(unknowns)]
 
     def learn(self, unknowns: Sequence[Vector], shown: Sequence[Values], scatter: float) -> None:
-        """Broyden's update for several runs at once: let y pass through the MPM's `shown` [M] at `unknowns` [U] as well.
+        """Broyden's update for several runs at once: y passes through the MPM's `shown` [M] at `unknowns` [U] as well.
 
         Where the surrogate says that runs should hardly differ, what they differ by is mostly the MPM's own `scatter`
         [m], and the update fades. Once there are as many runs as unknowns, they say all there is to say to first

@@ -58,7 +58,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path =
         values=target.values, edge=target.edge, deposit=deposit, truth={problem.unknowns[0].name: hidden_deg}
     )
     result = dataclasses.replace(solved.result, target=revealed)
-    finish(dataclasses.replace(solved, result=result), observation, out)
+    finish(dataclasses.replace(solved, result=result), out)
 
 
 if __name__ == "__main__":

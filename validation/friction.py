@@ -89,7 +89,7 @@ def loop_row(problem: Problem, out: Path, simulator: Simulator, paper: Paper) ->
     target = read_target(problem, observation, lambda scene: hidden([scene])[0])
     solved = solve(problem, target, observation, out, source, simulate_many)
     solved.result.write(out)
-    report.write(solved, observation, out)
+    report.write(solved, out)
     print(report.summary(solved.result), flush=True)
     return cells(solved, paper)
 

@@ -156,13 +156,13 @@ def main(problem: str, /, *, out: Path, model: Path = SHIPPED, memory_gib: float
     hidden = KeptRuns(out / "mpm", simulate_many, prefix="target-", deposit_only=True)
     target = read_target(asked, observation, lambda scene: hidden([scene])[0])
     solved = solve(asked, target, observation, out, source, simulate_many)
-    finish(solved, observation, out)
+    finish(solved, out)
 
 
-def finish(solved: Solved, observation: Observation, out: Path) -> None:
+def finish(solved: Solved, out: Path) -> None:
     """Write result, report and pictures, tell the outcome; WorkFailed where the MPM did not confirm."""
     solved.result.write(out)
-    report.write(solved, observation, out)
+    report.write(solved, out)
     print(report.summary(solved.result))
     if solved.result.verdict is not Verdict.CONFIRMED:
         raise WorkFailed(f"the answer is {solved.result.verdict}; the nearest that was found is in {out}/report.md")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from datasets import files
 from inverse import pictures
-from inverse.observations import Observation
 from inverse.optimise import best
 from inverse.problem import Observable
 from inverse.report import known, observed, price, quantity, question, table
@@ -13,7 +12,7 @@ from inverse.unknowns import KINDS
 from validation.solved import Solved
 
 
-def write(solved: Solved, observation: Observation, folder: Path) -> None:
+def write(solved: Solved, folder: Path) -> None:
     """Write `report.md`, `deposit.png` and `iterations.png` into `folder`."""
     result = solved.result
     problem, target = result.problem, result.target
@@ -23,7 +22,7 @@ def write(solved: Solved, observation: Observation, folder: Path) -> None:
     }
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
-    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target, observation))
+    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target))
     checks = [(run.unknowns, run.loss) for run in result.mpm_runs if run.purpose is Purpose.CHECK]
     pictures.draw_iterations(folder / "iterations.png", problem, result.rounds, target.truth, checks)
     lines = [
@@ -86,9 +85,9 @@ def worth(solved: Solved) -> list[str]:
             "the profile, along the direction in which it changes," if is_profile(solved.result) else "the observation"
         )
         lines += [
-            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {KINDS[name].unit} of `{name}`, and scatters by "
-            f"{1e3 * calibration.scatter:.1f} mm between MPM runs that differ in nothing but the initial jitter "
-            f"({len(solved.certainty.runs)} extra runs). The target is one such flow as well."
+            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {KINDS[name].unit} of `{name}`, "
+            f"and scatters by {1e3 * calibration.scatter:.1f} mm between MPM runs that differ in nothing but the "
+            f"initial jitter ({len(solved.certainty.runs)} extra runs). The target is one such flow as well."
         ]
         range_ = {unknown.name: unknown.upper - unknown.lower for unknown in solved.result.problem.unknowns}[name]
         if calibration.half_width >= range_:

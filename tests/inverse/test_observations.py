@@ -8,7 +8,7 @@ from scipy.stats.mstats import hdquantiles
 from datasets import measures
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from inverse.observations import Observation, Profile, build, harrell_davis
+from inverse.observations import SHARES, Observation, Profile, build, harrell_davis
 from inverse.problem import Observable, ObservationSettings
 
 SCENE = Scene(
@@ -57,23 +57,41 @@ def test_the_runout_is_never_beyond_the_first_point() -> None:
     assert of(Observable.RUNOUT).smooth(torch.from_numpy(positions), torch.ones(800)).item() <= positions[:, 0].max()
 
 
-def test_the_smooth_profile_is_the_exact_one() -> None:
-    positions = deposit(800)
-    profile = of(Observable.PROFILE)
+def test_a_profile_says_behind_which_x_a_share_of_the_points_lies() -> None:
+    positions = deposit(3200)
+    wanted = np.quantile(positions[:, 0], SHARES)
+    np.testing.assert_allclose(of(Observable.PROFILE).exact(positions), wanted, atol=0.004)
+
+
+def test_a_deposit_moved_is_a_profile_moved() -> None:
+    """Heights of fronts that do not overlap would not tell how far they are apart."""
+    positions, profile = deposit(3200) + np.array([0.1, 0.0]), of(Observable.PROFILE)
+    for distance in (0.02, 0.1, 0.2):
+        moved = profile.exact(positions + np.array([distance, 0.0])) - profile.exact(positions)
+        np.testing.assert_allclose(moved, distance, atol=1e-3)
+
+
+def test_heights_are_those_of_the_measures() -> None:
+    positions, profile = deposit(800), of(Observable.PROFILE)
     assert isinstance(profile, Profile)
-    exact = measures.height_profile(positions, CELL_VOLUME, profile.stations)
-    np.testing.assert_allclose(profile.exact(positions), exact, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        profile.heights(positions), measures.height_profile(positions, CELL_VOLUME, profile.stations), rtol=1e-12
+    )
+
+
+def test_the_smooth_profile_is_the_exact_one() -> None:
+    positions, profile = deposit(800), of(Observable.PROFILE)
     smooth = profile.smooth(torch.from_numpy(positions), torch.full((800,), CELL_VOLUME)).numpy()
-    np.testing.assert_allclose(smooth, exact, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(smooth, profile.exact(positions), rtol=1e-9)
 
 
 def test_a_profile_weighs_points_by_their_volume() -> None:
+    x = torch.from_numpy(np.random.default_rng(3).random((400, 2)) * 0.6)
+    volumes = torch.ones(400)
+    volumes[:100] = 2.0
     profile = of(Observable.PROFILE)
-    positions = torch.tensor([[0.10, 0.0], [0.50, 0.0]], dtype=torch.float64)
-    heights = profile.smooth(positions, torch.tensor([3.0, 1.0])).numpy()
-    assert heights[5] == pytest.approx(3.0 * heights[25])
-    # All of it: 0.08 m^2 over stations 0.02 m apart.
-    assert heights.sum() * 0.02 == pytest.approx(0.08)
+    twice = profile.smooth(torch.cat([x, x[:100]]), torch.ones(500)).numpy()
+    np.testing.assert_allclose(profile.smooth(x, volumes).numpy(), twice, rtol=1e-9)
 
 
 def test_the_edge_of_a_profile_is_the_front_of_its_area() -> None:

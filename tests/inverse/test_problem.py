@@ -12,6 +12,7 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse import observations
 from inverse.__main__ import main
+from inverse.observations import SHARES
 from inverse.problem import PROBLEMS, Observable, Problem, TargetSettings, read_problem
 from inverse.target import hidden_scene, read_target
 
@@ -149,10 +150,12 @@ def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
     (tmp_path / "profile.csv").write_text("x,height\n0.0,0.2\n0.4,0.0\n")
     problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
     target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
-    np.testing.assert_allclose(target.values[:3], [0.2, 0.19, 0.18])
-    assert not target.values[20:].any()
+    assert target.profile is not None
+    np.testing.assert_allclose(target.profile[1][:3], [0.2, 0.19, 0.18])
+    assert not target.profile[1][20:].any()
     # A triangle: 1 - sqrt(1 - q) of its length.
     assert target.edge == pytest.approx(0.4 * (1.0 - np.sqrt(0.005)), abs=0.01)
+    np.testing.assert_allclose(target.values, 0.4 * (1.0 - np.sqrt(1.0 - np.array(SHARES))), atol=0.005)
 
 
 @pytest.mark.parametrize(

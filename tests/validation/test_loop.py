@@ -84,7 +84,7 @@ def test_a_target_that_no_angle_reaches_is_unreachable(
     # Not on the surrogate's word: the MPM has been asked on the bound and beside it.
     assert len({run.unknowns["friction_deg"] for run in outcome.result.mpm_runs}) >= 2
     with pytest.raises(WorkFailed, match="unreachable"):
-        finish(outcome, case.observation, tmp_path)
+        finish(outcome, tmp_path)
     assert "Nothing within the bounds" in (tmp_path / "report.md").read_text()
 
 
@@ -95,7 +95,7 @@ def test_a_spent_budget_is_unconfirmed(make_case: Any, tmp_path: Path) -> None:
     assert outcome.result.verdict is Verdict.UNCONFIRMED
     assert checks(outcome.result) == 1
     with pytest.raises(WorkFailed, match="unconfirmed"):
-        finish(outcome, case.observation, tmp_path)
+        finish(outcome, tmp_path)
     assert json.loads((tmp_path / "result.json").read_text())["verdict"] == "unconfirmed"
 
 
@@ -147,7 +147,7 @@ def test_every_run_is_kept_with_its_scene(make_case: Any, tmp_path: Path) -> Non
 def test_result_and_report_say_what_the_design_promises(make_case: Any, tmp_path: Path, kind: Observable) -> None:
     case = make_case(truth=24.0, steepness=0.5, kind=kind)
     outcome = solved(case, tmp_path)
-    finish(outcome, case.observation, tmp_path)
+    finish(outcome, tmp_path)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result.keys() == RESULT_KEYS
     assert result["verdict"] == "confirmed"
@@ -184,14 +184,15 @@ def test_the_inversion_never_sees_the_truth(make_case: Any, tmp_path: Path) -> N
 def test_a_number_alone_is_enough(make_case: Any, tmp_path: Path) -> None:
     case = make_case(settings=TargetSettings(value=0.79), steepness=0.5)
     outcome = solved(case, tmp_path)
-    finish(outcome, case.observation, tmp_path)
+    finish(outcome, tmp_path)
     assert outcome.result.verdict is Verdict.CONFIRMED
     assert json.loads((tmp_path / "result.json").read_text())["truth"] is None
 
 
 def test_a_measured_profile_is_met(make_case: Any, tmp_path: Path) -> None:
     case = make_case(truth=24.0, kind=Observable.PROFILE)
-    rows = zip(case.observation.stations, case.target.values, strict=True)
+    assert case.target.deposit is not None
+    rows = zip(case.observation.stations, case.observation.heights(case.target.deposit), strict=True)
     (tmp_path / "seen.csv").write_text("x,height\n" + "".join(f"{x},{height}\n" for x, height in rows))
     measured = make_case(kind=Observable.PROFILE, settings=TargetSettings(csv="seen.csv"), steepness=0.5)
     result = solved(measured, tmp_path / "out").result
