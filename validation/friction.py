@@ -54,7 +54,7 @@ def main(*, out: Path, model: Path = SHIPPED, problems: tuple[str, ...] = (), co
         "",
         *table(HEAD, rows),
         "",
-        "The paper stops at the surrogate's answer, and starts there from the MPM's first frames as we do.",
+        "The paper's angles are its surrogate's alone; nothing corrects them there.",
         "",
     ]
     if compare:
