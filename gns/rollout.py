@@ -28,7 +28,7 @@ def rollout(
     model: Path = SHIPPED,
     start: Path | None = None,
     seed: int = 0,
-    threads: int = 2,
+    threads: int = 1,
 ) -> None:
     """Run a scene with the learned simulator; leaves OUT/trajectory.npz and OUT/summary.json.
 

@@ -183,7 +183,7 @@ def train(
     minutes: float = 60.0,
     resume: bool = False,
     seed: int = 0,
-    threads: int = 2,
+    threads: int = 1,
     model: Annotated[ModelSettings, Parameter(name="*")] = MODEL,
     training: Annotated[TrainingSettings, Parameter(name="*")] = TRAINING,
 ) -> None:

@@ -74,13 +74,14 @@ def comparison(problem: Problem, simulator: Simulator, paper: Paper) -> list[str
                     paper_seconds=seconds if variant is fine else None,
                 )
             )
-    rows = []
+    rows, outcomes = [], []
     for way in ways:
         mpm.runs = 0
         result = invert(way.problem, target, way.evaluate)
         spent = mpm.runs
         (shown,) = mpm.observe([result.answer])
         rows.append(row(way, result, spent, shown))
+        outcomes.append((way.name, abs(shown[0] - target.values[0]), result.total_seconds))
     return [
         f"## The gradients compared: {problem.name}",
         "",
@@ -88,6 +89,8 @@ def comparison(problem: Problem, simulator: Simulator, paper: Paper) -> list[str
         "",
         *table(HEAD, rows),
         "",
+        f"Nearest to the target in the MPM: {min(outcomes, key=lambda outcome: outcome[1])[0]}. "
+        f"Soonest done: {min(outcomes, key=lambda outcome: outcome[2])[0]}.",
         f"The paper's angle by differences with its GNS: {paper.fd_gns_phi_estimated:.2f} deg.",
     ]
 
