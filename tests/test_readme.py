@@ -11,7 +11,7 @@ from inverse.problem import PROBLEMS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-COMMANDS = re.findall(r"`python -m (\S+) ?([^`]*)`", README)
+COMMANDS = re.findall(r"`python -m ([^\s`]+) ?([^`]*)`", README)
 
 
 def test_there_are_commands() -> None:
