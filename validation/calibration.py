@@ -46,7 +46,8 @@ def calibrate(unknown: NDArray[np.float64], seen: NDArray[np.float64], target: f
     """Invert the curve through `seen` [m] over `unknown`, both of shape [n], n >= 3, at `target` [m]."""
     if len(seen) >= ENOUGH_FOR_A_CURVE and len(np.unique(unknown)) >= 3:
         curved = _calibrate(unknown, seen, target, noise, degree=2)
-        if curved is not None:
+        # Where so few runs cannot tell slope and bend apart, the slope is what counts.
+        if curved is not None and math.isfinite(curved.half_width):
             return curved
     straight = _calibrate(unknown, seen, target, noise, degree=1)
     assert straight is not None
