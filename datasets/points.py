@@ -72,3 +72,9 @@ def lattice_counts(mass: Mass, share: float) -> list[int]:
     others = math.prod(counts) // counts[longest]
     counts[longest] = max(1, round(math.prod(mass.size) / (share ** len(counts) * others)))
     return counts
+
+
+def point_count(scene: Scene) -> int:
+    """How many points `material_points` makes."""
+    share = scene.domain.cell / scene.points_per_axis
+    return sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)

@@ -71,6 +71,8 @@ class Scene(Strict):
     """Coulomb coefficient of the floor y = 0 [-]."""
     wall_friction: float = 0.0
     """Coulomb coefficient of every other wall of the box [-]."""
+    baffle_friction: float = 0.0
+    """Coulomb coefficient of every face of the baffles [-]."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     step_fraction: float = 0.4
@@ -161,6 +163,7 @@ def check(scene: Scene) -> None:
     require(-90.0 < scene.slope_deg < 90.0, "slope_deg", "an angle in (-90, 90) degrees", scene.slope_deg)
     require(scene.floor_friction >= 0.0, "floor_friction", "a coefficient of at least 0", scene.floor_friction)
     require(scene.wall_friction >= 0.0, "wall_friction", "a coefficient of at least 0", scene.wall_friction)
+    require(scene.baffle_friction >= 0.0, "baffle_friction", "a coefficient of at least 0", scene.baffle_friction)
     require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)

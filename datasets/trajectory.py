@@ -15,6 +15,14 @@ from datasets.scene import Scene
 
 Floats = NDArray[np.float32]
 
+FIELDS = {
+    "velocities": np.float32,
+    "pressure": np.float32,
+    "plastic_strain": np.float32,
+    "baffle_impulse": np.float64,
+}
+"""What a simulation may have recorded besides the positions, and as what it is stored."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
@@ -32,9 +40,21 @@ class Trajectory:
     """The scene it came from."""
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.summary`."""
+    velocities: Floats | None = None
+    """Velocities [m/s], shape [T, N, D]."""
+    pressure: Floats | None = None
+    """Mean compressive stress -tr(sigma)/3 [Pa], compression positive, shape [T, N]."""
+    plastic_strain: Floats | None = None
+    """Accumulated equivalent deviatoric plastic strain [-], shape [T, N]."""
+    baffle_impulse: NDArray[np.float64] | None = None
+    """Momentum given to each baffle since the start [N s, in 2D per metre of width], shape [T, B, D].
+
+    Its derivative is the force of the impact.
+    """
 
     def save(self, path: Path) -> None:
-        """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings."""
+        """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
+        fields = {key: (getattr(self, key), kind) for key, kind in FIELDS.items()}
         with replacing(path) as part:
             np.savez(
                 part,
@@ -44,6 +64,7 @@ class Trajectory:
                 friction=self.friction.astype(np.float32, copy=False),
                 scene=np.array(self.scene.to_json()),
                 summary=np.array(json.dumps(self.summary)),
+                **{key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None},
             )
 
     @staticmethod
@@ -54,16 +75,28 @@ class Trajectory:
             if key not in arrays:
                 raise InputError("expected an array, the key is missing", where=str(path), key=key)
         positions = arrays["positions"]
-        if positions.ndim != 3 or positions.shape[2] not in (2, 3):
-            raise InputError(f"expected shape [T, N, 2 or 3], got {positions.shape}", where=str(path), key="positions")
+        if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
+            expected = "shape [T, N, 2 or 3], at least one frame of one point"
+            raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
         frames, points, dimension = positions.shape
-        for key, shape in (("time", (frames,)), ("velocity0", (points, dimension)), ("friction", (points,))):
+        scene = scene_in(arrays["scene"], path)
+        shapes: dict[str, tuple[int, ...]] = {
+            "positions": positions.shape,
+            "time": (frames,),
+            "velocity0": (points, dimension),
+            "friction": (points,),
+            "velocities": positions.shape,
+            "pressure": (frames, points),
+            "plastic_strain": (frames, points),
+            "baffle_impulse": (frames, len(scene.baffles), dimension),
+        }
+        for key, shape in shapes.items():
+            if key not in arrays:
+                continue
             if arrays[key].shape != shape:
                 raise InputError(f"expected shape {shape}, got {arrays[key].shape}", where=str(path), key=key)
-        for key in ("positions", "time", "velocity0", "friction"):
             if not np.issubdtype(arrays[key].dtype, np.floating):
                 raise InputError(f"expected floating-point numbers, got {arrays[key].dtype}", where=str(path), key=key)
-        scene = scene_in(arrays["scene"], path)
         if scene.dimension != dimension:
             raise InputError(
                 f"expected {scene.dimension}D positions as in the scene, got {dimension}D",
@@ -81,6 +114,7 @@ class Trajectory:
             friction=arrays["friction"].astype(np.float32, copy=False),
             scene=scene,
             summary=summary,
+            **{key: arrays[key].astype(kind, copy=False) for key, kind in FIELDS.items() if key in arrays},
         )
 
 

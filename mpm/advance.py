@@ -1,138 +1,201 @@
-"""Frames of MLS-MPM steps: the one kernel of the solver.
+"""The kernel: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
 
-One scene runs on one thread from the first step of a launch to the last: no atomics, no barriers, and the result is the
-same to the bit on any number of threads.
+Many scenes: a scene runs on one thread from the first step of a launch to the last: no atomics, no barriers, and the
+result is the same to the bit on any number of threads. One large scene: each thread has its own part of the points and
+its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A launch
+costs Taichi a third of a millisecond, as much as a step of 10,000 points, so the threads wait for each other inside it.
 """
+
+from collections.abc import Callable
+from enum import Enum, auto
+from functools import cache
+from typing import Any
 
 import taichi as ti
 
-from mpm.layout import Energy, Place, Property, Setting
-from mpm.nodes import clear, update_nodes
-from mpm.transfer import grid_to_points, points_to_grid
+from mpm.layout import Needs, Pace, Place, Setting, Worker
+from mpm.motion import move_block, move_points
+from mpm.nodes import clear, rows_of, update_node, update_nodes
+from mpm.note import note, note_block, note_scene, squared_speed, steps_at_speed, steps_of_frame
+from mpm.transfer import block_to_grid, points_to_grid
 
-STABILITY = 1.0
-"""Largest (wave speed + point speed) dt / dx. Measured clean up to 1.1 in 2D."""
-RUNAWAY = 10.0
-"""Point speed over wave speed at which a run has blown up."""
 TURNS = 512
 """Taichi hands a thread no fewer turns of a loop than these."""
 
-Array = ti.types.ndarray()
-Flat = ti.types.ndarray(ndim=1)
+
+class Phase(Enum):
+    """What a launch does."""
+
+    FRAMES = auto()
+    """Frames from `first` to before `last`, a thread per worker."""
+    SPEED = auto()
+    """The number of steps that each scene needs for its next frame."""
+    STEP = auto()
+    """One step of every scene whose dt is not zero; `last` is the largest number of nodes of a scene."""
+    NOTE = auto()
+    """Record frame `first` of every scene that still moves."""
 
 
-@ti.kernel
-def advance(
-    x: Flat,
-    v: Flat,
-    c: Flat,
-    sigma: Flat,
-    material: Flat,
-    grid: Flat,
-    settings: Array,
-    properties: Array,
-    places: Array,
-    record: Flat,
-    energy: Array,
-    first_frame: ti.i32,
-    last_frame: ti.i32,
-    damped: ti.template(),
-    dilates: ti.template(),
-    several: ti.template(),
-):
-    """Advance every scene from `first_frame` to `last_frame` and record its positions and energies.
+@ti.data_oriented
+class Arrays:
+    """The arrays of a batch by name, as the kernel hands them on; `mpm.batch` says what each holds."""
 
-    `x`, `v` [2 N], `c` [4 N] (rows of C), `sigma` [4 N] (xx, yy, xy, zz), `material` [N], `grid`: all scenes in a row.
-    `damped`, `dilates`, `several` (materials in one scene) are compiled in only where a scene of the batch needs them.
+    def __init__(self, needs: Needs, **arrays: Any) -> None:
+        self.needs = needs
+        vars(self).update(arrays)
+
+
+@ti.func
+def meet(of: ti.template()):
+    """Wait until all workers of a shared scene have come here; nothing where scenes are not shared.
+
+    Each has a thread of its own, because Taichi has as many threads as there are workers. Reading by adding zero keeps
+    the compiler from reading once.
     """
-    ti.loop_config(block_dim=TURNS)
-    for turn in range(places.shape[0] * TURNS):
-        if turn % TURNS != 0:
-            continue
-        scene = turn // TURNS
-        for frame in range(first_frame, ti.min(last_frame, places[scene, Place.FRAMES])):
-            substeps = steps_of_frame(scene, v, settings, places)
-            if substeps == 0:
-                places[scene, Place.FRAMES] = frame
-                break
-            places[scene, Place.STEPS] = places[scene, Place.STEPS] + substeps
-            dt = settings[scene, Setting.FRAME_DT] / substeps
-            for _ in range(substeps):
-                clear(scene, grid, places, damped)
-                points_to_grid(scene, dt, x, v, c, sigma, material, grid, settings, properties, places, damped, several)
-                update_nodes(scene, dt, grid, settings, places, damped)
-                grid_to_points(
-                    scene, dt, x, v, c, sigma, material, grid, settings, properties, places, damped, dilates, several
+    if ti.static(of.needs.shared):
+        count = of.workers.shape[0]
+        goal = (ti.atomic_add(of.gate[0], 1) // count + 1) * count
+        while ti.atomic_add(of.gate[0], 0) < goal:
+            pass
+
+
+@ti.func
+def advance_worker(worker, first, last, of: ti.template()):
+    """Compute the frames [first, last) of a worker's part of its scene; record them if it is the scene's first."""
+    scene = of.workers[worker, Worker.SCENE]
+    rows = rows_of(scene, of)
+    for frame in range(first, ti.min(last, of.places[scene, Place.FRAMES])):
+        if of.places[scene, Place.REST] > 0:
+            break
+        substeps = steps_of_frame(scene, of)
+        meet(of)
+        if substeps == 0:
+            of.places[scene, Place.FRAMES] = frame
+            break
+        dt = of.settings[scene, Setting.FRAME_DT] / substeps
+        for _ in range(substeps):
+            clear(worker, rows, of)
+            points_to_grid(worker, scene, dt, rows, of)
+            meet(of)
+            update_nodes(worker, scene, dt, rows, of)
+            meet(of)
+            move_points(worker, scene, dt, rows, of)
+        meet(of)
+        if worker == 0 or not ti.static(of.needs.shared):
+            of.places[scene, Place.STEPS] = of.places[scene, Place.STEPS] + substeps
+            note(scene, frame, of)
+        meet(of)
+
+
+@cache
+def kernel(needs: Needs) -> Callable[..., None]:
+    """The kernel for scenes with `needs`; nothing else is compiled into it.
+
+    It takes the arrays of `mpm.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
+    record the frames [first, last). The others are parts of a frame, each on as many threads as there are points, for a
+    GPU: see `mpm.device`.
+    """
+    real = ti.f32 if needs.precision == "f32" else ti.f64
+    numbers = ti.types.ndarray(dtype=real, ndim=1)
+    blocks = numbers if needs.gpu else ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+    nodes = ti.types.ndarray(dtype=ti.types.vector(needs.node, real), ndim=1)
+    table = ti.types.ndarray(dtype=real, ndim=2)
+    integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
+    integer_table = ti.types.ndarray(dtype=ti.i32, ndim=2)
+    singles = ti.types.ndarray(dtype=ti.f32, ndim=1)
+    doubles = ti.types.ndarray(dtype=ti.f64, ndim=1)
+    double_table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+
+    @ti.kernel
+    def advance(
+        state: blocks,
+        lanes: numbers,
+        grid: nodes,
+        scratch: blocks,
+        scratch_lanes: numbers,
+        impulse: blocks,
+        impulse_lanes: numbers,
+        settings: table,
+        properties: table,
+        baffles: table,
+        places: integer_table,
+        workers: integer_table,
+        order: integers,
+        record: singles,
+        fields: singles,
+        energy: doubles,
+        taken: double_table,
+        gate: integers,
+        clamped: integers,
+        owner: integers,
+        pace: table,
+        first: ti.i32,
+        last: ti.i32,
+        phase: ti.template(),
+    ):
+        # `ti.static` makes the object while the kernel is compiled.
+        of = ti.static(
+            [
+                Arrays(
+                    needs,
+                    state=state,
+                    lanes=lanes,
+                    grid=grid,
+                    scratch=scratch,
+                    scratch_lanes=scratch_lanes,
+                    impulse=impulse,
+                    impulse_lanes=impulse_lanes,
+                    settings=settings,
+                    properties=properties,
+                    baffles=baffles,
+                    places=places,
+                    workers=workers,
+                    order=order,
+                    record=record,
+                    fields=fields,
+                    energy=energy,
+                    taken=taken,
+                    gate=gate,
+                    clamped=clamped,
+                    owner=owner,
+                    pace=pace,
                 )
-            note(scene, frame, x, v, c, sigma, material, settings, properties, places, record, energy, several)
+            ]
+        )[0]
+        if ti.static(phase == Phase.FRAMES):
+            ti.loop_config(block_dim=TURNS)
+            for turn in range(workers.shape[0] * TURNS):
+                if turn % TURNS == 0:
+                    advance_worker(turn // TURNS, first, last, of)
+        if ti.static(phase == Phase.SPEED):
+            for scene in range(places.shape[0]):
+                pace[scene, Pace.SPEED] = 0.0
+            for block in range(owner.shape[0]):
+                ti.atomic_max(pace[owner[block], Pace.SPEED], ti.sqrt(squared_speed(block, of)))
+            for scene in range(places.shape[0]):
+                pace[scene, Pace.STEPS] = steps_at_speed(scene, pace[scene, Pace.SPEED], of)
+        if ti.static(phase == Phase.STEP):
+            for n in range(grid.shape[0]):
+                grid[n] = 0.0 * grid[n]
+            for block in range(owner.shape[0]):
+                scene = owner[block]
+                if pace[scene, Pace.DT] > 0.0:
+                    at = workers[scene, Worker.NODE]
+                    block_to_grid(at, scene, block, block * needs.scratch, pace[scene, Pace.DT], rows_of(scene, of), of)
+            for q in range(last * places.shape[0]):
+                update_node(q % last, q // last, of)
+            for block in range(owner.shape[0]):
+                scene = owner[block]
+                dt = pace[scene, Pace.DT]
+                if dt > 0.0:
+                    at = workers[scene, Worker.NODE]
+                    move_block(scene, at, scene, block, block * needs.scratch, dt, rows_of(scene, of), of)
+        if ti.static(phase == Phase.NOTE):
+            for block in range(owner.shape[0]):
+                if pace[owner[block], Pace.STEPS] > 0.0:
+                    note_block(owner[block], first, block, of)
+            for scene in range(places.shape[0]):
+                if pace[scene, Pace.STEPS] > 0.0:
+                    note_scene(scene, first, of)
 
-
-@ti.func
-def steps_of_frame(scene, v: ti.template(), settings: ti.template(), places: ti.template()):
-    """The scene's usual number of steps, more where points move so fast that a step would leave the stable range.
-
-    0 where a point outruns the elastic wave many times over: that is no longer physics, and the scene ends.
-    """
-    first = places[scene, Place.POINT]
-    fastest = 0.0
-    for p in range(first, first + places[scene, Place.POINTS]):
-        square = v[2 * p] * v[2 * p] + v[2 * p + 1] * v[2 * p + 1]
-        if ti.math.isnan(square):
-            square = ti.math.inf
-        fastest = ti.max(fastest, square)
-    wave_speed = settings[scene, Setting.WAVE_SPEED]
-    steps = 0
-    if fastest <= (RUNAWAY * wave_speed) ** 2:
-        crossings = settings[scene, Setting.FRAME_DT] * (wave_speed + ti.sqrt(fastest)) / settings[scene, Setting.CELL]
-        steps = ti.max(places[scene, Place.SUBSTEPS], ti.cast(ti.ceil(crossings / STABILITY), ti.i32))
-    return steps
-
-
-@ti.func
-def note(
-    scene,
-    frame,
-    x: ti.template(),
-    v: ti.template(),
-    c: ti.template(),
-    sigma: ti.template(),
-    material: ti.template(),
-    settings: ti.template(),
-    properties: ti.template(),
-    places: ti.template(),
-    record: ti.template(),
-    energy: ti.template(),
-    several: ti.template(),
-):
-    """Record positions and energies of a frame.
-
-    Kinetic energy is that of the points and of the affine motion around them, m C : C dx^2 / 8, which APIC carries too;
-    elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E).
-    """
-    volume, dx = settings[scene, Setting.VOLUME], settings[scene, Setting.CELL]
-    gravity_x, gravity_y = settings[scene, Setting.GRAVITY_X], settings[scene, Setting.GRAVITY_Y]
-    first, count = places[scene, Place.POINT], places[scene, Place.POINTS]
-    offset = places[scene, Place.RECORD] + 2 * frame * count
-    kind = places[scene, Place.MATERIAL]
-    kinetic, potential, elastic = 0.0, 0.0, 0.0
-    for p in range(first, first + count):
-        if ti.static(several):
-            kind = material[p]
-        mass = volume * properties[kind, Property.DENSITY]
-        n = offset + 2 * (p - first)
-        record[n], record[n + 1] = x[2 * p], x[2 * p + 1]
-        vv = v[2 * p] * v[2 * p] + v[2 * p + 1] * v[2 * p + 1]
-        cc = 0.0
-        for k in ti.static(range(4)):
-            cc += c[4 * p + k] * c[4 * p + k]
-        kinetic += 0.5 * mass * (vv + 0.25 * dx * dx * cc)
-        potential -= mass * (gravity_x * x[2 * p] + gravity_y * x[2 * p + 1])
-        sxx, syy, sxy, szz = sigma[4 * p], sigma[4 * p + 1], sigma[4 * p + 2], sigma[4 * p + 3]
-        square = sxx * sxx + syy * syy + szz * szz + 2.0 * sxy * sxy
-        trace = sxx + syy + szz
-        deviator, spherical = properties[kind, Property.ELASTIC_DEVIATOR], properties[kind, Property.ELASTIC_TRACE]
-        elastic += volume * (deviator * square - spherical * trace * trace)
-    line = frame + places[scene, Place.ENERGY]
-    energy[line, Energy.KINETIC] = kinetic
-    energy[line, Energy.POTENTIAL] = potential
-    energy[line, Energy.ELASTIC] = elastic
+    return advance

@@ -1,9 +1,20 @@
-"""Where the kernel finds things: columns of the plain arrays that describe a batch of scenes."""
+"""Where the kernels find things: what a batch needs compiled, and the columns of the arrays that describe it.
 
+Points live in blocks of `lanes` points, one vector register wide. A block holds one such vector per number of a point
+(its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to and from
+the grid reach single lanes of the same memory through a second, scalar view of it.
+"""
+
+from dataclasses import dataclass
 from enum import IntEnum, auto
+from typing import ClassVar, Literal
+
+Precision = Literal["f32", "f64"]
 
 PADDING = 3
 """Cells of grid beyond every wall: a quadratic B-spline reaches one and a half."""
+ALIGNMENT = 64
+"""Bytes: vector loads of a whole register fail on less."""
 
 
 class Column(IntEnum):
@@ -24,12 +35,13 @@ class Setting(Column):
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
     WALL_FRICTION = auto()  # [-]
+    BAFFLE_FRICTION = auto()  # [-]
     DAMPING = auto()  # [-]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [materials, len(Property)]."""
+    """Columns of `properties`, real, shape [scenes, len(Property)]; of each point where a scene has several."""
 
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
@@ -45,27 +57,167 @@ class Property(Column):
 class Place(Column):
     """Columns of `places`, integers, shape [scenes, len(Place)]: where a scene lies in the flat arrays; counters."""
 
-    POINT = auto()  # its first point
+    BLOCK = auto()  # its first block of points
     POINTS = auto()  # how many
-    NODE = auto()  # its first grid node
     CELLS_X = auto()
     CELLS_Y = auto()
+    CELLS_Z = auto()
     RECORD = auto()  # its first number in `record`
     ENERGY = auto()  # its first line in `energy`
-    MATERIAL = auto()  # its (first) material
+    BAFFLE = auto()  # its first line in `baffles`
+    BAFFLES = auto()  # how many
+    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where fields are recorded
+    TAKEN = auto()  # its first line in `taken`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
-    BOX_LEFT = auto()  # the nodes that hold material: columns [left, right), rows [bottom, top)
-    BOX_RIGHT = auto()
-    BOX_BOTTOM = auto()
-    BOX_TOP = auto()
     STEPS = auto()  # taken so far
-    CLAMPED = auto()  # how often a point had to be put back into the box
+    REST = auto()  # the frame in which it came to rest, 0 while it moves
+
+
+class Worker(Column):
+    """Columns of `workers`, integers, shape [workers, len(Worker)]: the part of a scene that one thread computes."""
+
+    SCENE = auto()
+    FIRST = auto()  # its blocks: [first, last)
+    LAST = auto()
+    NODE = auto()  # the first node of its grid
+    SCRATCH = auto()  # its first vector of `scratch`
+    IMPULSE = auto()  # its first vector of `impulse`
+    LOW_X = auto()  # the nodes that its material reaches: [low, high)
+    LOW_Y = auto()
+    LOW_Z = auto()
+    HIGH_X = auto()
+    HIGH_Y = auto()
+    HIGH_Z = auto()
+
+
+class Pace(Column):
+    """Columns of `pace`, real, shape [scenes, len(Pace)]: how a scene moves on, where each step is a launch."""
+
+    DT = auto()  # of the next step [s]; 0 where the scene waits for others
+    SPEED = auto()  # of its fastest point [m/s]
+    STEPS = auto()  # of its next frame; 0 where it has ended
 
 
 class Energy(Column):
-    """Columns of `energy`, real [J per metre of width], shape [all frames, len(Energy)]."""
+    """Columns of `energy`, real [J, per metre of width in 2D], shape [all frames, len(Energy)]."""
 
     KINETIC = auto()
     POTENTIAL = auto()
     ELASTIC = auto()
+
+
+class Field(Column):
+    """What is recorded of every point in every frame, on request, in this order after its D velocities."""
+
+    PRESSURE = auto()  # -tr(sigma) / 3 [Pa]
+    PLASTIC_STRAIN = auto()  # accumulated equivalent deviatoric plastic strain [-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
+
+    dimension: int
+    precision: Precision
+    damped: bool = False
+    cohesive: bool = False
+    """Strength without pressure: cohesion, and with it a tension cutoff."""
+    dilates: bool = False
+    several: bool = False
+    """Materials in one scene."""
+    baffles: bool = False
+    fields: bool = False
+    """Velocity, pressure and plastic strain are recorded."""
+    shared: bool = False
+    """One scene, on several threads."""
+    gpu: bool = False
+    """A thread per point and atomic sums, for many threads; else a thread per scene or per part of it."""
+    rests: bool = False
+    """A scene ends when its deposit has come to rest."""
+
+    _data_oriented: ClassVar[bool] = True
+    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+
+    @property
+    def lanes(self) -> int:
+        """Points in a block: what a register of 64 bytes holds; one on a GPU."""
+        if self.gpu:
+            return 1
+        return 16 if self.precision == "f32" else 8
+
+    # The vectors of a block: position from 0, velocity, C row by row, stress, and what only some scenes need.
+
+    @property
+    def velocity(self) -> int:
+        """First vector of a block that holds velocity."""
+        return self.dimension
+
+    @property
+    def affine(self) -> int:
+        """First of the D x D vectors of APIC's C, row by row."""
+        return 2 * self.dimension
+
+    @property
+    def stress(self) -> int:
+        """First vector of the stress: xx, yy, zz, xy and, in 3D, yz, zx."""
+        return self.affine + self.dimension**2
+
+    @property
+    def stresses(self) -> int:
+        """Components of the stress; 2D is plane strain."""
+        return 4 if self.dimension == 2 else 6
+
+    @property
+    def plastic_strain(self) -> int:
+        """Vector of the plastic strain, where `fields`."""
+        return self.stress + self.stresses
+
+    @property
+    def properties(self) -> int:
+        """First vector of the material properties, where `several`."""
+        return self.plastic_strain + int(self.fields)
+
+    @property
+    def present(self) -> int:
+        """Vector of ones, and of zeros in the lanes that only mirror a scene's last point."""
+        return self.properties + (len(Property) if self.several else 0)
+
+    @property
+    def block(self) -> int:
+        """Vectors in a block."""
+        return self.present + 1
+
+    @property
+    def impulses(self) -> bool:
+        """The momentum that solids take is recorded."""
+        return self.baffles or self.fields
+
+    # A node: momentum, mass and, where forces stay apart, force.
+
+    @property
+    def node(self) -> int:
+        """Numbers in a node: a short vector, a power of two long."""
+        return 8 if self.damped else 4
+
+    @property
+    def force(self) -> int:
+        """First number of a node that holds force, where `damped`."""
+        return self.dimension + 1
+
+    # The scratch vectors of a worker: weights, then what a block gives to its nodes, then its lowest nodes.
+
+    @property
+    def reach(self) -> int:
+        """Nodes that a point reaches."""
+        return 9 if self.dimension == 2 else 27
+
+    @property
+    def lowest(self) -> int:
+        """First of the D scratch vectors that hold each point's lowest node."""
+        return self.reach + self.node * (1 + self.dimension)
+
+    @property
+    def scratch(self) -> int:
+        """Scratch vectors of a worker."""
+        return self.lowest + self.dimension

@@ -3,30 +3,43 @@
 import os
 from contextlib import redirect_stdout
 from io import StringIO
-from typing import Literal
+from typing import Any, Literal
 
 import taichi as ti
 
-Precision = Literal["f32", "f64"]
+from datasets.errors import InputError
+from mpm.layout import Precision
 
-_running: tuple[Precision, int] | None = None
+Arch = Literal["cpu", "cuda"]
+ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
+
+_running: tuple[Precision, int, Arch] | None = None
 
 
-def start(precision: Precision = "f32", threads: int | None = None) -> None:
-    """Make Taichi ready for `precision` on `threads` cores (all by default)."""
+def start(precision: Precision = "f32", threads: int | None = None, arch: Arch = "cpu") -> None:
+    """Make Taichi ready for `precision` on `threads` cores (all by default), or on a GPU.
+
+    Raises InputError where there is no such GPU.
+    """
     global _running
     threads = threads or os.cpu_count() or 1
-    if _running == (precision, threads):
+    if _running == (precision, threads, arch):
         return
     # Taichi greets on standard output, where commands print what they found.
     with redirect_stdout(StringIO()):
         ti.init(
-            arch=ti.cpu,
+            arch=ARCHES[arch],
             default_fp=ti.f32 if precision == "f32" else ti.f64,
             cpu_max_num_threads=threads,
             # NaNs must stay visible: a run that blows up has to say so.
             fast_math=False,
+            # Vectors stay vectors down to LLVM, which has registers for them (`mpm.lanes`).
+            real_matrix_scalarize=arch != "cpu",
             offline_cache=True,
             log_level=ti.ERROR,
         )
-    _running = (precision, threads)
+    _running = (precision, threads, arch)
+    # Where there is no GPU, Taichi quietly takes the CPU instead.
+    if arch != "cpu" and ti.cfg.arch != ARCHES[arch]:
+        _running = None
+        raise InputError(f"expected a GPU that Taichi can use with {arch}, found none", key="--arch")

@@ -1,9 +1,9 @@
-"""Scenes in, trajectories out: one scene per thread, as many side by side as asked for."""
+"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
 
-import math
+import os
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,208 +11,135 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.points import MaterialPoints, material_points
+from datasets.points import point_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.advance import advance
-from mpm.layout import PADDING, Energy, Place, Property, Setting
-from mpm.nodes import node_width
-from mpm.runtime import Precision
+from mpm.advance import Phase, kernel
+from mpm.batch import Batch
+from mpm.device import run_on_device
+from mpm.layout import Field, Place, Precision, Worker
+from mpm.runtime import Arch
 from mpm.summary import summarise
 
 FRAMES_PER_LAUNCH = 20
 """Between two launches the progress bar moves and Ctrl-C is heard."""
+LARGE = 20_000
+"""Points from which one scene is faster on all threads than on one."""
+SORTED = 50_000
+"""Points from which they are sorted by cell at every launch."""
 
 
-def simulate(
-    scene: Scene, *, precision: Precision = "f32", threads: int | None = None, progress: bool = False
-) -> Trajectory:
-    """Run one scene. Raises InputError for what the solver does not do, WorkFailed if the run blew up."""
-    return simulate_many([scene], precision=precision, threads=threads, progress=progress)[0]
+class Options(TypedDict, total=False):
+    """How to run a scene."""
+
+    precision: Precision
+    """f32 unless given."""
+    threads: int | None
+    """All cores unless given."""
+    arch: Arch
+    """The CPU unless given; on a GPU all scenes of a batch run in one launch per step."""
+    fields: bool
+    """Record velocities, pressure and plastic strain too."""
+    until_rest: bool
+    """End a scene when its kinetic energy has fallen below a thousandth of its maximum, and fill the frames that are
+    left with the last one; the summary's `rest_time` [s] says when."""
+    progress: bool
+    """Show a bar."""
 
 
-def simulate_many(
-    scenes: Sequence[Scene], *, precision: Precision = "f32", threads: int | None = None, progress: bool = False
-) -> list[Trajectory]:
-    """Run scenes side by side, one per thread; each trajectory is the same to the bit as when run alone.
+def simulate(scene: Scene, **options: Unpack[Options]) -> Trajectory:
+    """Run one scene, a large one on all threads. Raises WorkFailed if it blew up, InputError where there is no GPU."""
+    return simulate_many([scene], **options)[0]
 
-    `threads` defaults to all cores. Raises as `simulate`.
+
+def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
+    """Run scenes of one dimension side by side, one per thread; each is the same to the bit as alone on one thread.
+
+    Errors as `simulate`.
     """
-    for scene in scenes:
-        if scene.dimension != 2:
-            raise InputError("expected 2 lengths, the solver is two-dimensional", key="domain.size")
-        if scene.baffles:
-            raise InputError("expected no baffles, the solver does not have them yet", key="baffles")
-    runtime.start(precision, threads)
-    batch = Batch(scenes, np.dtype(np.float32 if precision == "f32" else np.float64))
+    if len({scene.dimension for scene in scenes}) > 1:
+        raise InputError("expected scenes of one dimension, got 2D and 3D", key="domain.size")
+    precision, arch = options.get("precision", "f32"), options.get("arch", "cpu")
+    threads = options.get("threads") or os.cpu_count() or 1
+    runtime.start(precision, threads, arch)
+    large = len(scenes) == 1 and threads > 1 and point_count(scenes[0]) >= LARGE
+    batch = Batch(
+        scenes,
+        precision=precision,
+        workers=threads if large and arch == "cpu" else 1,
+        fields=options.get("fields", False),
+        until_rest=options.get("until_rest", False),
+        gpu=arch != "cpu",
+    )
+    run = kernel(batch.needs)
     begin = time.perf_counter()
-    batch.advance(0, 0)
+    # No frames: this only compiles. On a GPU the first frame does.
+    if arch == "cpu":
+        run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
     compile_s = time.perf_counter() - begin
 
     begin = time.perf_counter()
     frames = max(scene.frames for scene in scenes)
-    with tqdm(total=frames - 1, unit="frame", disable=not progress, desc="mpm") as bar:
-        for first in range(1, frames, FRAMES_PER_LAUNCH):
-            last = min(first + FRAMES_PER_LAUNCH, frames)
-            batch.advance(first, last)
-            bar.update(last - first)
+    with tqdm(total=frames - 1, unit="frame", disable=not options.get("progress", False), desc="mpm") as bar:
+        if arch == "cpu":
+            run_on_threads(batch, run, bar)
+        else:
+            run_on_device(batch, run, bar)
     wall_s = time.perf_counter() - begin
-    return [batch.trajectory(index, wall_s=wall_s, compile_s=compile_s) for index in range(len(scenes))]
+    return [trajectory(batch, index, arch=arch, wall_s=wall_s, compile_s=compile_s) for index in range(len(scenes))]
 
 
-class Batch:
-    """The flat arrays that the kernel works on, for several scenes in a row."""
+def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]") -> None:
+    """Compute all frames of all scenes of a batch on the threads of the CPU."""
+    frames = max(scene.frames for scene in batch.scenes)
+    for first in range(1, frames, FRAMES_PER_LAUNCH):
+        last = min(first + FRAMES_PER_LAUNCH, frames)
+        for index, points in enumerate(batch.points):
+            if len(points.positions) >= SORTED:
+                batch.sort(index)
+        batch.gate[:] = 0
+        run(*batch.arguments.values(), first, last, Phase.FRAMES)
+        bar.update(last - first)
 
-    def __init__(self, scenes: Sequence[Scene], real: np.dtype[Any]) -> None:
-        self.scenes = list(scenes)
-        self.points = [material_points(scene) for scene in scenes]
-        self.real = real
-        self.damped = any(scene.damping > 0.0 for scene in scenes)
-        materials = list(dict.fromkeys(material for points in self.points for material in points.materials))
-        self.dilates = any(material.dilation_deg > 0.0 for material in materials)
-        self.several = any(len(points.materials) > 1 for points in self.points)
 
-        self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.points, strict=True)], real)
-        self.properties = np.array([properties_row(material) for material in materials], real)
-        self.places = np.zeros((len(scenes), len(Place)), np.int32)
-        self.x = flat([points.positions for points in self.points], real)
-        self.v = flat([points.velocities for points in self.points], real)
-        total = len(self.x) // 2
-        self.c = np.zeros(4 * total, real)
-        self.sigma = np.zeros(4 * total, real)
-        self.material = flat(
-            [np.array([materials.index(m) for m in p.materials])[p.material] for p in self.points], np.dtype(np.int32)
+def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory:
+    """What scene `index` did. Raises WorkFailed where it blew up."""
+    scene, points, place = batch.scenes[index], batch.points[index], batch.places[index]
+    positions, energies = batch.recorded(index).copy(), batch.energies(index)
+    impulses = batch.impulses(index)
+    fields = batch.recorded_fields(index).copy() if batch.needs.fields else None
+    rest, reached = int(place[Place.REST]), int(place[Place.FRAMES])
+    if rest:
+        recorded: list[NDArray[Any]] = [positions, energies, impulses]
+        for series in recorded if fields is None else [*recorded, fields]:
+            series[rest + 1 :] = series[rest]
+    if reached < scene.frames or not np.isfinite(positions).all():
+        raise WorkFailed(
+            f"the simulation blew up at t = {scene.frame_dt * (reached - 1):g} s; "
+            f"try a step_fraction below {scene.step_fraction:g}"
         )
-        point = node = record = line = 0
-        for place, scene, points in zip(self.places, scenes, self.points, strict=True):
-            count = len(points.positions)
-            cells_x, cells_y = (round(length / scene.domain.cell) for length in scene.domain.size)
-            place[Place.POINT], place[Place.POINTS] = point, count
-            place[Place.NODE], place[Place.RECORD], place[Place.ENERGY] = node, record, line
-            place[Place.CELLS_X], place[Place.CELLS_Y] = cells_x, cells_y
-            place[Place.MATERIAL] = materials.index(points.materials[0])
-            place[Place.FRAMES] = scene.frames
-            place[Place.SUBSTEPS] = substeps_per_frame(scene, points.materials)
-            # The first clearing covers everything, then the box closes around the material.
-            place[Place.BOX_RIGHT], place[Place.BOX_TOP] = cells_x + 2 * PADDING + 1, cells_y + 2 * PADDING + 1
-            point += count
-            node += (cells_x + 2 * PADDING + 1) * (cells_y + 2 * PADDING + 1)
-            record += 2 * count * scene.frames
-            line += scene.frames
-        self.grid = np.zeros(node * node_width(self.damped), real)
-        self.record = np.zeros(record, np.float32)
-        self.energy = np.zeros((line, len(Energy)), np.float64)
-        for index, (scene, points) in enumerate(zip(scenes, self.points, strict=True)):
-            self.recorded(index)[0] = points.positions
-            density = np.array([material.density for material in points.materials])[points.material]
-            mass = density * points.volume
-            self.energies(index)[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(points.velocities**2, axis=1))
-            self.energies(index)[0, Energy.POTENTIAL] = -np.sum(mass * (points.positions @ scene.gravity_vector))
-
-    def advance(self, first: int, last: int) -> None:
-        """Compute frames [first, last) of every scene; an empty range only compiles the kernel."""
-        advance(
-            self.x,
-            self.v,
-            self.c,
-            self.sigma,
-            self.material,
-            self.grid,
-            self.settings,
-            self.properties,
-            self.places,
-            self.record,
-            self.energy,
-            first,
-            last,
-            self.damped,
-            self.dilates,
-            self.several,
-        )
-
-    def recorded(self, index: int) -> NDArray[np.float32]:
-        """Positions of one scene [m], shape [T, N, 2]; a view."""
-        place, frames = self.places[index], self.scenes[index].frames
-        count, first = place[Place.POINTS], place[Place.RECORD]
-        return self.record[first : first + 2 * count * frames].reshape(frames, count, 2)
-
-    def energies(self, index: int) -> NDArray[np.float64]:
-        """Energies of one scene [J/m], shape [T, len(Energy)]; a view."""
-        first = self.places[index, Place.ENERGY]
-        return self.energy[first : first + self.scenes[index].frames]
-
-    def trajectory(self, index: int, *, wall_s: float, compile_s: float) -> Trajectory:
-        """What scene `index` did. Raises WorkFailed where it blew up."""
-        scene, points, positions = self.scenes[index], self.points[index], self.recorded(index).copy()
-        reached = int(self.places[index, Place.FRAMES])
-        if reached < scene.frames or not np.isfinite(positions).all():
-            raise WorkFailed(
-                f"the simulation blew up at t = {scene.frame_dt * (reached - 1):g} s; "
-                f"try a step_fraction below {scene.step_fraction:g}"
-            )
-        return Trajectory(
-            positions=positions,
-            time=np.arange(scene.frames, dtype=np.float64) * scene.frame_dt,
-            velocity0=points.velocities.astype(np.float32),
-            friction=points.friction,
-            scene=scene,
-            summary=summarise(
-                positions[-1],
-                energy=self.energies(index),
-                steps=int(self.places[index, Place.STEPS]),
-                clamped=int(self.places[index, Place.CLAMPED]),
-                wall_s=wall_s,
-                compile_s=compile_s,
-                precision="f32" if self.real == np.float32 else "f64",
-            ),
-        )
-
-
-def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
-    """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
-
-    Fixed for a scene, because APIC's dissipation is per step; the kernel takes more in a frame whose points move so
-    fast that (wave speed + speed) dt would leave the cell.
-    """
-    fastest = max(material.wave_speed for material in materials)
-    return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))
-
-
-def settings_row(scene: Scene, points: MaterialPoints) -> list[float]:
-    """One line of `settings`, in the order of `Setting`."""
-    values = {
-        Setting.CELL: scene.domain.cell,
-        Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: points.volume,
-        Setting.GRAVITY_X: scene.gravity_vector[0],
-        Setting.GRAVITY_Y: scene.gravity_vector[1],
-        Setting.FLOOR_FRICTION: scene.floor_friction,
-        Setting.WALL_FRICTION: scene.wall_friction,
-        Setting.DAMPING: scene.damping,
-        Setting.WAVE_SPEED: max(material.wave_speed for material in points.materials),
-    }
-    return [values[column] for column in Setting]
-
-
-def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`."""
-    friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
-    values = {
-        Property.DENSITY: material.density,
-        Property.LAME: material.lame,
-        Property.SHEAR: material.shear_modulus,
-        Property.SIN_PHI: math.sin(friction),
-        Property.SIN_PSI: math.sin(dilation),
-        Property.STRENGTH: 2.0 * material.cohesion * math.cos(friction),
-        Property.LIMIT: material.tension_limit,
-        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
-        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
-    }
-    return [values[column] for column in Property]
-
-
-def flat(arrays: Sequence[NDArray[Any]], kind: np.dtype[Any]) -> NDArray[Any]:
-    """The arrays one after the other, in one dimension."""
-    return np.concatenate([array.ravel() for array in arrays]).astype(kind)
+    dimension = scene.dimension
+    return Trajectory(
+        positions=positions,
+        time=np.arange(scene.frames, dtype=np.float64) * scene.frame_dt,
+        velocity0=points.velocities.astype(np.float32),
+        friction=points.friction,
+        scene=scene,
+        velocities=None if fields is None else fields[:, :, :dimension],
+        pressure=None if fields is None else fields[:, :, dimension + Field.PRESSURE],
+        plastic_strain=None if fields is None else fields[:, :, dimension + Field.PLASTIC_STRAIN],
+        baffle_impulse=impulses[:, : len(scene.baffles)] if scene.baffles else None,
+        summary=summarise(
+            positions[-1],
+            energy=energies,
+            steps=int(place[Place.STEPS]),
+            clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
+            rest_time=rest * scene.frame_dt if rest else None,
+            wall_impulse=None if fields is None else impulses[:, -1],
+            wall_s=wall_s,
+            compile_s=compile_s,
+            arch=arch,
+            precision=batch.needs.precision,
+        ),
+    )

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.measures import front, runout, toe
-from mpm.layout import Energy
-from mpm.runtime import Precision
+from mpm.layout import Energy, Precision
+from mpm.runtime import Arch
 
 
 def summarise(
@@ -16,25 +16,34 @@ def summarise(
     energy: NDArray[np.float64],
     steps: int,
     clamped: int,
+    rest_time: float | None,
+    wall_impulse: NDArray[np.float64] | None,
     wall_s: float,
     compile_s: float,
+    arch: Arch,
     precision: Precision,
 ) -> dict[str, Any]:
     """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
 
     Lengths in metres; `energy` is a series per frame; `clamped` counts how often a point was put back into the box;
-    `wall_s` is the batch's, compilation apart.
+    `rest_time` [s] is when the deposit came to rest, where the run was to end there; `wall_impulse` [N s] the momentum
+    that floor and walls have taken up to each frame, where fields are recorded; `wall_s` is the batch's, compilation
+    apart.
     """
-    return {
+    summary = {
         "runout": runout(deposit),
         "front": front(deposit),
         "toe": list(toe(deposit)),
         "steps": steps,
         "particles": len(deposit),
         "clamped": clamped,
+        "rest_time": rest_time,
         "energy": {column.name.lower(): [float(f"{e:.6g}") for e in energy[:, column]] for column in Energy},
         "wall_s": wall_s,
         "compile_s": compile_s,
-        "arch": "cpu",
+        "arch": arch,
         "precision": precision,
     }
+    if wall_impulse is not None:
+        summary["wall_impulse"] = [[float(f"{p:.6g}") for p in row] for row in wall_impulse]
+    return summary

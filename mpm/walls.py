@@ -10,22 +10,26 @@ from mpm.layout import PADDING
 
 
 @ti.func
-def stopped(normal, tangential, friction):
-    """Tangential velocity that is left when the velocity `normal` into a wall is stopped."""
-    grip = friction * ti.abs(normal)
-    return tangential - ti.math.clamp(tangential, -grip, grip)
+def stopped(v, axis: ti.template(), friction):
+    """Velocity `v` after a wall across `axis` has stopped it: the normal part goes, friction takes of the rest."""
+    grip = friction * ti.abs(v[axis])
+    v[axis] = 0.0
+    speed = v.norm()
+    keep = 0.0
+    if speed > grip:
+        keep = 1.0 - grip / speed
+    return keep * v
 
 
 @ti.func
-def against_walls(u, v, i, j, cells_x, cells_y, floor_friction, wall_friction):
-    """Velocity (u, v) of node (i, j) after the four walls."""
-    if (i <= PADDING and u < 0.0) or (i >= PADDING + cells_x and u > 0.0):
-        v = stopped(u, v, wall_friction)
-        u = 0.0
-    if j <= PADDING and v < 0.0:
-        u = stopped(v, u, floor_friction)
-        v = 0.0
-    elif j >= PADDING + cells_y and v > 0.0:
-        u = stopped(v, u, wall_friction)
-        v = 0.0
-    return u, v
+def against_walls(v, node, cells, floor_friction, wall_friction):
+    """Velocity `v` of the node with the indices `node` after all walls of a box of `cells`; shape [D] each."""
+    for axis in ti.static(range(v.n)):
+        if node[axis] <= PADDING and v[axis] < 0.0:
+            friction = wall_friction
+            if ti.static(axis == 1):
+                friction = floor_friction
+            v = stopped(v, axis, friction)
+        elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
+            v = stopped(v, axis, wall_friction)
+    return v

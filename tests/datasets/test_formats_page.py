@@ -12,6 +12,7 @@ from datasets.definition import Definition
 from datasets.flow2d import FLOW2D
 from datasets.material import Material
 from datasets.metadata import metadata
+from datasets.obstacle3d import OBSTACLE3D
 from datasets.releases2d import RELEASES2D
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.statistics import MOVING_SPEED, motion_statistics
@@ -45,7 +46,9 @@ def test_the_scene_on_the_page_loads() -> None:
 
 
 def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> None:
-    trajectory.save(tmp_path / "trajectory.npz")
+    shapes = {"velocities": (3, 5, 2), "pressure": (3, 5), "plastic_strain": (3, 5), "baffle_impulse": (3, 0, 2)}
+    fields = {key: np.zeros(shape) for key, shape in shapes.items()}
+    dataclasses.replace(trajectory, **fields).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
         assert set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE)) == set(file.files)
 
@@ -59,7 +62,7 @@ def test_every_key_of_the_metadata() -> None:
     assert f"{MOVING_SPEED:g} m/s" in PAGE
 
 
-@pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D], ids=lambda definition: definition.name)
+@pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, OBSTACLE3D], ids=lambda definition: definition.name)
 def test_the_sizes_of_the_datasets(definition: Definition) -> None:
     entries = definition.entries(seed=0)
     parts = [sum(entry.split == split for entry in entries) for split in ("train", "valid", "test")]

@@ -1,14 +1,17 @@
 """Trajectory files: written whole and the same every time, read back exactly, anything else refused in one line."""
 
+import dataclasses
 import pickle
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory, stored_scene
+from datasets.scene import Baffle
+from datasets.trajectory import FIELDS, Trajectory, stored_scene
 
 
 def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
@@ -21,6 +24,58 @@ def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
     assert (again.scene, again.summary) == (trajectory.scene, trajectory.summary)
     assert stored_scene(path) == trajectory.scene
     assert [file.name for file in path.parent.iterdir()] == ["trajectory.npz"]
+
+
+@pytest.fixture
+def with_baffles(trajectory: Trajectory) -> Trajectory:
+    """Five points before two baffles, with all that can be recorded."""
+    stream = np.random.default_rng(1)
+    baffles = (Baffle(lower=(0.12, 0.0), size=(0.02, 0.03)), Baffle(lower=(0.16, 0.0), size=(0.02, 0.03)))
+    return dataclasses.replace(
+        trajectory,
+        scene=dataclasses.replace(trajectory.scene, baffles=baffles),
+        velocities=stream.random((3, 5, 2), np.float32),
+        pressure=stream.random((3, 5), np.float32),
+        plastic_strain=stream.random((3, 5), np.float32),
+        baffle_impulse=stream.random((3, 2, 2)),
+    )
+
+
+@pytest.mark.parametrize("recorded", [FIELDS.keys(), ["pressure"], []])
+def test_fields_that_were_recorded(tmp_path: Path, with_baffles: Trajectory, recorded: Iterable[str]) -> None:
+    path = tmp_path / "trajectory.npz"
+    dataclasses.replace(with_baffles, **dict.fromkeys(FIELDS.keys() - set(recorded))).save(path)
+    with np.load(path, allow_pickle=False) as file:
+        assert file.files == ["positions", "time", "velocity0", "friction", "scene", "summary", *recorded]
+    again = Trajectory.load(path)
+    for key, kind in FIELDS.items():
+        if key in recorded:
+            np.testing.assert_array_equal(getattr(again, key), getattr(with_baffles, key))
+            assert getattr(again, key).dtype == kind
+        else:
+            assert getattr(again, key) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("velocities", np.zeros((3, 5)), "expected shape (3, 5, 2), got (3, 5)"),
+        ("pressure", np.zeros((2, 5)), "expected shape (3, 5), got (2, 5)"),
+        ("plastic_strain", np.zeros((3, 5), int), "floating-point"),
+        ("baffle_impulse", np.zeros((3, 1, 2)), "expected shape (3, 2, 2), got (3, 1, 2)"),
+    ],
+)
+def test_fields_of_another_flow(
+    tmp_path: Path, with_baffles: Trajectory, key: str, value: np.ndarray, expected: str
+) -> None:
+    path = tmp_path / "trajectory.npz"
+    with_baffles.save(path)
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    np.savez(path, **(arrays | {key: value}))
+    error = refused(path)
+    assert error.key == key
+    assert expected in error.message
 
 
 def test_the_bytes_do_not_depend_on_when(
@@ -96,6 +151,7 @@ def test_text_and_a_single_array(tmp_path: Path) -> None:
         ("positions", None, "missing"),
         ("scene", None, "missing"),
         ("positions", np.zeros((3, 5)), "[T, N, 2 or 3]"),
+        ("positions", np.zeros((0, 5, 2)), "at least one frame"),
         ("positions", np.zeros((3, 5, 3)), "(5, 3)"),
         ("time", np.zeros(4), "(3,)"),
         ("friction", np.zeros(4), "(5,)"),

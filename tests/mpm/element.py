@@ -1,6 +1,8 @@
-"""A single material element: the constitutive law of the solver, driven without a grid."""
+"""A single material element: the solver's constitutive law, driven without a grid, in vectors of lanes as there."""
 
 from collections.abc import Callable
+from functools import cache
+from typing import Any
 
 import numpy as np
 import taichi as ti
@@ -9,74 +11,103 @@ from scipy.optimize import root
 
 from datasets.material import Material
 from mpm import runtime
-from mpm.layout import Property
+from mpm.batch import aligned, properties_row
+from mpm.layout import Needs, Precision, Property
 from mpm.mohr_coulomb import return_principal
-from mpm.simulate import properties_row
 from mpm.stress import plastic_return, trial_stress
 
 Vector = NDArray[np.float64]
 
-XX, YY, XY, ZZ = range(4)
+XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 
-@ti.kernel
-def follow_path(
-    stress: ti.types.ndarray(), gradients: ti.types.ndarray(), history: ti.types.ndarray(), m: ti.types.ndarray()
-):
-    for _ in range(1):
-        s = ti.Vector([stress[k] for k in range(4)])
-        for step in range(gradients.shape[0]):
-            g = ti.Matrix(
-                [[gradients[step, 0, 0], gradients[step, 0, 1]], [gradients[step, 1, 0], gradients[step, 1, 1]]]
-            )
-            s = trial_stress(s, g, m[Property.LAME], m[Property.SHEAR])
-            s = plastic_return(
-                s,
+@cache
+def path_kernel(needs: Needs) -> Callable[..., None]:
+    """(stress, gradients, history, properties): one element along a path of displacement-gradient increments."""
+    real = ti.f32 if needs.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+
+    @ti.kernel
+    def follow_path(stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray()):
+        for _ in range(1):
+            for step in range(gradients.shape[0]):
+                trial = trial_stress(
+                    [stress[k] for k in ti.static(range(needs.stresses))],
+                    [gradients[step, k] + 0.0 * stress[0] for k in ti.static(range(needs.dimension**2))],
+                    m[Property.LAME],
+                    m[Property.SHEAR],
+                    needs.dimension,
+                )
+                new = plastic_return(
+                    trial,
+                    m[Property.SIN_PHI],
+                    m[Property.SIN_PSI],
+                    m[Property.STRENGTH],
+                    m[Property.LIMIT],
+                    m[Property.LAME],
+                    m[Property.SHEAR],
+                    needs,
+                )
+                for k in ti.static(range(needs.stresses)):
+                    stress[k] = new[k]
+                    history[step * ti.static(needs.stresses + 1) + k] = new[k]
+                history[step * ti.static(needs.stresses + 1) + ti.static(needs.stresses)] = new[needs.stresses]
+
+    return follow_path
+
+
+@cache
+def return_kernel(dilates: bool) -> Callable[..., None]:
+    """(stresses, properties): principal stresses, three blocks of eight lanes after another, returned in place."""
+    blocks = ti.types.ndarray(dtype=ti.types.vector(8, ti.f64), ndim=1)
+
+    @ti.kernel
+    def return_all(s: blocks, m: ti.types.ndarray()):
+        for e in range(s.shape[0] // 3):
+            t1, t2, t3 = return_principal(
+                s[3 * e],
+                s[3 * e + 1],
+                s[3 * e + 2],
                 m[Property.SIN_PHI],
                 m[Property.SIN_PSI],
                 m[Property.STRENGTH],
                 m[Property.LIMIT],
                 m[Property.LAME],
                 m[Property.SHEAR],
-                True,
+                dilates,
             )
-            for k in ti.static(range(4)):
-                history[step, k] = s[k]
+            s[3 * e], s[3 * e + 1], s[3 * e + 2] = t1, t2, t3
+
+    return return_all
 
 
-@ti.kernel
-def return_all(stresses: ti.types.ndarray(), m: ti.types.ndarray(), dilates: ti.template()):
-    for e in range(stresses.shape[0]):
-        s1, s2, s3, _ = return_principal(
-            stresses[e, 0],
-            stresses[e, 1],
-            stresses[e, 2],
-            m[Property.SIN_PHI],
-            m[Property.SIN_PSI],
-            m[Property.STRENGTH],
-            m[Property.LAME],
-            m[Property.SHEAR],
-            dilates,
-        )
-        stresses[e, 0], stresses[e, 1], stresses[e, 2] = s1, s2, s3
-
-
-def follow(
-    material: Material, gradients: Vector, start: Vector | None = None, precision: runtime.Precision = "f64"
-) -> Vector:
-    """Stress (xx, yy, xy, zz) [Pa] after each displacement-gradient increment [-] of shape [S, 2, 2]; shape [S, 4]."""
+def follow_whole(
+    material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64"
+) -> tuple[Vector, Vector]:
+    """Stress [Pa], shape [S, 4 or 6], and plastic strain increment [-], shape [S], along increments [S, D, D] [-]."""
     runtime.start(precision)
-    real = np.float64 if precision == "f64" else np.float32
-    history = np.zeros((len(gradients), 4), real)
-    initial = np.zeros(4, real) if start is None else np.array(start, real)
-    follow_path(initial, np.ascontiguousarray(gradients, real), history, np.array(properties_row(material), real))
-    return history
+    needs = Needs(dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, fields=True)
+    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    stress = aligned((needs.stresses, needs.lanes), real)
+    if start is not None:
+        stress[:] = np.asarray(start)[:, None]
+    history = aligned((len(gradients) * (needs.stresses + 1), needs.lanes), real)
+    increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
+    path_kernel(needs)(stress, increments, history, np.array(properties_row(material), real))
+    assert np.all(history == history[:, :1])
+    series = history[:, 0].reshape(len(gradients), needs.stresses + 1).astype(np.float64)
+    return series[:, :-1], series[:, -1]
+
+
+def follow(material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64") -> Vector:
+    """Stress [Pa] after each displacement-gradient increment [-] of shape [S, D, D]; shape [S, 4 or 6]."""
+    return follow_whole(material, gradients, start, precision)[0]
 
 
 def follow_controlled(
     material: Material, *, start: Vector, steps: int, gradient: Callable[[Vector], Vector], held: dict[int, float]
 ) -> Vector:
-    """Drive an element with some stress components held at given values; shape [steps, 4].
+    """Drive an element with some stress components held at given values; shape [steps, 4 or 6].
 
     `gradient` makes an increment of the free strains, as many as there are held components, which Newton finds.
     """
@@ -93,12 +124,16 @@ def follow_controlled(
     return np.array(history)
 
 
-def returned(material: Material, stresses: Vector) -> Vector:
-    """Sorted principal stresses [Pa], shape [E, 3], returned to the hexagon."""
+def returned(material: Material, stresses: Vector, *, limit: float = np.inf) -> Vector:
+    """Sorted principal stresses [Pa], shape [E, 3], returned to the hexagon; tension stops at `limit` [Pa]."""
     runtime.start("f64")
-    result = np.array(stresses, float)
-    return_all(result, np.array(properties_row(material)), material.dilation_deg > 0.0)
-    return result
+    blocks = aligned((-(-len(stresses) // 8), 3, 8), np.dtype(np.float64))
+    padded = np.concatenate([stresses, np.zeros((8 * len(blocks) - len(stresses), 3))])
+    blocks[:] = np.moveaxis(padded.reshape(-1, 8, 3), 1, 2)
+    properties = np.array(properties_row(material))
+    properties[Property.LIMIT] = limit
+    return_kernel(material.dilation_deg > 0.0)(blocks.reshape(-1, 8), properties)
+    return np.moveaxis(blocks, 1, 2).reshape(-1, 3)[: len(stresses)].copy()
 
 
 def yield_function(material: Material, stresses: Vector) -> Vector:

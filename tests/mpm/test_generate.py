@@ -138,8 +138,8 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["obstacle3d"], "3D solver"),
-        (["flow3d"], "one of flow2d, releases2d"),
+        (["flow3d"], "one of flow2d, releases2d, obstacle3d"),
+        (["obstacle3d", "--count", "1001"], "1 to 1000"),
         (["flow2d", "--count", "386"], "1 to 385"),
         (["flow2d", "--count", "0"], "1 to 385"),
         (["flow2d", "--seed", "-1"], "seed"),

@@ -62,13 +62,36 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     assert not out.exists()
 
 
-def test_three_dimensions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = tmp_path / "heap.toml"
-    for two, three in (
-        ("[0.4, 0.4]", "[0.4, 0.4, 0.4]"),
-        ("[0.0, 0.0]", "[0.0, 0.0, 0.0]"),
-        ("[0.1, 0.2]", "[0.1, 0.2, 0.1]"),
-    ):
-        scene.write_text((scene.read_text() if scene.exists() else SCENE).replace(two, three))
-    assert run(command, "mpm.run", [str(scene), "--out", str(tmp_path / "out")]) == 2
-    assert "two-dimensional" in capsys.readouterr().err
+def deep(text: str) -> str:
+    """The scene with a third dimension, and a baffle in its way."""
+    changes = {
+        "[0.4, 0.4]": "[0.4, 0.4, 0.4]",
+        "[0.0, 0.0]": "[0.0, 0.0, 0.0]",
+        "[0.1, 0.2]": "[0.1, 0.2, 0.2]",
+    }
+    for flat, solid in changes.items():
+        text = text.replace(flat, solid)
+    return text + "[[baffles]]\nlower = [0.15, 0.0, 0.05]\nsize = [0.1, 0.1, 0.1]\n"
+
+
+def test_three_dimensions_with_a_baffle_as_a_series_for_paraview(tmp_path: Path) -> None:
+    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene.write_text(deep(SCENE))
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--vtk"]) == 0
+    trajectory = Trajectory.load(out / "trajectory.npz")
+    assert trajectory.positions.shape == (5, 4000, 3)
+    assert trajectory.baffle_impulse is not None
+    assert trajectory.pressure is not None
+    assert (out / "vtk" / "trajectory.pvd").is_file()
+
+
+def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene.write_text(SCENE.replace("duration = 0.02", "duration = 2.0\nfloor_friction = 0.6\ndamping = 0.2"))
+    flags = ["--fields", "--until-rest", "--precision", "f64"]
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == 0
+    assert "at rest after" in capsys.readouterr().out
+    summary = json.loads((out / "summary.json").read_text())
+    assert 0.0 < summary["rest_time"] < 2.0
+    assert summary["precision"] == "f64"
+    assert Trajectory.load(out / "trajectory.npz").velocities is not None

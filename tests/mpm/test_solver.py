@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
+from mpm import runtime
 from mpm.simulate import simulate, simulate_many
 from validation.paper import read_paper
 
@@ -21,6 +23,11 @@ FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson
 
 def box(*masses: Mass, material: Material = SAND, **changes: object) -> Scene:
     settings = {"duration": 0.2, "frame_dt": 0.005, "domain": Domain(size=(1.0, 1.0), cell=0.02)} | changes
+    return Scene(material=material, masses=masses, **settings)  # type: ignore[arg-type]
+
+
+def room(*masses: Mass, material: Material = SAND, **changes: object) -> Scene:
+    settings = {"duration": 0.2, "frame_dt": 0.005, "domain": Domain(size=(0.8, 0.8, 0.8), cell=0.04)} | changes
     return Scene(material=material, masses=masses, **settings)  # type: ignore[arg-type]
 
 
@@ -211,18 +218,16 @@ def test_a_fast_frame_takes_more_steps() -> None:
     assert simulate(fast).summary["steps"] == 2 * math.ceil(crossing * (SAND.wave_speed + 20.0))
 
 
-def test_what_the_solver_does_not_do_is_refused() -> None:
-    room = Domain(size=(1.0, 1.0, 1.0), cell=0.1)
-    with pytest.raises(InputError, match="two-dimensional"):
-        simulate(box(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.2, 0.2)), domain=room))
-    baffle = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))
-    with pytest.raises(InputError, match="baffles"):
-        simulate(box(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), baffles=(baffle,)))
+def test_scenes_of_two_dimensions_do_not_run_together() -> None:
+    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)))
+    deep = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.2, 0.2)))
+    with pytest.raises(InputError, match=r"domain.size: expected scenes of one dimension"):
+        simulate_many([flat, deep])
 
 
 def test_a_run_that_blows_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
-    monkeypatch.setattr("mpm.simulate.material_points", with_a_broken_point)
+    monkeypatch.setattr("mpm.batch.material_points", with_a_broken_point)
     with pytest.raises(WorkFailed, match="blew up at t = "):
         simulate(scene)
 
@@ -236,6 +241,159 @@ def with_a_broken_point(scene: Scene) -> object:
     return dataclasses.replace(points, velocities=velocities)
 
 
+def test_a_cube_in_the_air_falls_on_a_parabola() -> None:
+    scene = room(Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4)))
+    trajectory = simulate(scene, precision="f64")
+    t = trajectory.time[:, None]
+    dt = t[-1] / trajectory.summary["steps"]
+    exact = (
+        trajectory.positions[0].mean(axis=0) + t * [1.0, 0.5, -0.4] + 0.5 * np.array([0.0, -9.81, 0.0]) * t * (t + dt)
+    )
+    np.testing.assert_allclose(trajectory.positions.mean(axis=1), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize(("slope_deg", "friction"), [(30.0, 0.2), (15.0, 0.0)])
+def test_a_cube_slides_down_an_incline(slope_deg: float, friction: float) -> None:
+    scene = room(
+        Mass(lower=(0.08, 0.0, 0.3), size=(0.2, 0.12, 0.2)),
+        material=dataclasses.replace(FIRM, young=1.0e7),
+        slope_deg=slope_deg,
+        floor_friction=friction,
+        duration=0.4,
+        jitter=0.0,
+    )
+    trajectory = simulate(scene)
+    slid = trajectory.positions[-1].mean(axis=0) - trajectory.positions[0].mean(axis=0)
+    slope = math.radians(slope_deg)
+    drive = 0.5 * 9.81 * 0.4**2
+    assert slid[0] == pytest.approx(drive * (math.sin(slope) - friction * math.cos(slope)), abs=0.01 * drive)
+    assert abs(slid[2]) < 1e-4
+
+
+def test_a_slice_between_smooth_walls_flows_as_in_two_dimensions() -> None:
+    """Plane strain, made in 3D by two smooth walls."""
+    sand, cell = Material(friction_deg=35.0), 0.02
+    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)), material=sand, duration=0.5, floor_friction=0.4)
+    deep = box(
+        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, 4 * cell)),
+        material=sand,
+        duration=0.5,
+        floor_friction=0.4,
+        domain=Domain(size=(1.0, 1.0, 4 * cell), cell=cell),
+    )
+    alone, slice_ = simulate(flat), simulate(deep)
+    assert slice_.summary["front"] == pytest.approx(alone.summary["front"], abs=0.5 * cell)
+    assert slice_.positions[-1, :, 1].mean() == pytest.approx(alone.positions[-1, :, 1].mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_a_collapse_in_three_dimensions_never_gains_energy(precision: str) -> None:
+    scene = room(
+        Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.48, 0.4)), floor_friction=0.4, wall_friction=0.1, duration=0.8
+    )
+    total = energy(scene, precision=precision)
+    assert np.diff(total).max() < 2e-4 * total[0]
+    assert total[-1] < 0.8 * total[0]
+
+
+def test_a_ball_of_sand_comes_to_rest_as_a_round_heap() -> None:
+    """A staircase of boxes for a ball, in the middle of the floor: the heap it leaves is as long as it is wide."""
+    radius, cell = 0.16, 0.04
+    middle = np.array([0.4, radius, 0.4])
+    steps = np.arange(-4, 4) * cell + cell / 2
+    masses = [
+        Mass(
+            lower=(middle[0] + x - cell / 2, middle[1] + y - cell / 2, middle[2] - reach), size=(cell, cell, 2 * reach)
+        )
+        for x in steps
+        for y in steps
+        if (reach := math.floor(math.sqrt(max(radius**2 - x * x - y * y, 0.0)) / cell + 0.5) * cell) > 0.0
+    ]
+    trajectory = simulate(room(*masses, floor_friction=0.5, duration=1.0), fields=True)
+    heap = trajectory.positions[-1] - middle
+    spread = heap.std(axis=0)
+    assert spread[0] == pytest.approx(spread[2], rel=0.05)
+    assert np.abs(heap.mean(axis=0)[[0, 2]]).max() < 0.1 * cell
+    kinetic = trajectory.summary["energy"]["kinetic"]
+    assert kinetic[-1] < 1e-2 * max(kinetic)
+
+
+def test_a_slope_at_repose_stays_and_a_steeper_one_slides() -> None:
+    """A layer on a rough incline is an infinite slope: without dilation it bears atan(sin phi) = 26.6 degrees."""
+
+    def speed(slope_deg: float) -> float:
+        layer = Mass(lower=(0.0, 0.0, 0.0), size=(1.2, 0.12, 0.12))
+        scene = room(
+            layer,
+            domain=Domain(size=(1.8, 0.4, 0.12), cell=0.04),
+            slope_deg=slope_deg,
+            floor_friction=2.0,
+            duration=0.4,
+        )
+        trajectory = simulate(scene, fields=True)
+        assert trajectory.velocities is not None
+        # The middle of the layer's surface, far from both of its ends.
+        start = trajectory.positions[0]
+        middle = (start[:, 0] > 0.4) & (start[:, 0] < 0.8) & (start[:, 1] > 0.08)
+        return float(trajectory.velocities[-20:, middle, 0].mean())
+
+    # Gravity comes on at once, without the stress that bears it: the layer has to settle first.
+    assert abs(speed(20.0)) < 0.01
+    assert speed(33.0) > 0.2
+
+
+def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), damping=0.1, duration=0.1)
+    deep = room(
+        Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.3, 0.4)),
+        baffles=(Baffle(lower=(0.3, 0.0, 0.2), size=(0.1, 0.2, 0.13)),),
+        duration=0.1,
+    )
+    for scene in (flat, deep):
+        monkeypatch.setattr("mpm.simulate.LARGE", 10**9)
+        alone = simulate(scene, precision="f64", threads=2, fields=True)
+        monkeypatch.setattr("mpm.simulate.LARGE", 0)
+        monkeypatch.setattr("mpm.simulate.SORTED", 0)
+        shared = simulate(scene, precision="f64", threads=2, fields=True)
+        np.testing.assert_allclose(shared.positions, alone.positions, atol=1e-6)
+        np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], atol=1e-6)
+        if scene.baffles:
+            assert alone.baffle_impulse is not None
+            np.testing.assert_allclose(shared.baffle_impulse, alone.baffle_impulse, atol=1e-6)
+
+
+def test_a_run_ends_when_its_deposit_rests() -> None:
+    scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), floor_friction=0.5, duration=2.0)
+    whole, ended = simulate(scene), simulate(scene, until_rest=True)
+    rest = ended.summary["rest_time"]
+    assert whole.summary["rest_time"] is None
+    assert 0.3 < rest < 1.5
+    assert ended.summary["steps"] < 0.8 * whole.summary["steps"]
+    assert ended.positions.shape == whole.positions.shape
+    after = ended.time > rest
+    np.testing.assert_array_equal(
+        ended.positions[after], np.broadcast_to(ended.positions[-1], ended.positions[after].shape)
+    )
+    np.testing.assert_array_equal(ended.positions[~after], whole.positions[~after])
+    assert ended.summary["front"] == pytest.approx(whole.summary["front"], abs=0.003)
+
+
+def test_fields_are_what_the_points_carry() -> None:
+    scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), damping=0.3, duration=1.0, jitter=0.0)
+    trajectory = simulate(scene, fields=True)
+    assert trajectory.velocities is not None
+    assert trajectory.pressure is not None
+    assert trajectory.plastic_strain is not None
+    np.testing.assert_array_equal(trajectory.velocities[0], trajectory.velocity0)
+    assert np.abs(trajectory.velocities[-1]).max() < 0.01
+    # A level layer at rest: the vertical stress is the weight above, K0 = nu / (1 - nu) beside it.
+    depth = 0.3 - trajectory.positions[-1, :, 1]
+    exact = 1800.0 * 9.81 * depth * (1 + 2 * 0.3 / 0.7) / 3
+    middle = (depth > 0.1) & (depth < 0.25)
+    assert trajectory.pressure[-1, middle].mean() == pytest.approx(exact[middle].mean(), rel=0.1)
+    assert np.all(np.diff(trajectory.plastic_strain, axis=0) >= 0.0)
+
+
 @pytest.mark.slow
 def test_the_papers_columns_within_five_percent() -> None:
     """rms deviation of the four runouts d from the paper's, with friction 0.385 and damping 0.12 for what it omits."""
@@ -244,3 +402,39 @@ def test_the_papers_columns_within_five_percent() -> None:
         for scenario in read_paper().scenarios
     ]
     assert math.sqrt(np.mean(np.square(deviations))) < 0.05
+
+
+def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel with a thread per point and atomic sums, here on the CPU's threads."""
+    monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
+    heavy = dataclasses.replace(SAND, density=2600.0)
+    flat = [
+        box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), damping=0.1, duration=0.1),
+        box(
+            Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+            Mass(lower=(0.4, 0.0), size=(0.1, 0.1), material=heavy),
+            baffles=(Baffle(lower=(0.55, 0.0), size=(0.1, 0.2)),),
+            step_fraction=0.9,
+            duration=0.05,
+        ),
+    ]
+    deep = [room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.24, 0.2)), duration=0.05)]
+    for scenes in (flat, deep):
+        cpu, gpu = (simulate_many(scenes, precision="f64", fields=True, arch=arch) for arch in ("cpu", "cuda"))
+        for one, other in zip(cpu, gpu, strict=True):
+            np.testing.assert_allclose(other.positions, one.positions, atol=1e-6)
+            assert other.summary["steps"] == one.summary["steps"]
+            for kind, series in one.summary["energy"].items():
+                np.testing.assert_allclose(other.summary["energy"][kind], series, rtol=1e-4, atol=1e-9)
+            np.testing.assert_allclose(other.summary["wall_impulse"], one.summary["wall_impulse"], atol=1e-5)
+            np.testing.assert_allclose(other.plastic_strain, one.plastic_strain, atol=1e-6)
+            if one.baffle_impulse is not None:
+                np.testing.assert_allclose(other.baffle_impulse, one.baffle_impulse, atol=1e-6)
+
+
+@pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")
+def test_a_missing_gpu_is_one_clear_line() -> None:
+    with pytest.raises(InputError, match="--arch: expected a GPU that Taichi can use with cuda, found none"):
+        simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01), arch="cuda")
+    # And the CPU still works.
+    assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"

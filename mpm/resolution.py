@@ -1,0 +1,205 @@
+"""How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
+
+The error is that of one run at a resolution, against a run at a quarter of the cell: root mean square over jitter seeds
+of how far the front (the x that 99.5 % of the points are behind) is off, and of the transport distance between the two
+deposits (rms distance of equal shares of their volume along x), whichever is larger, over the reach: from the rear of
+the masses at the start to the front. For a column at the left wall the reach is the paper's runout distance d. A tolerance
+speaks of that error, so it covers the grid, the step and the chance of a jitter; not whether the material is right.
+
+Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
+(docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`).
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.points import lattice_counts
+from datasets.scene import TOLERANCE, Domain, Mass, Scene
+from datasets.strict import Strict, from_mapping, read_toml
+from mpm.batch import substeps_per_frame
+from mpm.layout import Precision
+
+MEASURED = Path(__file__).with_suffix(".toml")
+ROUNDING = 1.0e-9
+"""Slack, in cells, where a whole number of them is counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution(Strict):
+    """How finely a scene is simulated, in units that no scene's size enters."""
+
+    cells: float
+    """Grid cells across the characteristic length of the scene [-]."""
+    points_per_axis: int
+    """Material points per cell along one axis."""
+    step_fraction: float
+    """Time step as a fraction of cell / (pressure-wave speed)."""
+    precision: Precision
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured(Strict):
+    """What a resolution was worth and cost, over the scenes of one dimension."""
+
+    dimension: int
+    """2 or 3."""
+    resolution: Resolution
+    error: float
+    """Of the worst scene, as a fraction of its reach [-]."""
+    seconds: float
+    """Of a run alone on one thread, mean over the scenes [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurements(Strict):
+    """The contents of `resolution.toml`."""
+
+    measured: tuple[Measured, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolved:
+    """A scene at the resolution that a tolerance asks for, and what to expect of it."""
+
+    scene: Scene
+    precision: Precision
+    error: float
+    """Expected, as a fraction of the reach [-]: what was measured at this resolution."""
+    cells: float
+    """Cells across the characteristic length [-]."""
+    cost: float
+    """Point-steps over those of the scene as it was given [-]."""
+
+    def __str__(self) -> str:
+        scene = self.scene
+        return (
+            f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the body), {scene.points_per_axis} points per axis, "
+            f"step {scene.step_fraction:g}, {self.precision}: error of {100 * self.error:.2g} % expected, "
+            f"{self.cost:.3g} times the point-steps of the scene as given"
+        )
+
+
+def read_measured() -> tuple[Measured, ...]:
+    """The measurements that ship with the solver."""
+    return from_mapping(Measurements, read_toml(MEASURED)).measured
+
+
+def read_tolerance(text: str) -> float:
+    """`2%` or `0.02` as a fraction in (0, 1). Raises InputError."""
+    number = text.strip()
+    try:
+        value = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < 1.0:
+        raise InputError(
+            f"expected a percentage such as 2% or a fraction such as 0.02, got {text!r}", key="--tolerance"
+        )
+    return value
+
+
+def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None = None) -> Resolved:
+    """`scene` at the cheapest resolution whose measured error is within `tolerance`, a fraction of the reach.
+
+    Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
+    what ships. Raises InputError for a tolerance below the best that was measured.
+    """
+    known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
+    fit = [each for each in known if supported(each, known, tolerance)]
+    if not fit:
+        best = min((tightest(each, known) for each in known), default=math.inf)
+        raise InputError(
+            f"expected at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured, "
+            f"got {100 * tolerance:.3g}%",
+            key="--tolerance",
+        )
+    best_fit = min(fit, key=lambda each: each.seconds)
+    finer = at(scene, best_fit.resolution)
+    return Resolved(
+        scene=finer,
+        precision=best_fit.resolution.precision,
+        error=best_fit.error,
+        cells=characteristic_length(scene) / finer.domain.cell,
+        cost=point_steps(finer) / point_steps(scene),
+    )
+
+
+def supported(each: Measured, known: Sequence[Measured], tolerance: float) -> bool:
+    """Whether `tolerance` holds there and on all finer grids that were measured alike: an error small by luck does not count."""
+    return tightest(each, known) <= tolerance
+
+
+def tightest(each: Measured, known: Sequence[Measured]) -> float:
+    """The largest error on this and all finer grids of `known` that differ from it in nothing else."""
+    return max(
+        other.error
+        for other in known
+        if other.resolution.cells >= each.resolution.cells
+        and dataclasses.replace(other.resolution, cells=each.resolution.cells) == each.resolution
+    )
+
+
+def at(scene: Scene, resolution: Resolution) -> Scene:
+    """`scene` at a resolution, its grid no coarser than asked for and fitted to the box; the precision is the caller's."""
+    cell = fitted_cell(scene.domain, characteristic_length(scene) / resolution.cells)
+    return dataclasses.replace(
+        scene,
+        domain=dataclasses.replace(scene.domain, cell=cell),
+        points_per_axis=resolution.points_per_axis,
+        step_fraction=resolution.step_fraction,
+    )
+
+
+def fitted_cell(domain: Domain, wanted: float) -> float:
+    """The largest cell [m] up to `wanted` [m] of which every side of `domain` is a whole number.
+
+    It divides the largest length that all sides are multiples of, found from the cells that the domain has now.
+    """
+    common = math.gcd(*(round(length / domain.cell) for length in domain.size)) * domain.cell
+    return common / math.ceil(common / wanted - ROUNDING)
+
+
+def characteristic_length(scene: Scene) -> float:
+    """The smallest side [m] of the bodies that are let go, each the box around masses that touch.
+
+    A side that reaches from wall to wall is no length of the flow and does not count, unless all do.
+    """
+    sides, across = [], []
+    for body in bodies(scene.masses):
+        for axis, length in enumerate(scene.domain.size):
+            low = min(mass.lower[axis] for mass in body)
+            high = max(mass.lower[axis] + mass.size[axis] for mass in body)
+            wall_to_wall = axis != 1 and high - low >= length - TOLERANCE
+            (across if wall_to_wall else sides).append(high - low)
+    return min(sides or across)
+
+
+def bodies(masses: Sequence[Mass]) -> list[list[Mass]]:
+    """Masses in groups that touch."""
+    groups: list[list[Mass]] = []
+    for mass in masses:
+        near = [group for group in groups if any(touch(mass, other) for other in group)]
+        groups = [group for group in groups if group not in near] + [
+            [mass, *(other for group in near for other in group)]
+        ]
+    return groups
+
+
+def touch(a: Mass, b: Mass) -> bool:
+    """Whether two boxes share at least a corner."""
+    return all(
+        low_a <= low_b + size_b + TOLERANCE and low_b <= low_a + size_a + TOLERANCE
+        for low_a, size_a, low_b, size_b in zip(a.lower, a.size, b.lower, b.size, strict=True)
+    )
+
+
+def point_steps(scene: Scene) -> int:
+    """Points times steps of a run of `scene`, where no flow is so fast that it needs more steps."""
+    share = scene.domain.cell / scene.points_per_axis
+    points = sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
+    substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
+    return points * substeps * (scene.frames - 1)

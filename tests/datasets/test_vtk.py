@@ -1,0 +1,278 @@
+"""VTK series: read back with VTK's own readers, every field and time; never half of one series and half of another."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+from datasets import vtk
+from datasets.command_line import WorkFailed
+from datasets.material import Material
+from datasets.points import material_points
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from datasets.vtk import write_vtk
+
+LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)
+START = np.array([[0.02, 0.01, 0.05], [0.06, 0.03, 0.05], [0.03, 0.02, 0.04], [0.07, 0.01, 0.06]])
+SPEED, ACCELERATION = np.array([1.0, 0.5, -0.2]), np.array([0.0, -9.0, 4.0])
+
+
+@pytest.fixture
+def flow() -> Trajectory:
+    """Four points of two materials in free flight, two baffles that get pushed harder and harder; 3D."""
+    time = np.linspace(0.0, 0.04, 5)
+    stream = np.random.default_rng(2)
+    positions = START + SPEED * time[:, None, None] + 0.5 * ACCELERATION * time[:, None, None] ** 2
+    return Trajectory(
+        positions=positions.astype(np.float32),
+        time=time,
+        velocity0=np.tile(SPEED, (4, 1)).astype(np.float32),
+        friction=np.array([LEFT.friction, RIGHT.friction] * 2, np.float32),
+        scene=Scene(
+            domain=Domain(size=(0.3, 0.2, 0.1), cell=0.01),
+            material=LEFT,
+            masses=(
+                Mass(lower=(0.0, 0.0, 0.02), size=(0.04, 0.04, 0.05)),
+                Mass(lower=(0.04, 0.0, 0.02), size=(0.04, 0.04, 0.05), material=RIGHT),
+            ),
+            baffles=(
+                Baffle(lower=(0.2, 0.0, 0.0), size=(0.02, 0.1, 0.03)),
+                Baffle(lower=(0.25, 0.0, 0.05), size=(0.01, 0.05, 0.02)),
+            ),
+            duration=0.04,
+            frame_dt=0.01,
+        ),
+        pressure=stream.random((5, 4), np.float32),
+        plastic_strain=stream.random((5, 4), np.float32),
+        baffle_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
+    )
+
+
+def flat(flow: Trajectory) -> Trajectory:
+    """The same in 2D, with nothing recorded."""
+    scene = flow.scene
+
+    def cut(box: Any) -> Any:
+        return dataclasses.replace(box, lower=box.lower[:2], size=box.size[:2])
+
+    return dataclasses.replace(
+        flow,
+        positions=flow.positions[:, :, :2],
+        velocity0=flow.velocity0[:, :2],
+        scene=dataclasses.replace(
+            scene,
+            domain=Domain(size=scene.domain.size[:2], cell=0.01),
+            masses=tuple(map(cut, scene.masses)),
+            baffles=tuple(map(cut, scene.baffles)),
+        ),
+        pressure=None,
+        plastic_strain=None,
+        baffle_impulse=None,
+    )
+
+
+def read(folder: Path) -> dict[float, list[pyvista.PolyData]]:
+    """The parts of each time."""
+    reader = pyvista.get_reader(folder / "trajectory.pvd")
+    series = {}
+    for time in reader.time_values:
+        reader.set_active_time_value(time)
+        series[time] = list(reader.read())
+    return series
+
+
+def test_points(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path)
+    series = read(tmp_path)
+    assert list(series) == flow.time.tolist()
+    for frame, (points, _, _) in enumerate(series.values()):
+        np.testing.assert_array_equal(points.points, flow.positions[frame])
+        np.testing.assert_array_equal(points.verts.reshape(-1, 2), [[1, 0], [1, 1], [1, 2], [1, 3]])
+        np.testing.assert_array_equal(points["displacement"], flow.positions[frame] - flow.positions[0])
+        np.testing.assert_array_equal(points["pressure"], flow.pressure[frame])
+        np.testing.assert_array_equal(points["plastic_strain"], flow.plastic_strain[frame])
+        np.testing.assert_array_equal(points["material"], [0, 1, 0, 1])
+        np.testing.assert_allclose(points["friction_deg"], [30.0, 40.0, 30.0, 40.0], rtol=1e-6)
+
+
+def test_velocity_by_differences(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path)
+    for time, (points, *_) in read(tmp_path).items():
+        # A central difference is exact here; the last one is that of half a frame before.
+        true = SPEED + ACCELERATION * (time if time < 0.04 else 0.035)
+        np.testing.assert_allclose(points["velocity"], np.tile(true, (4, 1)), atol=2e-5)
+
+
+def test_velocity_as_recorded(tmp_path: Path, flow: Trajectory) -> None:
+    recorded = np.random.default_rng(3).random((5, 4, 3), np.float32)
+    write_vtk(dataclasses.replace(flow, velocities=recorded), tmp_path)
+    for frame, (points, *_) in enumerate(read(tmp_path).values()):
+        np.testing.assert_array_equal(points["velocity"], recorded[frame])
+
+
+def test_baffles_are_closed_and_know_what_hit_them(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path)
+    for frame, (_, baffles, _) in enumerate(read(tmp_path).values()):
+        np.testing.assert_array_equal(baffles["baffle"], [0] * 6 + [1] * 6)
+        for number, baffle in enumerate(flow.scene.baffles):
+            surface = baffles.extract_cells(baffles["baffle"] == number).extract_surface(algorithm=None)
+            assert surface.n_open_edges == 0
+            assert surface.volume == pytest.approx(np.prod(baffle.size))
+            np.testing.assert_allclose(surface.bounds[::2], baffle.lower, atol=1e-7)
+        np.testing.assert_array_equal(baffles["impulse"][[0, 6]], flow.baffle_impulse[frame])
+        before = flow.baffle_impulse[max(frame - 1, 0)]
+        np.testing.assert_allclose(baffles["force"][[0, 6]], (flow.baffle_impulse[frame] - before) / 0.01, atol=1e-12)
+
+
+def test_fewer_frames_lose_no_impulse(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path, every=3)
+    series = read(tmp_path)
+    assert list(series) == [0.0, 0.03, 0.04]
+    given = sum(took * parts[1]["force"] for took, parts in zip([0.0, 0.03, 0.01], series.values(), strict=True))
+    np.testing.assert_allclose(given[[0, 6]], flow.baffle_impulse[-1])
+
+
+def test_two_dimensions(tmp_path: Path, flow: Trajectory) -> None:
+    flow = flat(flow)
+    write_vtk(flow, tmp_path)
+    points, baffles, domain = read(tmp_path)[0.04]
+    np.testing.assert_array_equal(points.points, np.pad(flow.positions[-1], ((0, 0), (0, 1))))
+    assert set(points.array_names) == {"velocity", "displacement", "material", "friction_deg"}
+    assert points["velocity"].shape == (4, 3)
+    assert baffles.array_names == ["baffle"]
+    assert baffles.area == pytest.approx(0.02 * 0.1 + 0.01 * 0.05)
+    assert domain.length == pytest.approx(np.hypot(0.3, 0.2))
+    # What never changes has one file.
+    assert (tmp_path / "baffles.vtp").exists()
+
+
+def test_no_baffles(tmp_path: Path, trajectory: Trajectory) -> None:
+    write_vtk(trajectory, tmp_path)
+    assert all(len(parts) == 2 for parts in read(tmp_path).values())
+    assert "baffles.vtp" not in {file.name for file in tmp_path.iterdir()}
+
+
+def test_the_reader_that_paraview_has(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path)
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(tmp_path / "points-0004.vtp"))
+    reader.Update()
+    values = reader.GetOutput().GetPointData().GetArray("displacement")
+    np.testing.assert_array_equal(vtk_to_numpy(values), flow.positions[4] - flow.positions[0])
+    head = (tmp_path / "points-0004.vtp").read_bytes()
+    assert b"vtkZLibDataCompressor" in head
+    assert b'<AppendedData encoding="raw">' in head
+
+
+def test_materials_are_those_of_the_points(flow: Trajectory) -> None:
+    points = material_points(flow.scene)
+    part = np.random.default_rng(4).permutation(len(points.positions))[:100]
+    for chosen in (slice(None), part):
+        meshes = vtk.Meshes(dataclasses.replace(flow, positions=points.positions[None, chosen].astype(np.float32)))
+        np.testing.assert_array_equal(meshes.material, points.material[chosen])
+    assert tuple(meshes.materials) == points.materials
+
+
+def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path)
+    (tmp_path / "points-of-interest.txt").write_text("mine")
+    write_vtk(flat(flow), tmp_path, every=2)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "baffles.vtp",
+        "domain.vtp",
+        "points-0000.vtp",
+        "points-0002.vtp",
+        "points-0004.vtp",
+        "points-of-interest.txt",
+        "trajectory.pvd",
+    ]
+    assert list(read(tmp_path)) == [0.0, 0.02, 0.04]
+
+
+@pytest.fixture
+def break_after(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Has Ctrl-C come after so many files."""
+    write, written = vtk._write, []
+
+    def at(count: int) -> None:
+        def broken(mesh: pyvista.PolyData, path: Path) -> None:
+            if len(written) == count:
+                raise KeyboardInterrupt
+            written.append(path)
+            write(mesh, path)
+
+        monkeypatch.setattr(vtk, "_write", broken)
+
+    return at
+
+
+def test_a_break_leaves_the_older_series(tmp_path: Path, flow: Trajectory, break_after: Callable[[int], None]) -> None:
+    write_vtk(flow, tmp_path)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    break_after(3)
+    with pytest.raises(KeyboardInterrupt):
+        write_vtk(flat(flow), tmp_path)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_a_break_of_the_first_leaves_nothing(
+    tmp_path: Path, flow: Trajectory, break_after: Callable[[int], None]
+) -> None:
+    break_after(3)
+    with pytest.raises(KeyboardInterrupt):
+        write_vtk(flow, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_break_among_the_moves_leaves_no_series(
+    tmp_path: Path, flow: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_vtk(flow, tmp_path)
+    move = Path.replace
+
+    def broken(self: Path, target: Path) -> Path:
+        if target.name == "points-0003.vtp":
+            raise KeyboardInterrupt
+        return move(self, target)
+
+    monkeypatch.setattr(Path, "replace", broken)
+    with pytest.raises(KeyboardInterrupt):
+        write_vtk(flow, tmp_path)
+    assert not (tmp_path / "trajectory.pvd").exists()
+    monkeypatch.undo()
+    write_vtk(flow, tmp_path)
+    assert len(read(tmp_path)) == 5
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
+    path = tmp_path / "points-0000.vtp"
+    path.symlink_to("/dev/full")
+    with pytest.raises(WorkFailed, match=r"points-0000\.vtp could not be written"):
+        vtk._write(vtk.Meshes(flow).points(0), path)
+
+
+def test_who_writes_none_does_not_pay_for_it() -> None:
+    code = "import datasets.vtk, sys; print(sys.modules.keys() & {'pyvista', 'vtkmodules'})"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout == "set()\n"
+
+
+def test_every_file_and_array_is_on_the_page(tmp_path: Path, flow: Trajectory) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = page.split("\n## VTK series (folder)\n")[1].split("\n## ")[0]
+    named = set(re.findall(r"`([\w.-]+)`", section))
+    write_vtk(flow, tmp_path)
+    files = {re.sub(r"-\d+", "-NNNN", file.name) for file in tmp_path.iterdir()}
+    arrays = {name for part in read(tmp_path)[0.0] for name in part.array_names}
+    assert named - {"baffles.vtp", "DIR"} == files | arrays

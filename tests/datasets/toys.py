@@ -1,0 +1,116 @@
+"""Small datasets made by hand: sand that slides past baffles, and the same as a peer would write it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.definition import Definition, Entry, Split
+from datasets.files import write_json
+from datasets.material import Material
+from datasets.metadata import metadata
+from datasets.points import material_points
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.statistics import motion_statistics
+from datasets.trajectory import Trajectory
+
+FRAMES = 6
+SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
+
+
+def toy_scene(dimension: int, seed: int) -> Scene:
+    """A block that slides at 1 m/s towards two baffles."""
+    if dimension == 2:
+        domain = Domain(size=(0.5, 0.25), cell=0.01)
+        mass = Mass(lower=(0.05, 0.0), size=(0.1, 0.08), velocity=(1.0, 0.0))
+        baffles = (
+            Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)),
+            Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)),
+        )
+    else:
+        domain = Domain(size=(0.4, 0.2, 0.16), cell=0.02)
+        mass = Mass(lower=(0.0, 0.0, 0.02), size=(0.1, 0.08, 0.12), velocity=(1.0, 0.0, 0.0))
+        baffles = (
+            Baffle(lower=(0.2, 0.0, 0.02), size=(0.033, 0.1, 0.04)),
+            Baffle(lower=(0.3, 0.0, 0.1), size=(0.05, 0.1, 0.041)),
+        )
+    return Scene(
+        domain=domain,
+        material=Material(friction_deg=30.0 + seed),
+        masses=(mass,),
+        baffles=baffles,
+        duration=(FRAMES - 1) * 0.0025,
+        seed=seed,
+    )
+
+
+def toy(dimension: int, seed: int = 0) -> Trajectory:
+    """The block's trajectory; each point wanders a little."""
+    scene = toy_scene(dimension, seed)
+    points = material_points(scene)
+    time = np.arange(FRAMES) * scene.frame_dt
+    wander = np.random.default_rng(seed).normal(0.0, 1.0e-5, (FRAMES, *points.positions.shape))
+    wander[0] = 0.0
+    positions = points.positions + points.velocities * time[:, None, None] + wander
+    return Trajectory(
+        positions=positions.astype(np.float32),
+        time=time,
+        velocity0=points.velocities.astype(np.float32),
+        friction=points.friction,
+        scene=scene,
+    )
+
+
+def toy_dataset(folder: Path, dimension: int) -> Path:
+    """A dataset of Talus with two trajectories to train on and one each to validate and to test."""
+    entries, statistics = [], None
+    for seed, split in enumerate(SPLITS):
+        trajectory = toy(dimension, seed)
+        trajectory.save(folder / split.value / f"toy-{seed:04d}.npz")
+        entries.append(Entry(split=split, name=f"toy-{seed:04d}", scene=trajectory.scene))
+        if split is Split.TRAIN:
+            each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
+            statistics = each if statistics is None else statistics + each
+    assert statistics is not None
+    definition = Definition(
+        name="toy",
+        size=len(entries),
+        connectivity_radius=0.015,
+        split=lambda index: SPLITS[index],
+        draw=lambda _, index: entries[index].scene,
+    )
+    write_json(folder / "metadata.json", metadata(definition, entries, seed=0, statistics=statistics))
+    return folder
+
+
+def strewn(
+    stream: np.random.Generator, lower: tuple[float, ...], size: tuple[float, ...], spacing: float
+) -> np.ndarray:
+    """Points at random in a box, one per cubed spacing: positions [m], shape [N, D]."""
+    count = round(float(np.prod(np.array(size) / spacing)))
+    return np.array(lower) + stream.random((count, len(size))) * np.array(size)
+
+
+def peer_metadata(dimension: int, **more: Any) -> dict[str, Any]:
+    """What a peer's `metadata.json` holds, the box away from the origin."""
+    return {
+        "bounds": [[0.1, 0.9]] * dimension,
+        "sequence_length": FRAMES,
+        "default_connectivity_radius": 0.029,
+        "dim": dimension,
+        "dt": 0.0025,
+        **{key: [0.0] * dimension for key in ("vel_mean", "vel_std", "acc_mean", "acc_std")},
+        **more,
+    }
+
+
+def peer_dataset(folder: Path, trajectories: list[tuple[Any, ...]], described: dict[str, Any]) -> Path:
+    """A training set as geoelements' generator writes it: all trajectories in one array, compressed."""
+    data = np.empty(len(trajectories), dtype=object)
+    for index, trajectory in enumerate(trajectories):
+        data[index] = trajectory
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(folder / "train.npz", gns_data=data)
+    (folder / "metadata.json").write_text(json.dumps(described))
+    return folder

@@ -1,0 +1,293 @@
+"""`python -m validation.vtk`: the pictures show what is where, the movie has every frame, mistakes are one line."""
+
+import dataclasses
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import pyvista
+from matplotlib import colormaps
+from matplotlib.image import imread
+
+from datasets.command_line import WorkFailed, run
+from datasets.material import Material
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from validation import rendering, stage, view
+from validation.rendering import Colour, Picture, write_movie
+from validation.view import View
+from validation.vtk import command
+
+
+@pytest.fixture(autouse=True)
+def small_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The margins stay, so about 200 pixels are left for the flow."""
+    monkeypatch.setattr(view, "WIDEST", 580)
+    monkeypatch.setattr(view, "HIGHEST", 400)
+
+
+@pytest.fixture(scope="module")
+def _opengl() -> None:
+    try:
+        stage._window(64, 64).close()
+    except WorkFailed as error:
+        pytest.skip(str(error))
+
+
+opengl = pytest.mark.usefixtures("_opengl")
+
+
+def slide(dimension: int) -> Trajectory:
+    """Three frames of a block that slides towards a baffle and flattens."""
+    z, deep = ((0.1,), (0.2,)) if dimension == 3 else ((), ())
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.5, 0.4)[:dimension], cell=0.02),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.1, 0.0, *z), size=(0.2, 0.2, *deep)),),
+        baffles=(Baffle(lower=(0.7, 0.0, *z), size=(0.1, 0.3, *deep)),),
+        duration=0.2,
+        frame_dt=0.1,
+    )
+    counts = ((24,) * 2, (12,) * 3)[dimension - 2]
+    grid = np.stack(np.meshgrid(*(np.linspace(0.0, 1.0, count) for count in counts)), axis=-1).reshape(-1, dimension)
+    start = np.array(scene.masses[0].lower) + grid * scene.masses[0].size
+    frames = []
+    for frame in range(3):
+        moved = start.copy()
+        moved[:, 0] += 0.15 * frame
+        moved[:, 1] *= 1.0 - 0.2 * frame
+        frames.append(moved)
+    return Trajectory(
+        positions=np.array(frames, np.float32),
+        time=np.array([0.0, 0.1, 0.2]),
+        velocity0=np.zeros_like(start, np.float32),
+        friction=np.full(len(start), scene.material.friction, np.float32),
+        scene=scene,
+    )
+
+
+def colour_at(image: np.ndarray, where: View, place: tuple[float, ...]) -> np.ndarray:
+    """Mean colour of a few pixels at a place [m], in 0..1."""
+    across, up = where.pixel(np.pad(np.array(place), (0, 3 - len(place)))).round().astype(int)
+    row = image.shape[0] - 1 - up
+    return image[row - 2 : row + 3, across - 2 : across + 3, :3].mean(axis=(0, 1)) / 255.0
+
+
+def hue(colour: np.ndarray) -> np.ndarray:
+    """A colour without its brightness."""
+    return colour / np.linalg.norm(colour)
+
+
+def line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of a refusal."""
+    text = capsys.readouterr().err.strip()
+    assert text.startswith("talus: ")
+    assert "\n" not in text
+    return text
+
+
+@opengl
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_picture_shows_what_is_where(dimension: int) -> None:
+    flow = slide(dimension)
+    with Picture(flow, Colour.DISPLACEMENT) as picture:
+        where, image = picture.stage.view, picture.at(2)
+        largest = picture.values(2).max()
+    assert image.shape == (*where.size[::-1], 3)
+    # The baffle is grey where it faces the eye.
+    depth = (0.3,)[: dimension - 2]
+    steel = colour_at(image, where, (0.75, 0.2, *depth))
+    assert np.ptp(steel) < 0.15
+    assert 0.2 < steel.mean() < 0.8
+    # Its edges are where they belong.
+    for beside, inside in (((0.68, 0.26), (0.72, 0.26)), ((0.72, 0.02), (0.72, -0.02))):
+        colours = [colour_at(image, where, (*place, *depth)).mean() for place in (beside, inside)]
+        assert max(colours) > min(colours) + 0.2
+    # The pane is bright behind the air above the baffle, and there is nothing at the border.
+    assert colour_at(image, where, (0.9, 0.25, 0.0)).min() > 0.85
+    assert (image[0] == 255).all()
+    # The points have their colour of the map, if darker where they are in the shade.
+    assert 0.25 < largest < 0.4
+    place = (0.5, 0.06, *depth)
+    nearest = np.argmin(np.linalg.norm(flow.positions[2] - place, axis=1))
+    shift = np.linalg.norm(flow.positions[2, nearest] - flow.positions[0, nearest])
+    expected = np.array(colormaps["viridis"](shift / 0.4)[:3])
+    assert np.dot(hue(colour_at(image, where, place)), hue(expected)) > 0.98
+
+
+@opengl
+def test_frames_move_the_points_and_nothing_else() -> None:
+    flow = slide(2)
+    with Picture(flow, Colour.VELOCITY) as picture:
+        first, last, again = picture.at(0), picture.at(2), picture.at(0)
+        where = picture.stage.view
+    np.testing.assert_array_equal(first, again)
+    changed = np.nonzero((first != last).any(axis=2))
+    left, floor = where.pixel(np.array([0.1, 0.0, 0.0]))
+    right, _ = where.pixel(np.array([0.6, 0.0, 0.0]))
+    rows = first.shape[0] - 1 - changed[0]
+    below = rows < where.size[1] - view.TOP
+    assert below.any()
+    assert changed[1][below].min() > left - 15
+    assert changed[1][below].max() < right + 15
+    assert rows.min() > floor - 15
+    # Above the flow only the time changes.
+    assert changed[1][~below].max() < view.LEFT + 200
+
+
+@opengl
+def test_more_samples_make_the_same_picture_smoother() -> None:
+    with Picture(slide(2), Colour.MATERIAL) as coarse, Picture(slide(2), Colour.MATERIAL, sampling=2) as fine:
+        one, two = coarse.at(1).astype(float), fine.at(1).astype(float)
+    assert one.shape == two.shape
+    assert np.abs(one - two).mean() < 6.0
+
+
+@opengl
+def test_points_that_were_lost_do_not_stop_it() -> None:
+    flow = slide(2)
+    flow.positions[1:, :3] = np.nan
+    flow.positions[2, 3] = 1.0e6
+    assert (View.of(flow).upper[:2] <= flow.scene.domain.size).all()
+    with Picture(flow, Colour.DISPLACEMENT) as picture:
+        assert np.ptp(picture.at(2)) > 100
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_view_holds_all_that_moves(dimension: int) -> None:
+    flow = slide(dimension)
+    where = View.of(flow)
+    width, height = where.size
+    assert width % 2 == height % 2 == 0
+    assert width <= 580
+    assert height <= 400
+    for place in np.pad(flow.positions.reshape(-1, dimension), ((0, 0), (0, 3 - dimension)))[::50]:
+        across, up = where.pixel(place)
+        assert view.LEFT <= across <= width - view.RIGHT
+        assert view.BOTTOM <= up <= height - view.TOP
+        np.testing.assert_allclose(where.pixel(where.place((across, up), 0.1)), (across, up))
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, 0.489), (0.0, 3.2e-7), (0.0, 81000.0)])
+def test_marks_are_round_and_span_all(lower: float, upper: float) -> None:
+    marks = stage.scale_marks(lower, upper, 5)
+    assert marks[0] <= lower
+    assert upper <= marks[-1] < 2.0 * upper
+    assert 3 <= len(marks) <= 8
+    assert all(len(f"{mark:g}") <= 7 for mark in marks)
+
+
+@opengl
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slide(2).save(tmp_path / "run" / "trajectory.npz")
+    out = tmp_path / "out"
+    assert (
+        run(command, "vtk", [str(tmp_path / "run"), "--out", str(out), "--picture", "--movie", "--time", "0.12"]) == 0
+    )
+    assert "t = 0.100 s" in capsys.readouterr().out
+    assert pyvista.get_reader(out / "trajectory.pvd").time_values == [0.0, 0.1, 0.2]
+    picture = imread(out / "picture.png")
+    assert picture.shape[:2] == View.of(slide(2)).size[::-1]
+    assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100
+    assert len(frames_of(out / "movie.mp4")) == 3
+    assert sorted(file.name for file in out.glob("*") if "-" not in file.name) == [
+        "baffles.vtp",
+        "domain.vtp",
+        "movie.mp4",
+        "picture.png",
+        "trajectory.pvd",
+    ]
+
+
+@opengl
+def test_colours_and_frames_by_name(tmp_path: Path) -> None:
+    flow = slide(2)
+    pressure = np.linspace(0.0, 5000.0, flow.positions.shape[1], dtype=np.float32)
+    dataclasses.replace(flow, pressure=np.stack([pressure] * 3)).save(tmp_path / "flow.npz")
+    words = [str(tmp_path / "flow.npz"), "--out", str(tmp_path), "--picture", "--frames", "2"]
+    pictures = []
+    for colour in ("displacement", "pressure"):
+        assert run(command, "vtk", [*words, "--colour", colour]) == 0
+        pictures.append(imread(tmp_path / "picture.png"))
+    assert (pictures[0] != pictures[1]).any(axis=2).mean() > 0.02
+    assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == [0.0, 0.2]
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    with av.open(str(path)) as file:
+        return [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+
+
+@opengl
+@pytest.mark.parametrize("first", range(len(rendering.ENCODERS)))
+def test_a_movie_by_any_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: int) -> None:
+    there = rendering.ENCODERS[first:]
+    monkeypatch.setattr(rendering, "ENCODERS", (("no such codec", ".avi", "rgb24"), *there))
+    path = write_movie(tmp_path / "movie.mp4", slide(2), Colour.VELOCITY, [0, 1, 2], rate=10)
+    assert path.suffix == there[0][1]
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    movie = frames_of(path)
+    assert len(movie) == 3
+    with Picture(slide(2), Colour.VELOCITY) as picture:
+        for frame, shown in enumerate(movie):
+            assert np.abs(shown.astype(float) - picture.at(frame)).mean() < 12.0
+    assert np.abs(movie[0].astype(float) - movie[2]).mean() > 2.0
+
+
+def test_no_encoder_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendering, "ENCODERS", (("no such codec", ".avi", "rgb24"),))
+    with pytest.raises(WorkFailed, match="encoder"):
+        write_movie(tmp_path / "movie.mp4", slide(2), Colour.VELOCITY, [0], rate=10)
+
+
+def test_no_opengl_is_one_line_after_the_series(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Blind:
+        """A window of VTK on a system that cannot draw."""
+
+        def __init__(self, **_: object) -> None:
+            self.render_window = self
+
+        def Initialize(self) -> None: ...
+
+        def IsCurrent(self) -> bool:
+            return False
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr(stage.pyvista, "Plotter", Blind)
+    slide(2).save(tmp_path / "trajectory.npz")
+    assert run(command, "vtk", [str(tmp_path), "--out", str(tmp_path / "out"), "--picture"]) == 1
+    assert "OpenGL" in capsys.readouterr().err.splitlines()[-1]
+    assert (tmp_path / "out" / "trajectory.pvd").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["absent.npz"], "absent.npz: expected a trajectory"),
+        (["."], "trajectory.npz: expected a trajectory"),
+        (["flow.npz", "--time", "0.3"], "--time: expected a time from 0 to 0.2 s"),
+        (["flow.npz", "--time", "-1"], "--time: expected a time from 0 to 0.2 s"),
+        (["flow.npz", "--frames", "0"], "--frames: expected an integer of at least 1"),
+        (["flow.npz", "--rate", "0"], "--rate: expected an integer of at least 1"),
+        (["flow.npz", "--colour", "pressure"], "flow.npz: pressure: expected a trajectory that recorded it"),
+        (["flow.npz", "--colour", "red"], "velocity"),
+        (["flow.npz", "--out", "flow.npz"], "--out: expected a folder"),
+    ],
+)
+def test_wrong_input_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    expected: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    slide(2).save(Path("flow.npz"))
+    words = words if "--out" in words else [*words, "--out", "out"]
+    assert run(command, "vtk", words) == 2
+    assert expected in line(capsys)
+    assert not Path("out").exists()

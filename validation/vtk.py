@@ -1,0 +1,78 @@
+"""python -m validation.vtk TRAJECTORY --out DIR: a trajectory for ParaView, as a picture and as a movie."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.trajectory import Trajectory
+from datasets.vtk import SERIES, frames_of, write_vtk
+from validation.rendering import Colour, require, write_movie, write_picture
+
+
+def command(
+    trajectory: Path,
+    /,
+    *,
+    out: Path,
+    picture: bool = False,
+    movie: bool = False,
+    frames: int = 1,
+    colour: Colour | None = None,
+    time: float | None = None,
+    rate: int = 25,
+) -> None:
+    """Write a trajectory as a series of VTK files; leaves OUT/trajectory.pvd, which ParaView opens.
+
+    Parameters
+    ----------
+    trajectory
+        A trajectory (NPZ), or the folder of a run that holds one.
+    out
+        Folder for the results.
+    picture
+        Draw the last frame, too: OUT/picture.png.
+    movie
+        Draw all frames, too: OUT/movie.mp4.
+    frames
+        Take every how many frames, into the series and the movie; the last frame always.
+    colour
+        What the colours tell; displacement in a picture and velocity in a movie, unless named.
+    time
+        Time of the picture [s], to the nearest frame; the end, unless given.
+    rate
+        Frames of the movie a second.
+    """
+    for key, number in (("--frames", frames), ("--rate", rate)):
+        if number < 1:
+            raise InputError(f"expected an integer of at least 1, got {number}", key=key)
+    path = trajectory / "trajectory.npz" if trajectory.is_dir() else trajectory
+    flow = Trajectory.load(path)
+    end = float(flow.time[-1])
+    if time is not None and not 0.0 <= time <= end:
+        raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
+    if colour is not None:
+        try:
+            require(flow, colour)
+        except InputError as error:
+            raise error.at(str(path)) from None
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"expected a folder to write to, {error.strerror}", where=str(out), key="--out") from None
+    write_vtk(flow, out, every=frames, progress=True)
+    shown = frames_of(flow, frames)
+    print(f"{len(shown)} frames of {flow.positions.shape[1]} points, written to {out / SERIES}")
+    if picture:
+        nearest = int(np.argmin(np.abs(flow.time - (end if time is None else time))))
+        write_picture(out / "picture.png", flow, colour or Colour.DISPLACEMENT, nearest)
+        print(f"t = {flow.time[nearest]:.3f} s, drawn into {out / 'picture.png'}")
+    if movie:
+        drawn = write_movie(out / "movie.mp4", flow, colour or Colour.VELOCITY, shown, rate=rate, progress=True)
+        print(f"{len(shown)} frames, drawn into {drawn}")
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m validation.vtk"))
