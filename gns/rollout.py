@@ -12,6 +12,7 @@ from datasets import command_line, files, measures
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.trajectory import Trajectory
+from datasets.vtk import write_vtk
 from gns import checkpoint
 from gns.start import after_frames, at_rest
 from gns.unroll import unroll
@@ -29,6 +30,7 @@ def rollout(
     start: Path | None = None,
     seed: int = 0,
     threads: int = 1,
+    vtk: bool = False,
 ) -> None:
     """Run a scene with the learned simulator; leaves OUT/trajectory.npz and OUT/summary.json.
 
@@ -46,6 +48,8 @@ def rollout(
         Seed of the choice of points.
     threads
         Threads of torch.
+    vtk
+        Write a series for ParaView to OUT/vtk too.
     """
     torch.set_num_threads(threads)
     wanted = read_scene(scene)
@@ -78,15 +82,18 @@ def rollout(
         "device": "cpu",
         "start": "rest" if start is None else "frames",
     }
-    Trajectory(
+    trajectory = Trajectory(
         positions=positions,
         time=problem.times(settings.step),
         velocity0=problem.velocity0,
         friction=problem.conditions.friction.numpy(),
         scene=wanted,
         summary=summary,
-    ).save(out / "trajectory.npz")
+    )
+    trajectory.save(out / "trajectory.npz")
     files.write_json(out / "summary.json", summary)
+    if vtk:
+        write_vtk(trajectory, out / "vtk", progress=True)
     print(f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {wall:.1f} s, written to {out}")
 
 

@@ -1,6 +1,5 @@
 """python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
 
-import os
 import signal
 import sys
 import time
@@ -28,6 +27,7 @@ from datasets.releases2d import RELEASES2D
 from datasets.scene import Scene
 from datasets.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
+from mpm.processors import processors
 
 DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, OBSTACLE3D)}
 
@@ -169,11 +169,6 @@ def pool(jobs: int) -> Iterator[Executor]:
         raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
     finally:
         executor.shutdown(cancel_futures=True)
-
-
-def processors() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 if __name__ == "__main__":

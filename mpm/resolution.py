@@ -1,10 +1,10 @@
 """How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
 
-The error is that of one run at a resolution, against a run at a quarter of the cell: root mean square over jitter seeds
-of how far the front (the x that 99.5 % of the points are behind) is off, and of the transport distance between the two
-deposits (rms distance of equal shares of their volume along x), whichever is larger, over the reach: from the rear of
-the masses at the start to the front. For a column at the left wall the reach is the paper's runout distance d. A tolerance
-speaks of that error, so it covers the grid, the step and the chance of a jitter; not whether the material is right.
+The error is that of one run at a resolution against a run on a quarter of the scene's cell: of the front (the x that
+99.5 % of the points are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
+whichever is larger, root mean square over jitter seeds; over the reach, from the rear of the masses at the start to
+the front, which is the runout distance of a column at the left wall. It covers the grid, the step and the chance of a
+jitter, not whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
 (docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`).
@@ -77,9 +77,9 @@ class Resolved:
     def __str__(self) -> str:
         scene = self.scene
         return (
-            f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the body), {scene.points_per_axis} points per axis, "
-            f"step {scene.step_fraction:g}, {self.precision}: error of {100 * self.error:.2g} % expected, "
-            f"{self.cost:.3g} times the point-steps of the scene as given"
+            f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
+            f"{scene.points_per_axis} points per axis, step {scene.step_fraction:g}, {self.precision}: "
+            f"an error of {100 * self.error:.2g} % expected, {self.cost:.3g} times the scene's own point-steps"
         )
 
 
@@ -129,7 +129,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
 
 
 def supported(each: Measured, known: Sequence[Measured], tolerance: float) -> bool:
-    """Whether `tolerance` holds there and on all finer grids that were measured alike: an error small by luck does not count."""
+    """Whether `tolerance` holds there and on all finer grids measured alike: an error small by luck does not count."""
     return tightest(each, known) <= tolerance
 
 
@@ -144,7 +144,7 @@ def tightest(each: Measured, known: Sequence[Measured]) -> float:
 
 
 def at(scene: Scene, resolution: Resolution) -> Scene:
-    """`scene` at a resolution, its grid no coarser than asked for and fitted to the box; the precision is the caller's."""
+    """`scene` at a resolution, its grid fitted to the box and no coarser than asked; the precision is the caller's."""
     cell = fitted_cell(scene.domain, characteristic_length(scene) / resolution.cells)
     return dataclasses.replace(
         scene,
@@ -168,7 +168,8 @@ def characteristic_length(scene: Scene) -> float:
 
     A side that reaches from wall to wall is no length of the flow and does not count, unless all do.
     """
-    sides, across = [], []
+    sides: list[float] = []
+    across: list[float] = []
     for body in bodies(scene.masses):
         for axis, length in enumerate(scene.domain.size):
             low = min(mass.lower[axis] for mass in body)

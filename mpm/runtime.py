@@ -1,6 +1,5 @@
 """Start Taichi once per precision; the solver keeps its state in NumPy arrays, so a restart loses nothing."""
 
-import os
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any, Literal
@@ -9,6 +8,7 @@ import taichi as ti
 
 from datasets.errors import InputError
 from mpm.layout import Precision
+from mpm.processors import processors
 
 Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
@@ -22,7 +22,7 @@ def start(precision: Precision = "f32", threads: int | None = None, arch: Arch =
     Raises InputError where there is no such GPU.
     """
     global _running
-    threads = threads or os.cpu_count() or 1
+    threads = threads or processors()
     if _running == (precision, threads, arch):
         return
     # Taichi greets on standard output, where commands print what they found.

@@ -1,6 +1,5 @@
 """Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypedDict, Unpack
@@ -19,13 +18,16 @@ from mpm.advance import Phase, kernel
 from mpm.batch import Batch
 from mpm.device import run_on_device
 from mpm.layout import Field, Place, Precision, Worker
+from mpm.processors import processors
 from mpm.runtime import Arch
 from mpm.summary import summarise
 
 FRAMES_PER_LAUNCH = 20
 """Between two launches the progress bar moves and Ctrl-C is heard."""
-LARGE = 20_000
-"""Points from which one scene is faster on all threads than on one."""
+POINTS_PER_WORKER = 10_000
+"""Fewer than that are not worth a thread of their own."""
+LARGE = 2 * POINTS_PER_WORKER
+"""Points from which one scene takes several threads."""
 SORTED = 50_000
 """Points from which they are sorted by cell at every launch."""
 
@@ -61,13 +63,15 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     if len({scene.dimension for scene in scenes}) > 1:
         raise InputError("expected scenes of one dimension, got 2D and 3D", key="domain.size")
     precision, arch = options.get("precision", "f32"), options.get("arch", "cpu")
-    threads = options.get("threads") or os.cpu_count() or 1
+    threads = options.get("threads") or processors()
     runtime.start(precision, threads, arch)
-    large = len(scenes) == 1 and threads > 1 and point_count(scenes[0]) >= LARGE
+    workers = 1
+    if len(scenes) == 1 and arch == "cpu":
+        workers = max(1, min(threads, point_count(scenes[0]) // POINTS_PER_WORKER))
     batch = Batch(
         scenes,
         precision=precision,
-        workers=threads if large and arch == "cpu" else 1,
+        workers=workers,
         fields=options.get("fields", False),
         until_rest=options.get("until_rest", False),
         gpu=arch != "cpu",

@@ -7,7 +7,7 @@ import pytest
 
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.points import material_points, point_count
 from datasets.scene import Mass, Scene
 
 
@@ -61,3 +61,9 @@ def test_without_jitter_points_form_a_lattice(scene: Scene) -> None:
     np.testing.assert_allclose(np.unique(points.positions[:, 1].round(9)), [0.0025, 0.0075, 0.0125, 0.0175])
     assert points.velocities.shape == points.positions.shape == (32, 2)
     np.testing.assert_array_equal(points.velocities[0], [0.1, -0.2])
+
+
+def test_the_count_is_known_beforehand() -> None:
+    for name in ("column-tall-42", "layers-10", "baffles-2"):
+        scene = read_scene(name)
+        assert point_count(scene) == len(material_points(scene).positions)

@@ -65,6 +65,11 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
     assert all(point in known[5].tolist() for point in first[5].tolist())
 
 
+def test_a_series_for_paraview(files: dict[str, Path], tmp_path: Path) -> None:
+    assert run(files, tmp_path / "out", "--vtk") == 0
+    assert (tmp_path / "out" / "vtk" / "trajectory.pvd").is_file()
+
+
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = files["model"].read_bytes()
     short = tmp_path / "short.pt"

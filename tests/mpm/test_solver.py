@@ -350,9 +350,9 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         duration=0.1,
     )
     for scene in (flat, deep):
-        monkeypatch.setattr("mpm.simulate.LARGE", 10**9)
+        monkeypatch.setattr("mpm.simulate.POINTS_PER_WORKER", 10**9)
         alone = simulate(scene, precision="f64", threads=2, fields=True)
-        monkeypatch.setattr("mpm.simulate.LARGE", 0)
+        monkeypatch.setattr("mpm.simulate.POINTS_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulate.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, fields=True)
         np.testing.assert_allclose(shared.positions, alone.positions, atol=1e-6)

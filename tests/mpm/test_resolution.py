@@ -1,0 +1,158 @@
+"""A tolerance picks the cheapest resolution that was measured to keep it, and fits it to the box."""
+
+import dataclasses
+
+import pytest
+
+from datasets.errors import InputError
+from datasets.library import read_scene
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from mpm.batch import Batch
+from mpm.resolution import (
+    Measured,
+    Resolution,
+    at,
+    bodies,
+    characteristic_length,
+    fitted_cell,
+    point_steps,
+    read_measured,
+    read_tolerance,
+    resolved,
+)
+from mpm.simulate import simulate
+
+
+def scene(*masses: tuple[tuple[float, ...], tuple[float, ...]], size: tuple[float, ...] = (1.0, 1.0)) -> Scene:
+    """Masses given as (lower, size) in a box of cells of 0.01 m."""
+    return Scene(
+        domain=Domain(size=size, cell=0.01),
+        material=Material(friction_deg=30.0),
+        masses=tuple(Mass(lower=lower, size=extent) for lower, extent in masses),
+    )
+
+
+COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))
+
+
+def measured(cells: float, error: float, seconds: float, *, dimension: int = 2, points: int = 2) -> Measured:
+    what = Resolution(cells=cells, points_per_axis=points, step_fraction=0.9, precision="f32")
+    return Measured(dimension=dimension, resolution=what, error=error, seconds=seconds)
+
+
+@pytest.mark.parametrize(("text", "value"), [("2%", 0.02), (" 2.5 % ", 0.025), ("0.02", 0.02), ("1e-2", 0.01)])
+def test_a_tolerance_is_a_percentage_or_a_fraction(text: str, value: float) -> None:
+    assert read_tolerance(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["2", "0", "-1%", "100%", "two", "", "%", "nan", "inf%"])
+def test_anything_else_is_one_clear_error(text: str) -> None:
+    with pytest.raises(InputError, match="expected a percentage such as 2%") as caught:
+        read_tolerance(text)
+    assert caught.value.key == "--tolerance"
+
+
+def test_the_cheapest_within_the_tolerance_is_picked() -> None:
+    known = [
+        measured(10, 0.06, 1.0),
+        measured(20, 0.03, 8.0),
+        measured(40, 0.015, 64.0),
+        measured(15, 0.028, 9.0, points=3),
+    ]
+    assert resolved(COLUMN, 0.05, known).cells == 20.0
+    assert resolved(COLUMN, 0.029, known).scene.points_per_axis == 3
+    assert resolved(COLUMN, 0.015, known).cells == 40.0
+
+
+def test_an_error_that_grows_again_on_finer_grids_is_luck() -> None:
+    known = [measured(10, 0.01, 1.0), measured(20, 0.04, 8.0), measured(40, 0.015, 64.0)]
+    assert resolved(COLUMN, 0.02, known).cells == 40.0
+    assert resolved(COLUMN, 0.04, known).cells == 10.0
+
+
+def test_a_tolerance_below_the_best_is_refused_with_the_best() -> None:
+    known = [measured(10, 0.06, 1.0), measured(40, 0.021, 64.0), measured(10, 0.001, 1.0, dimension=3)]
+    with pytest.raises(InputError, match=r"--tolerance: expected at least 2.1% in 2D.*got 2%"):
+        resolved(COLUMN, 0.02, known)
+
+
+def test_what_to_expect_is_said() -> None:
+    found = resolved(COLUMN, 0.05, [measured(40, 0.03, 64.0)])
+    assert found.scene.domain.cell == pytest.approx(0.005)
+    assert found.scene.step_fraction == 0.9
+    assert found.precision == "f32"
+    assert found.error == 0.03
+    # Four times the points; the scene's own step is 0.4 of the stable one.
+    assert found.cost == pytest.approx(4.0 * 22.0 / 25.0)
+    assert "error of 3 % expected" in str(found)
+    assert "cell 0.005 m (40 across the smallest side)" in str(found)
+
+
+def test_everything_else_of_a_scene_stays() -> None:
+    what = Resolution(cells=10.0, points_per_axis=3, step_fraction=0.2, precision="f64")
+    coarse = at(COLUMN, what)
+    assert (coarse.domain.cell, coarse.points_per_axis, coarse.step_fraction) == (0.02, 3, 0.2)
+    assert at(coarse, dataclasses.replace(what, cells=20.0, points_per_axis=2, step_fraction=0.4)) == COLUMN
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
+@pytest.mark.parametrize("wanted", [0.07, 0.01, 0.004])
+def test_a_cell_divides_every_side_of_the_box(sides: tuple[float, ...], wanted: float) -> None:
+    cell = fitted_cell(Domain(size=sides, cell=0.01), wanted)
+    assert cell <= wanted * (1.0 + 1e-9)
+    # Scenes on other grids are refused.
+    dataclasses.replace(COLUMN, domain=Domain(size=sides, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),))
+
+
+def test_a_cell_is_no_smaller_than_it_must_be() -> None:
+    assert fitted_cell(Domain(size=(2.0, 1.0, 1.0), cell=0.03125), 0.03) == pytest.approx(1.0 / 34.0)
+    assert fitted_cell(Domain(size=(2.0, 1.0, 1.0), cell=0.03125), 0.025) == pytest.approx(0.025)
+
+
+def test_the_length_is_the_smallest_side_of_a_body() -> None:
+    assert characteristic_length(COLUMN) == pytest.approx(0.2)
+    assert characteristic_length(scene(((0.0, 0.0), (0.2, 0.4)), ((0.5, 0.0), (0.1, 0.3)))) == pytest.approx(0.1)
+
+
+def test_masses_that_touch_are_one_body() -> None:
+    layers = scene(*(((0.0, 0.028 * n), (0.35, 0.028)) for n in range(10)))
+    assert characteristic_length(layers) == pytest.approx(0.28)
+    # The last joins two groups that did not touch before.
+    joined = scene(((0.0, 0.0), (0.1, 0.1)), ((0.3, 0.0), (0.1, 0.1)), ((0.1, 0.0), (0.2, 0.1)))
+    assert len(bodies(joined.masses)) == 1
+    assert len(bodies(joined.masses[:2])) == 2
+
+
+def test_a_side_from_wall_to_wall_does_not_count() -> None:
+    slice_ = scene(((0.0, 0.0, 0.0), (0.4, 0.2, 0.05)), size=(1.0, 1.0, 0.05))
+    assert characteristic_length(slice_) == pytest.approx(0.2)
+    bed = scene(((0.0, 0.0), (1.0, 0.3)))
+    assert characteristic_length(bed) == pytest.approx(0.3)
+
+
+def test_point_steps_are_those_of_a_run() -> None:
+    short = dataclasses.replace(
+        at(COLUMN, Resolution(cells=5.0, points_per_axis=3, step_fraction=0.4, precision="f32")), duration=0.05
+    )
+    summary = simulate(short, threads=1).summary
+    assert point_steps(short) == summary["particles"] * summary["steps"]
+    assert len(Batch([short], precision="f32").points[0].positions) == summary["particles"]
+
+
+@pytest.mark.parametrize(
+    ("name", "dimension"), [("column-tall-21", 2), ("layers-10", 2), ("baffles-2", 3), ("baffles-5", 3)]
+)
+def test_what_ships_resolves_every_shipped_kind_of_scene(name: str, dimension: int) -> None:
+    loose = resolved(read_scene(name), 0.1)
+    tight = resolved(read_scene(name), 0.04)
+    assert loose.scene.dimension == dimension
+    assert loose.error <= 0.1
+    assert tight.error <= 0.04
+    assert tight.cost > loose.cost
+    assert tight.scene.domain.cell < loose.scene.domain.cell
+
+
+def test_what_ships_supports_two_per_cent_of_the_columns() -> None:
+    assert resolved(read_scene("column-short-21"), 0.02).error <= 0.02
+    assert {each.dimension for each in read_measured()} == {2, 3}
