@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import InputError
 from datasets.material import Material
 from datasets.points import MaterialPoints, material_points
 from datasets.scene import Scene
@@ -19,7 +20,8 @@ class Batch:
     """The state of several scenes and what is recorded of it.
 
     `workers` threads share one scene; with several scenes each has one. `fields` records velocity, pressure and plastic
-    strain too; `until_rest` lets a scene end when its deposit has come to rest.
+    strain too; `until_rest` lets a scene end when its deposit has come to rest. Raises InputError for more points times
+    frames than can be counted.
     """
 
     def __init__(
@@ -73,6 +75,10 @@ class Batch:
             line += scene.frames
             baffle += len(scene.baffles)
             taken += scene.frames * solids
+        per_point = needs.dimension + (len(Field) if fields else 0)
+        longest = max(block * needs.block * lanes, node * needs.node, recorded * per_point)
+        if longest >= 2**31:
+            raise InputError(f"expected a smaller run: {longest} numbers in a row, Taichi counts to 2^31")
         self.state = aligned((block, needs.block, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
         self.grid = aligned((node, needs.node), real)

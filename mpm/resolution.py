@@ -2,9 +2,9 @@
 
 The error is that of one run at a resolution against a run on a quarter of the scene's cell: of the front (the x that
 99.5 % of the points are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
-whichever is larger, root mean square over jitter seeds; over the reach, from the rear of the masses at the start to
-the front, which is the runout distance of a column at the left wall. It covers the grid, the step and the chance of a
-jitter, not whether the material is right.
+whichever is larger, over the reach: from the rear of the masses at the start to the front, which is the runout
+distance of a column at the left wall. It is a root mean square over jitter seeds and over the scenes that were measured,
+so what to expect, not a bound. It covers the grid, the step and the chance of a jitter, not whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
 (docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`).
@@ -49,7 +49,9 @@ class Measured(Strict):
     """2 or 3."""
     resolution: Resolution
     error: float
-    """Of the worst scene, as a fraction of its reach [-]."""
+    """Root mean square over the scenes, each as a fraction of its reach [-]."""
+    worst: float
+    """Of the worst scene [-]."""
     seconds: float
     """Of a run alone on one thread, mean over the scenes [s]."""
 
@@ -69,6 +71,8 @@ class Resolved:
     precision: Precision
     error: float
     """Expected, as a fraction of the reach [-]: what was measured at this resolution."""
+    worst: float
+    """The same of the worst scene that was measured [-]."""
     cells: float
     """Cells across the characteristic length [-]."""
     cost: float
@@ -79,7 +83,8 @@ class Resolved:
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
             f"{scene.points_per_axis} points per axis, step {scene.step_fraction:g}, {self.precision}: "
-            f"an error of {100 * self.error:.2g} % expected, {self.cost:.3g} times the scene's own point-steps"
+            f"an error of {100 * self.error:.2g} % expected ({100 * self.worst:.2g} % in the worst scene measured), "
+            f"{self.cost:.3g} times the scene's own point-steps"
         )
 
 
@@ -123,6 +128,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
         scene=finer,
         precision=best_fit.resolution.precision,
         error=best_fit.error,
+        worst=best_fit.worst,
         cells=characteristic_length(scene) / finer.domain.cell,
         cost=point_steps(finer) / point_steps(scene),
     )

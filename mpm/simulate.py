@@ -110,9 +110,11 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]") ->
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory:
     """What scene `index` did. Raises WorkFailed where it blew up."""
     scene, points, place = batch.scenes[index], batch.points[index], batch.places[index]
-    positions, energies = batch.recorded(index).copy(), batch.energies(index)
-    impulses = batch.impulses(index)
-    fields = batch.recorded_fields(index).copy() if batch.needs.fields else None
+    positions, energies, impulses = batch.recorded(index), batch.energies(index), batch.impulses(index)
+    fields = batch.recorded_fields(index) if batch.needs.fields else None
+    if len(batch.scenes) > 1:
+        # What one trajectory holds must not keep the record of all others in memory.
+        positions, fields = positions.copy(), None if fields is None else fields.copy()
     rest, reached = int(place[Place.REST]), int(place[Place.FRAMES])
     if rest:
         recorded: list[NDArray[Any]] = [positions, energies, impulses]

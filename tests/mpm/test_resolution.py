@@ -38,7 +38,7 @@ COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))
 
 def measured(cells: float, error: float, seconds: float, *, dimension: int = 2, points: int = 2) -> Measured:
     what = Resolution(cells=cells, points_per_axis=points, step_fraction=0.9, precision="f32")
-    return Measured(dimension=dimension, resolution=what, error=error, seconds=seconds)
+    return Measured(dimension=dimension, resolution=what, error=error, worst=2.0 * error, seconds=seconds)
 
 
 @pytest.mark.parametrize(("text", "value"), [("2%", 0.02), (" 2.5 % ", 0.025), ("0.02", 0.02), ("1e-2", 0.01)])
@@ -85,7 +85,7 @@ def test_what_to_expect_is_said() -> None:
     assert found.error == 0.03
     # Four times the points; the scene's own step is 0.4 of the stable one.
     assert found.cost == pytest.approx(4.0 * 22.0 / 25.0)
-    assert "error of 3 % expected" in str(found)
+    assert "error of 3 % expected (6 % in the worst scene measured)" in str(found)
     assert "cell 0.005 m (40 across the smallest side)" in str(found)
 
 

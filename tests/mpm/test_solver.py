@@ -225,6 +225,12 @@ def test_scenes_of_two_dimensions_do_not_run_together() -> None:
         simulate_many([flat, deep])
 
 
+def test_a_run_too_large_to_count_is_refused() -> None:
+    endless = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.8, 0.8, 0.8)), duration=100.0, frame_dt=0.001)
+    with pytest.raises(InputError, match="expected a smaller run"):
+        simulate(endless)
+
+
 def test_a_run_that_blows_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
     monkeypatch.setattr("mpm.batch.material_points", with_a_broken_point)
