@@ -46,6 +46,7 @@ def metadata(
         "friction_deg": [min(angles), max(angles)],
         "floor_friction": scene.floor_friction,
         "wall_friction": scene.wall_friction,
+        "baffle_friction": scene.baffle_friction,
         "damping": scene.damping,
         "version": __version__,
     }

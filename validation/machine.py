@@ -1,0 +1,35 @@
+"""What a figure was measured on."""
+
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+
+CPUINFO = Path("/proc/cpuinfo")
+
+
+def machine() -> str:
+    """Processor, cores and versions in a line."""
+    features = "" if not wide_vectors() else " with AVX-512"
+    return (
+        f"{processor()}{features}, {os.cpu_count()} cores; "
+        f"Python {platform.python_version()}, Taichi {version('taichi')}, NumPy {version('numpy')}"
+    )
+
+
+def processor() -> str:
+    """The processor's own name where the system tells it."""
+    return cpuinfo("model name") or platform.processor() or platform.machine()
+
+
+def wide_vectors() -> bool:
+    """Whether the processor has vector registers of 64 bytes."""
+    return "avx512f" in cpuinfo("flags").split()
+
+
+def cpuinfo(key: str) -> str:
+    """The first value of `key` in Linux's description of its processors, empty elsewhere."""
+    if not CPUINFO.exists():
+        return ""
+    lines = (line.partition(":") for line in CPUINFO.read_text(encoding="utf-8").splitlines())
+    return next((value.strip() for name, _, value in lines if name.strip() == key), "")
