@@ -103,7 +103,7 @@ class LoopSettings(Strict):
     """Mean distance between equal shares of two profiles, over the target's mean, within which one is confirmed."""
     mpm_runs: int = 8
     """Most MPM runs that the loop may spend."""
-    seeds: int = 8
+    seeds: int = 16
     """Jitter seeds of the ensemble that says how certain the answer is."""
     trust: float = 0.15
     """Longest step between two MPM runs, as a fraction of an unknown's range."""

@@ -3,8 +3,9 @@
 The error is that of one run at a resolution against a run on a quarter of the scene's cell: of the front (the x that
 99.5 % of the points are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
 whichever is larger, over the reach: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. It is a root mean square over jitter seeds and over the scenes that were measured,
-so what to expect, not a bound. It covers the grid, the step and the chance of a jitter, not whether the material is right.
+distance of a column at the left wall. It is a root mean square over jitter seeds and over the scenes that were
+measured, so what to expect, not a bound. It covers the grid, the step and the chance of a jitter, not whether the
+material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
 (docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`).

@@ -1,0 +1,124 @@
+"""Power laws from made-up points, the columns' scenes, and what is measured on a deposit of known shape."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.command_line import run
+from datasets.points import material_points
+from validation import scaling
+from validation.collapse import LENGTH, half_column, measured, quarter_cylinder, volume_error
+from validation.power_law import fit, prefactor
+from validation.scaling_report import published
+from validation.sides import HIGH, LOW, Series, read_laws, side
+
+ASPECTS = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0])
+
+
+def deposits(front: np.ndarray) -> Series:
+    """A series with given fronts over `ASPECTS`."""
+    flat = measured(1.0, np.array([[LENGTH, 0.0], [0.0, 0.1]]), None)
+    return Series(
+        dimension=2,
+        cells=20,
+        friction_deg=30.0,
+        deposits=tuple(
+            dataclasses.replace(flat, aspect=float(a), front=float(x), runout=float(x), height=float(a**0.4))
+            for a, x in zip(ASPECTS, front, strict=True)
+        ),
+    )
+
+
+def test_an_exact_power_law_is_found() -> None:
+    law = fit(ASPECTS, 1.9 * ASPECTS**0.7)
+    assert law.prefactor == pytest.approx(1.9)
+    assert law.exponent == pytest.approx(0.7)
+    assert law.half_width == pytest.approx(0.0, abs=1e-6)
+    assert law(np.array([4.0]))[0] == pytest.approx(1.9 * 4.0**0.7)
+
+
+def test_the_half_width_holds_the_truth_as_often_as_it_says() -> None:
+    chance = np.random.default_rng(3)
+    fits = [fit(ASPECTS, 1.9 * ASPECTS**0.7 * np.exp(0.05 * chance.normal(size=len(ASPECTS)))) for _ in range(400)]
+    held = np.mean([abs(law.exponent - 0.7) <= law.half_width for law in fits])
+    assert held == pytest.approx(0.95, abs=0.035)
+
+
+def test_a_prefactor_with_the_exponent_held() -> None:
+    assert prefactor(ASPECTS, 1.2 * ASPECTS, 1.0) == pytest.approx(1.2)
+
+
+def test_the_two_sides_of_a_break_are_fitted_apart() -> None:
+    series = deposits(np.where(ASPECTS < 2.2, 1.2 * ASPECTS, 1.9 * ASPECTS ** (2.0 / 3.0)))
+    low, high = side(series, "front", high=False), side(series, "front", high=True)
+    assert low.law.exponent == pytest.approx(1.0)
+    assert high.law.exponent == pytest.approx(2.0 / 3.0)
+    assert low.aspects.max() <= LOW < HIGH <= high.aspects.min()
+    assert high.prefactor(2.0 / 3.0) == pytest.approx(1.9)
+
+
+def test_a_prefactor_out_of_the_band_is_marked() -> None:
+    laws = [law for law in read_laws() if law.source.startswith("Lube et al. 2005") and law.quantity == "runout"]
+    law = next(law for law in laws if law.high)
+    assert "out of the band" not in published(deposits(2.5 * ASPECTS ** (2.0 / 3.0)), "front", law)[-1]
+    assert "out of the band" in published(deposits(4.0 * ASPECTS ** (2.0 / 3.0)), "front", law)[-1]
+
+
+def test_the_published_laws_are_read_with_their_ranges() -> None:
+    laws = read_laws()
+    assert {(law.dimension, law.quantity) for law in laws} == {(2, "runout"), (2, "height"), (3, "runout")}
+    assert all(law.above < law.below for law in laws)
+    assert {law.high for law in laws if law.dimension == 3} == {True, False}
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 4.0])
+def test_a_quarter_cylinder_has_the_volume_of_one(aspect: float) -> None:
+    scene = quarter_cylinder(aspect, 8)
+    assert abs(volume_error(scene)) < 0.012
+    assert abs(volume_error(quarter_cylinder(aspect, 32))) < 0.004
+    points = material_points(scene).positions
+    assert len(points) * scene.point_volume == pytest.approx(0.25 * math.pi * LENGTH**3 * aspect, rel=0.012)
+    assert np.hypot(points[:, 0], points[:, 2]).max() < LENGTH * (1.0 + 1.0 / 8.0)
+
+
+def test_columns_differ_in_nothing_but_their_aspect_ratio() -> None:
+    low, tall = half_column(0.5, 10), half_column(8.0, 10)
+    for scene, aspect in ((low, 0.5), (tall, 8.0)):
+        height = scene.masses[0].size[1]
+        assert height == pytest.approx(aspect * LENGTH)
+        assert scene.material.young / (scene.material.density * scene.gravity * height) == pytest.approx(150.0)
+        assert scene.floor_friction == pytest.approx(scene.material.friction)
+        assert scene.wall_friction == scene.damping == scene.material.cohesion == 0.0
+    # Ten cells across the smaller of both.
+    assert low.domain.cell == pytest.approx(0.005)
+    assert tall.domain.cell == pytest.approx(0.01)
+
+
+def test_a_cone_is_measured() -> None:
+    chance = np.random.default_rng(5)
+    radius, angle = 0.3 * np.sqrt(chance.uniform(size=200_000)), chance.uniform(0.0, math.pi / 2.0, 200_000)
+    height = chance.uniform(size=200_000) * 0.12 * (1.0 - radius / 0.3)
+    cone = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], axis=1)
+    found = measured(2.0, cone, 0.5)
+    assert found.runout == pytest.approx(2.0, abs=0.01)
+    assert found.front == pytest.approx(0.3 * math.sqrt(0.995) / LENGTH - 1.0, abs=0.01)
+    assert found.height == pytest.approx(1.2, abs=0.08)
+    assert abs(found.skew) < 0.01
+    assert found.rest_time == pytest.approx(0.5 / math.sqrt(0.2 / 9.81))
+    longer = measured(2.0, cone * [1.2, 1.0, 1.0], None)
+    assert longer.skew > 0.02
+
+
+@pytest.mark.slow
+def test_the_command_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scaling, "CELLS", {2: 4, 3: 4})
+    monkeypatch.setattr(scaling, "ASPECTS_2D", (0.5, 1.0, 1.6, 2.6, 4.0, 5.0))
+    monkeypatch.setattr(scaling, "ASPECTS_3D", (0.5, 1.0, 1.6, 2.6, 3.0, 4.0))
+    assert run(scaling.command, "test", ["--out", str(tmp_path), "--seeds", "1"]) == 0
+    text = (tmp_path / "scaling.md").read_text()
+    assert "Lube et al. 2004, cylinder" in text
+    assert "| 1.60 |" in text
+    assert (tmp_path / "scaling.png").stat().st_size > 10_000

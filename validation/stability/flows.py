@@ -1,0 +1,46 @@
+"""Scenes -> trajectories, side by side, each in the kernel that it would get alone."""
+
+from collections.abc import Mapping
+
+from tqdm import tqdm
+
+from datasets.command_line import WorkFailed
+from datasets.points import material_points
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from mpm.batch import needs_of
+from mpm.layout import Needs, Precision
+from mpm.simulate import simulate, simulate_many
+
+Flow = Trajectory | WorkFailed
+"""What a scene came to: a trajectory with fields, or the message of a run that blew up."""
+
+
+def simulate_scenes(scenes: Mapping[str, Scene], precision: Precision, bar: "tqdm[None]") -> dict[str, Flow]:
+    """What each scene came to; `bar` counts them.
+
+    A batch compiles what any of its scenes needs, and a scene without cohesion would not run in the code that it is
+    meant to test. So scenes with the same needs run together.
+    """
+    groups: dict[Needs, dict[str, Scene]] = {}
+    for name, scene in scenes.items():
+        needs = needs_of([scene], [material_points(scene)], precision, fields=True)
+        groups.setdefault(needs, {})[name] = scene
+    flows: dict[str, Flow] = {}
+    for group in groups.values():
+        try:
+            trajectories = simulate_many(list(group.values()), precision=precision, fields=True)
+            flows.update(zip(group, trajectories, strict=True))
+        except WorkFailed:
+            # It does not say which.
+            flows.update({name: simulate_one(scene, precision) for name, scene in group.items()})
+        bar.update(len(group))
+    return {name: flows[name] for name in scenes}
+
+
+def simulate_one(scene: Scene, precision: Precision) -> Flow:
+    """What one scene came to."""
+    try:
+        return simulate(scene, precision=precision, threads=1, fields=True)
+    except WorkFailed as error:
+        return error

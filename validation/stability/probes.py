@@ -1,0 +1,46 @@
+"""Why a row is red: the same scene at half the step, and in 2D on half the cell."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tqdm import tqdm
+
+from datasets.scene import Domain, Scene
+from validation.stability.cases import Case
+from validation.stability.flows import simulate_scenes
+from validation.stability.verdict import Verdict, judge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """A red row, changed."""
+
+    change: str
+    verdict: Verdict
+
+
+def half_step(scene: Scene) -> Scene:
+    """The scene at half its step."""
+    return dataclasses.replace(scene, step_fraction=0.5 * scene.step_fraction)
+
+
+def half_cell(scene: Scene) -> Scene:
+    """The scene on half its cell."""
+    return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=0.5 * scene.domain.cell))
+
+
+def probe(cases: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
+    """Every case at half the step and, in 2D, on half the cell, in f64."""
+    found = []
+    for change, variant, dimensions in (("half the step", half_step, (2, 3)), ("half the cell", half_cell, (2,))):
+        changed = {case.name: variant(case.scene) for case in cases if case.scene.dimension in dimensions}
+        bar.total = (bar.total or 0) + len(changed)
+        flows = simulate_scenes(changed, "f64", bar)
+        for case in cases:
+            if case.name in flows:
+                # What a row is compared with was not changed: without it.
+                alone = dataclasses.replace(case, beside="", comparisons=(), precisions=())
+                verdict = judge(alone, {"f32": flows, "f64": flows})
+                found.append(Probe(change=change, verdict=verdict))
+    return found
