@@ -75,6 +75,8 @@ class Scene(Strict):
     """Coulomb coefficient of every face of the baffles [-]."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
+    volume_correction: bool = False
+    """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
     points_per_axis: int = 2

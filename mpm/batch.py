@@ -229,6 +229,7 @@ def needs_of(
         damped=any(scene.damping > 0.0 for scene in scenes),
         cohesive=any(material.cohesion > 0.0 for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
+        corrected=any(scene.volume_correction for scene in scenes),
         several=any(len(each.materials) > 1 for each in points),
         baffles=any(scene.baffles for scene in scenes),
         fields=fields,
@@ -268,6 +269,7 @@ def settings_row(scene: Scene, points: MaterialPoints) -> list[float]:
         Setting.WALL_FRICTION: scene.wall_friction,
         Setting.BAFFLE_FRICTION: scene.baffle_friction,
         Setting.DAMPING: scene.damping,
+        Setting.CORRECTED: float(scene.volume_correction),
         Setting.WAVE_SPEED: max(material.wave_speed for material in points.materials),
     }
     return [values[column] for column in Setting]

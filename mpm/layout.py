@@ -37,6 +37,7 @@ class Setting(Column):
     WALL_FRICTION = auto()  # [-]
     BAFFLE_FRICTION = auto()  # [-]
     DAMPING = auto()  # [-]
+    CORRECTED = auto()  # 1 where gaps are remembered, else 0
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
 
 
@@ -124,6 +125,8 @@ class Needs:
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
+    corrected: bool = False
+    """A point remembers the gap to its neighbours: volume correction."""
     several: bool = False
     """Materials in one scene."""
     baffles: bool = False
@@ -174,9 +177,14 @@ class Needs:
         return self.stress + self.stresses
 
     @property
+    def gap(self) -> int:
+        """Vector of the mean stress that the strain beyond the apex would have made [Pa], where `corrected`."""
+        return self.plastic_strain + int(self.fields)
+
+    @property
     def properties(self) -> int:
         """First vector of the material properties, where `several`."""
-        return self.plastic_strain + int(self.fields)
+        return self.gap + int(self.corrected)
 
     @property
     def present(self) -> int:

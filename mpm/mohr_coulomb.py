@@ -72,9 +72,10 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 
 @ti.func
 def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, dilates: ti.template()):
-    """The stresses that Mohr-Coulomb with tension limit admits in place of s1 >= s2 >= s3.
+    """The stresses that Mohr-Coulomb with tension limit admits in place of s1 >= s2 >= s3, and then by how much their
+    mean lay beyond the apex [Pa], 0 where it did not.
 
-    It shifts and closes gaps, it never widens one: no gap s_i - s_j grows or changes its sign.
+    It shifts stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
     """
     excess = larger(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
@@ -86,9 +87,11 @@ def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear,
         ti.select(upper, twin_high, ti.select(lower, twin_low, t2)),
         ti.select(upper, low, ti.select(lower, twin_low, t3)),
     )
-    apex = t1 + t2 + t3 >= 3.0 * limit
+    beyond = (t1 + t2 + t3) / 3.0 - limit
+    apex = beyond >= 0.0
     return (
         ti.select(apex, limit, smaller(t1, limit)),
         ti.select(apex, limit, smaller(t2, limit)),
         ti.select(apex, limit, smaller(t3, limit)),
+        larger(beyond, 0.0),
     )

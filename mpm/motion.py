@@ -77,10 +77,16 @@ def update_stress(scene, block, dt, of: ti.template()):
         limit = property_of(scene, block, Property.LIMIT, of)
     stress = [of.state[first + needs.stress + k] for k in ti.static(range(needs.stresses))]
     gradient = [dt * of.state[first + needs.affine + k] for k in ti.static(range(needs.dimension * needs.dimension))]
+    if ti.static(needs.corrected):
+        # Volume correction (Tampubolon et al. 2017): what opened a gap must be taken back before anything bears again.
+        for k in ti.static(range(3)):
+            stress[k] = stress[k] + of.state[first + needs.gap]
     trial = trial_stress(stress, gradient, lame, shear, needs.dimension)
     new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, needs)
     for k in ti.static(range(needs.stresses)):
         of.state[first + needs.stress + k] = new[k]
+    if ti.static(needs.corrected):
+        of.state[first + needs.gap] = of.settings[scene, Setting.CORRECTED] * new[needs.stresses + 1]
     if ti.static(needs.fields):
         at = first + needs.plastic_strain
         of.state[at] = of.state[at] + new[needs.stresses]

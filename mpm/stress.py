@@ -55,8 +55,8 @@ def trial_stress(stress: ti.template(), gradient: ti.template(), lame, shear, di
 def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, needs: ti.template()):
     """The stress [Pa] that Mohr-Coulomb with tension limit admits in place of a trial stress.
 
-    Returns its components, and then the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
-    e = dev(sigma_trial - sigma) / (2 mu).
+    Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
+    e = dev(sigma_trial - sigma) / (2 mu); and how far the mean of the trial stress lay beyond the apex [Pa].
     """
     if ti.static(needs.dimension == 2):
         xx, yy, z, xy = stress
@@ -65,7 +65,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         radius = ti.sqrt(half * half + xy * xy)
         a, b = centre + radius, centre - radius
         s1, s2, s3 = larger(a, z), larger(b, smaller(a, z)), smaller(b, z)
-        t1, t2, t3 = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, needs.dilates)
+        t1, t2, t3, beyond = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, needs.dilates)
         yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
         above, below = z > a, z < b
         top = ti.select(above, t2, t1)
@@ -79,6 +79,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
             ti.select(yielded, out, z),
             ti.select(yielded, scale * xy, xy),
             equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear),
+            beyond,
         )
     else:
         xx, yy, zz, xy, yz, zx = stress
@@ -86,7 +87,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         dxx, dyy, dzz = xx - p, yy - p, zz - p
         a1, a2, a3 = principal_deviator(dxx, dyy, dzz, xy, yz, zx, needs.precision)
         s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3 = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, needs.dilates)
+        t1, t2, t3, beyond = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, needs.dilates)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
         g12 = between((g1 - g2) / larger(s1 - s2, TINY), -1.0, 0.0)
         g23 = between((g2 - g3) / larger(s2 - s3, TINY), -1.0, 0.0)
@@ -102,6 +103,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
             yz + linear * yz + g123 * (xy * zx + dyy * yz + yz * dzz),
             zx + linear * zx + g123 * (dxx * zx + xy * yz + zx * dzz),
             equivalent_strain(g1, g2, g3, shear),
+            beyond,
         )
 
 

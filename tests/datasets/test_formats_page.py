@@ -1,6 +1,7 @@
 """`docs/formats.md` names every key that the files have, with the defaults they have, and shows a scene that loads."""
 
 import dataclasses
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -37,7 +38,7 @@ def test_every_key_of_a_scene(kind: type) -> None:
         (row, *_) = [row for row in rows if f"`{field.name}`" in row[1]]
         if isinstance(field.default, int | float):
             place = re.findall(r"`(\w+)`", row[1]).index(field.name)
-            assert float(row[2].split(",")[place]) == field.default
+            assert json.loads(row[2].split(",")[place]) == field.default
 
 
 def test_the_scene_on_the_page_loads() -> None:

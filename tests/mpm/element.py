@@ -64,7 +64,7 @@ def return_kernel(dilates: bool) -> Callable[..., None]:
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
         for e in range(s.shape[0] // 3):
-            t1, t2, t3 = return_principal(
+            t1, t2, t3, _ = return_principal(
                 s[3 * e],
                 s[3 * e + 1],
                 s[3 * e + 2],

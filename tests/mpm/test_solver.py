@@ -444,3 +444,25 @@ def test_a_missing_gpu_is_one_clear_line() -> None:
         simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01), arch="cuda")
     # And the CPU still works.
     assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"
+
+
+def test_a_bed_that_was_thrown_up_is_as_high_as_before_where_gaps_are_remembered() -> None:
+    """Sand that parted in the air bears nothing until its gaps have closed: it comes to rest as dense as it was."""
+    loose = box(
+        Mass(lower=(0.0, 0.3), size=(0.4, 0.2)), domain=Domain(size=(0.4, 1.0), cell=0.02), duration=2.0, frame_dt=0.01
+    )
+    dense = dataclasses.replace(loose, volume_correction=True)
+    forgetful, mindful = simulate_many([loose, dense])
+    # Its centre rests at half of its height; gaps that open in one direction alone are not remembered.
+    assert mindful.positions[-1, :, 1].mean() == pytest.approx(0.1, rel=0.2)
+    assert forgetful.positions[-1, :, 1].mean() > 1.2 * mindful.positions[-1, :, 1].mean()
+    for trajectory in (forgetful, mindful):
+        total = np.sum(list(trajectory.summary["energy"].values()), axis=0)
+        assert np.diff(total).max() < 2e-4 * total[0]
+
+
+def test_a_scene_does_not_remember_what_another_one_of_its_batch_does() -> None:
+    plain = box(Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(2.0, 0.0)), duration=0.2)
+    alone = simulate(plain, precision="f64")
+    beside, _ = simulate_many([plain, dataclasses.replace(plain, volume_correction=True)], precision="f64")
+    np.testing.assert_allclose(beside.positions, alone.positions, atol=1e-6)
