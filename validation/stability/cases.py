@@ -48,9 +48,10 @@ class Case:
 
 
 LOOSE = (
-    "Sand that bounces parts in the air, at no stress, and forgets by how much: the stress law is one of rates, so the "
-    "first compression after the flight is resisted although the gaps are still open, and the deposit stays as loose "
-    "as it flew. Neither a smaller step nor a finer grid changes that."
+    "Sand that bounces parts in the air, at no stress, and a stress law of rates forgets by how much: the first "
+    "compression after the flight is resisted although the gaps are still open, and the deposit stays as loose as it "
+    "flew. The volume correction remembers the gaps; without it see below. What is left is what a point's own velocity "
+    "gradient does not see: lumps that fly more than a cell apart."
 )
 
 CASES = (

@@ -1,4 +1,4 @@
-"""Why a row is red: the same scene at half the step, and in 2D on half the cell."""
+"""Why a row is red: the same scene at half the step, in 2D on half the cell, and without its volume correction."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -30,11 +30,21 @@ def half_cell(scene: Scene) -> Scene:
     return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=0.5 * scene.domain.cell))
 
 
+def forgetful(scene: Scene) -> Scene:
+    """The scene without the volume correction."""
+    return dataclasses.replace(scene, volume_correction=False)
+
+
 def probe(cases: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
-    """Every case at half the step and, in 2D, on half the cell, in f64."""
+    """Every case at half the step and, in 2D, on half the cell, in f64; and without a volume correction that it has."""
     found = []
-    for change, variant, dimensions in (("half the step", half_step, (2, 3)), ("half the cell", half_cell, (2,))):
+    for change, variant, dimensions in (
+        ("half the step", half_step, (2, 3)),
+        ("half the cell", half_cell, (2,)),
+        ("no volume correction", forgetful, (2, 3)),
+    ):
         changed = {case.name: variant(case.scene) for case in cases if case.scene.dimension in dimensions}
+        changed = {case.name: changed[case.name] for case in cases if changed.get(case.name, case.scene) != case.scene}
         bar.total = (bar.total or 0) + len(changed)
         flows = simulate_scenes(changed, "f64", bar)
         for case in cases:
