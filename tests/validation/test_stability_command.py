@@ -98,11 +98,12 @@ def test_scenes_run_in_the_kernels_that_they_would_get_alone(monkeypatch: pytest
     scenes = {case.name: case.scene for case in CASES}
     with tqdm(disable=True) as bar:
         assert list(flows.simulate_scenes(scenes, "f32", bar)) == list(scenes)
-    assert len(batches) == 7
+    assert len(batches) == 9
     for batch in batches:
         assert len({scene.dimension for scene in batch}) == 1
         assert len({bool(scene.baffles) for scene in batch}) == 1
         assert len({scene.damping > 0.0 for scene in batch}) == 1
+        assert len({scene.volume_correction for scene in batch}) == 1
         assert len({scene.material.cohesion > 0.0 for scene in batch}) == 1
         assert len({len({scene.material_of(mass) for mass in scene.masses}) for scene in batch}) == 1
 
