@@ -50,8 +50,8 @@ class Case:
 LOOSE = (
     "Sand that bounces parts in the air, at no stress, and a stress law of rates forgets by how much: the first "
     "compression after the flight is resisted although the gaps are still open, and the deposit stays as loose as it "
-    "flew. The volume correction remembers the gaps; without it see below. What is left falls with the cell; more points "
-    "per cell do not help."
+    "flew. The volume correction remembers the gaps; without it see below. What is left falls with the cell; more "
+    "points per cell do not help."
 )
 
 CASES = (
