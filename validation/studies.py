@@ -70,8 +70,8 @@ STUDIES = (
         steps=True,
         dearest=0.3,
         remark="""
-            Sand of 42 degrees with cohesion breaks along bands that have no width of their own, only the grid's, which is
-            the likely reason why the front of the short column goes on moving.
+            Sand of 42 degrees with cohesion breaks along bands that have no width of their own, only the grid's, which
+            is the likely reason why the front of the short column goes on moving.
         """,
     ),
     Study(
@@ -84,8 +84,8 @@ STUDIES = (
         steps=False,
         dearest=0.08,
         remark="""
-            The furthest points of this flow stand at the far wall, 2 m from the other one, which holds them there. It is
-            one scene: what holds for it may not for another.
+            The furthest points of this flow stand at the far wall, 2 m from the other one, which holds them there. It
+            is one scene: what holds for it may not for another.
         """,
     ),
 )

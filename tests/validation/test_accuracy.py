@@ -146,6 +146,7 @@ def test_the_command_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         seeds=2,
         steps=True,
         dearest=0.5,
+        remark="A remark.",
     )
     monkeypatch.setattr(studies, "STUDIES", (tiny,))
     monkeypatch.setattr(studies, "read_scene", lambda name: dataclasses.replace(read_scene(name), duration=0.1))
@@ -161,6 +162,7 @@ def test_the_command_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert Resolution(cells=5.0, points_per_axis=2, step_fraction=0.9, precision="f64") in [
         each.resolution for each in found
     ]
+    assert min(each.resolution.points_per_axis for each in found) == studies.FEWEST_POINTS
     # Coarser is worse, and the file is what a tolerance reads.
     errors = {
         each.resolution.cells: each.error
