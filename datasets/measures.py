@@ -1,6 +1,6 @@
-"""What a deposit is judged by: runout, front, toe and height profile.
+"""What a deposit is judged by: runout, front, toe and height profile; and a flow by its energy.
 
-Every function takes the positions of one moment [m], shape [N, D].
+Every function takes the positions of one moment [m], shape [N, D]; those of energies take any number of moments.
 """
 
 import math
@@ -12,6 +12,9 @@ from datasets.scene import Scene
 
 FRONT_QUANTILE = 0.995
 TOE_FRACTION = 0.10
+
+UPSTREAM = 0.1
+"""Length [m] of the strip in front of the baffles over which the depth there is a mean."""
 
 Positions = NDArray[np.floating]
 
@@ -57,3 +60,47 @@ def height_profile(
     length = np.full(len(stations), spacing)
     length[[0, -1]] *= 0.5
     return np.asarray(height / length)
+
+
+def profile_error(found: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
+    """Area between two height profiles over that under the wanted one [-]: 0 is equal, 2 disjoint."""
+    return float(np.abs(found - wanted).sum() / wanted.sum())
+
+
+def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], scene: Scene) -> float:
+    """Depth [m] at its initial density of what stands or flows right before the first row of baffles.
+
+    Mean over the strips `UPSTREAM` long and as wide as each baffle of that row (the one whose faces have the least x).
+    volume: of the points [m^D], one for all or shape [N].
+    """
+    face = min(baffle.lower[0] for baffle in scene.baffles)
+    before = (positions[:, 0] >= face - UPSTREAM) & (positions[:, 0] < face)
+    inside, area = 0.0, 0.0
+    for baffle in scene.baffles:
+        if baffle.lower[0] > face:
+            continue
+        here, width = before, 1.0
+        if scene.dimension == 3:
+            z, width = baffle.lower[2], baffle.size[2]
+            here = before & (positions[:, 2] >= z) & (positions[:, 2] < z + width)
+        inside += float((volume * here).sum(dtype=np.float64))
+        area += UPSTREAM * width
+    return inside / area
+
+
+def kinetic_energy(velocities: Positions, mass: float | NDArray[np.floating]) -> NDArray[np.float64]:
+    """Kinetic energy [J, in 2D per metre of width] of velocities [m/s], shape [..., N, D]; returns shape [...].
+
+    mass: of the points [kg, in 2D per metre of width], one for all or shape [N].
+    """
+    square = np.square(velocities, dtype=np.float64).sum(axis=-1)
+    return np.asarray(0.5 * (mass * square).sum(axis=-1))
+
+
+def potential_energy(positions: Positions, mass: float | NDArray[np.floating], gravity: float) -> NDArray[np.float64]:
+    """Potential energy above the floor [J, in 2D per metre of width], positions of shape [..., N, D]; shape [...].
+
+    mass: as in `kinetic_energy`; gravity: [m/s^2].
+    """
+    height = positions[..., 1].astype(np.float64)
+    return np.asarray(gravity * (mass * height).sum(axis=-1))

@@ -30,6 +30,11 @@ class MaterialPoints:
         """tan(phi) of each point [-], shape [N]."""
         return np.array([material.friction for material in self.materials], np.float32)[self.material]
 
+    @property
+    def cohesion(self) -> NDArray[np.float32]:
+        """Cohesion of each point [Pa], shape [N]."""
+        return np.array([material.cohesion for material in self.materials], np.float32)[self.material]
+
 
 def material_points(scene: Scene) -> MaterialPoints:
     """Fill every mass of `scene` with points.

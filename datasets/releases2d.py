@@ -13,7 +13,7 @@ from datasets.definition import Definition, Split
 from datasets.flow2d import CELLS, box_scene, jitter_seed, metres
 from datasets.scene import Mass, Scene
 
-SIZE = 240
+SIZE = 1200
 LENGTH_CELLS = (10, 45)
 """Shortest and longest heap in cells."""
 HEIGHT_CELLS = (8, 50)
@@ -115,7 +115,7 @@ def held_out(length: float, height: float) -> bool:
 
 
 def split(index: int) -> Split:
-    """216 scenes for training, 12 for validation, 12 for the test."""
+    """1,080 scenes for training, 60 for validation, 60 for the test."""
     return {1: Split.VALID, 2: Split.TEST}.get(index % SPLIT_PERIOD, Split.TRAIN)
 
 

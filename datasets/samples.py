@@ -1,13 +1,19 @@
-"""Trajectories in memory at a model's time step, and samples drawn from them."""
+"""Trajectories at a model's time step, read from disk as they are needed, and samples drawn from them."""
 
+import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import InputError
+from datasets.mapped import open_trajectory
+from datasets.points import lattice_counts
+from datasets.scene import Scene
 from datasets.thinning import thin
 from datasets.trajectory import Floats, Trajectory
 
@@ -22,11 +28,15 @@ class Flow:
     name: str
     """The file it came from."""
     positions: Floats
-    """Positions one step apart [m], shape [T, N, D]."""
+    """Positions one step apart [m], shape [T, N, D]; may be a map of the file, of which only what is used is read."""
     velocity0: Floats
     """Initial velocities [m/s], shape [N, D]."""
     friction: Floats
     """tan(phi) of each point [-], shape [N]."""
+    cohesion: Floats
+    """Cohesion of each point [Pa], shape [N]."""
+    baffles: Floats
+    """Lower and upper corner of each baffle [m], shape [K, 2, D]; K may be 0."""
     volume: float
     """Initial volume of one point [m^D]."""
     size: tuple[float, ...]
@@ -41,22 +51,26 @@ class Flow:
         """Whether it starts at rest."""
         return not self.velocity0.any()
 
-    def moving(self) -> NDArray[np.int64]:
-        """Indices of the times from which it still moves."""
-        displacements = np.diff(self.positions, axis=0)
-        speed = np.sqrt(np.square(displacements).sum(axis=2).mean(axis=1)) / self.step
-        return np.flatnonzero(speed > MOVING)
+    def moves(self, time: int) -> bool:
+        """Whether it moves from index `time` to the next."""
+        displacements = self.positions[time + 1] - self.positions[time]
+        square = float(np.square(displacements).sum(axis=1).mean())
+        return square > (MOVING * self.step) ** 2
 
     @staticmethod
     def of(trajectory: Trajectory, step: float, name: str) -> "Flow":
-        """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError if none are."""
+        """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError."""
         scene = trajectory.scene
         stride = frames_per_step(scene.frame_dt, step, name)
+        if scene.slope_deg != 0.0:
+            raise InputError("expected a level floor, a model knows no other", where=name, key="slope_deg")
         return Flow(
             name=name,
-            positions=np.ascontiguousarray(trajectory.positions[::stride], dtype=np.float32),
+            positions=trajectory.positions[::stride],
             velocity0=trajectory.velocity0,
             friction=trajectory.friction,
+            cohesion=point_cohesion(scene, len(trajectory.friction), name),
+            baffles=corners(scene),
             volume=scene.point_volume,
             size=scene.domain.size,
             gravity=scene.gravity,
@@ -72,17 +86,63 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
     return stride
 
 
-def load_flows(dataset: Path, split: str, *, step: float, dimension: int, progress: bool = False) -> list[Flow]:
-    """All trajectories of a split (`train`, `valid`, `test`), by file name. Raises InputError."""
+def point_cohesion(scene: Scene, points: int, where: str) -> Floats:
+    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.points.material_points`, shape [points].
+
+    Raises InputError where masses differ and the number of points is not theirs.
+    """
+    values = [scene.material_of(mass).cohesion for mass in scene.masses]
+    if len(set(values)) == 1:
+        return np.full(points, values[0], np.float32)
+    share = scene.domain.cell / scene.points_per_axis
+    counts = [math.prod(lattice_counts(mass, share)) for mass in scene.masses]
+    if sum(counts) != points:
+        message = f"expected the {sum(counts)} points of masses that differ in cohesion, got {points}"
+        raise InputError(message, where=where, key="positions")
+    return np.repeat(np.array(values, np.float32), counts)
+
+
+def corners(scene: Scene) -> Floats:
+    """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
+    lower = np.array([baffle.lower for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
+    size = np.array([baffle.size for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
+    return np.concatenate((lower, lower + size), axis=1)
+
+
+class Flows(Sequence[Flow]):
+    """Flows on disk, each opened when it is asked for: all that is held of them is the names of their files."""
+
+    def __init__(self, files: Sequence[Path], *, step: float, dimension: int) -> None:
+        self._files, self._step, self._dimension = tuple(files), step, dimension
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @overload
+    def __getitem__(self, index: int) -> Flow: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Flows": ...
+    def __getitem__(self, index: int | slice) -> "Flow | Flows":
+        if isinstance(index, slice):
+            return Flows(self._files[index], step=self._step, dimension=self._dimension)
+        file = self._files[index]
+        flow = Flow.of(open_trajectory(file), self._step, str(file))
+        if len(flow.size) != self._dimension:
+            raise InputError(f"expected a {self._dimension}D trajectory, got {len(flow.size)}D", where=str(file))
+        return flow
+
+
+def load_flows(dataset: Path, split: str, *, step: float, dimension: int, progress: bool = False) -> Flows:
+    """All trajectories of a split (`train`, `valid`, `test`), by file name.
+
+    Each is opened once to see that it is whole. Raises InputError.
+    """
     files = sorted((dataset / split).glob("*.npz"))
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz, there are none", where=str(dataset))
-    flows = []
-    for file in tqdm(files, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
-        flow = Flow.of(Trajectory.load(file), step, str(file))
-        if len(flow.size) != dimension:
-            raise InputError(f"expected a {dimension}D trajectory, got {len(flow.size)}D", where=str(file))
-        flows.append(flow)
+    flows = Flows(files, step=step, dimension=dimension)
+    for _ in tqdm(flows, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
+        pass
     return flows
 
 
@@ -98,14 +158,18 @@ class Sample:
     """Positions in the coming steps [m], shape [K, n, D]."""
     friction: Floats
     """tan(phi) of each point [-], shape [n]."""
+    cohesion: Floats
+    """Cohesion of each point [Pa], shape [n]."""
     volume: Floats
     """Initial volume of each point [m^D], shape [n]."""
+    baffles: Floats
+    """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
 
 
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
     """The stretch of `flow` with `steps` after index `now` and, as far as there are, `history` displacements before.
 
-    cell, kept, rng: which points stay, see `datasets.thinning.thin`.
+    cell, kept, rng: which points stay, see `datasets.thinning.thin`. Of a flow on disk this reads its frames alone.
     """
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     points = thinned.indices
@@ -115,18 +179,36 @@ def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: in
         velocity0=flow.velocity0[points],
         targets=flow.positions[now + 1 : now + 1 + steps, points],
         friction=flow.friction[points],
+        cohesion=flow.cohesion[points],
         volume=thinned.volumes,
+        baffles=flow.baffles,
     )
 
 
-def mirrored(sample: Sample, length: float) -> Sample:
-    """The same flow with left and right exchanged, in a domain of `length` [m]."""
-    flip = np.array([-1.0] + [1.0] * (sample.velocity0.shape[1] - 1), np.float32)
-    origin = np.array([length] + [0.0] * (sample.velocity0.shape[1] - 1), np.float32)
-    return Sample(
+def mirrored(sample: Sample, axis: int, length: float) -> Sample:
+    """The same flow, mirrored along a horizontal `axis`, in a domain that is `length` [m] long there."""
+    flip = np.ones(sample.velocity0.shape[1], np.float32)
+    origin = np.zeros_like(flip)
+    flip[axis], origin[axis] = -1.0, length
+    baffles = origin + flip * sample.baffles
+    # What was the lower side is now the upper.
+    baffles[..., axis] = baffles[:, ::-1, axis]
+    return dataclasses.replace(
+        sample,
         frames=origin + flip * sample.frames,
         velocity0=flip * sample.velocity0,
         targets=origin + flip * sample.targets,
-        friction=sample.friction,
-        volume=sample.volume,
+        baffles=baffles,
+    )
+
+
+def exchanged(sample: Sample) -> Sample:
+    """The same 3D flow with x and z exchanged, in a domain as wide as it is long."""
+    turn = [2, 1, 0]
+    return dataclasses.replace(
+        sample,
+        frames=sample.frames[..., turn],
+        velocity0=sample.velocity0[..., turn],
+        targets=sample.targets[..., turn],
+        baffles=sample.baffles[..., turn],
     )

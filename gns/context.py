@@ -9,8 +9,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from gns.convolution import Convolution
 from gns.grid import Stencil
+from gns.linear import Linear
 from gns.settings import ModelSettings
+
+
+def channels(settings: ModelSettings) -> int:
+    """Channels that every node of the grid starts with: `gns.grid.surroundings`, and what baffles cover of its cell."""
+    return settings.dimension + 2 + (1 if settings.baffles else 0)
 
 
 class Context(nn.Module):
@@ -18,26 +25,22 @@ class Context(nn.Module):
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
-        convolution: type[nn.Conv2d] | type[nn.Conv3d] = nn.Conv2d if settings.dimension == 2 else nn.Conv3d
-        channels = settings.grid_channels
-        surroundings = settings.dimension + 2
-        self.to_grid = nn.Linear(settings.width, channels)
-        self.mix = nn.Linear(channels + surroundings, channels)
+        count = settings.grid_channels
+        self.to_grid = Linear(settings.width, count)
+        self.mix = Linear(count + channels(settings), count)
         self.layers = nn.ModuleList(
-            convolution(channels, channels, 3, padding=2**layer, dilation=2**layer)
-            for layer in range(settings.grid_layers)
+            Convolution(count, settings.dimension, 2**layer) for layer in range(settings.grid_layers)
         )
-        self.from_grid = nn.Linear(channels, settings.width)
+        self.from_grid = Linear(count, settings.width)
 
     def forward(self, x: Tensor, points: Stencil, share: Tensor, around: Tensor) -> Tensor:
         """Look around.
 
         x: latents [N, C]; share: volume of each point over that of a grid cell [-], shape [N, 1];
-        around: `gns.grid.surroundings`, [B * nodes, D + 2].
+        around: what is known of the nodes, [B * nodes, `channels`].
         """
         seen = torch.cat((points.scatter(self.to_grid(x) * share), around), dim=1)
-        field = functional.silu(self.mix(seen)).view(points.samples, *points.shape, -1).movedim(-1, 1)
+        field = functional.silu(self.mix(seen)).view(points.samples, *points.shape, -1)
         for layer in self.layers:
             field = field + functional.silu(layer(field))
-        grid = field.movedim(1, -1).reshape(-1, field.shape[1])
-        return torch.as_tensor(self.from_grid(points.gather(grid)))
+        return torch.as_tensor(self.from_grid(points.gather(field.reshape(-1, field.shape[-1]))))

@@ -1,60 +1,51 @@
 """The graph: points closer than a radius are neighbours."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
-from torch_geometric import EdgeIndex
+
+from gns.neighbours import Edges, neighbours
+
+Search = Callable[[Tensor, Tensor | None], Edges]
+"""Positions [m], shape [N, D], and the sample of each point [N] to the edges, e.g. `gns.neighbours.NeighbourList`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Graph:
-    """Who hears whom, and from where. Edges are sorted by receiver."""
+    """Who hears whom, and from where. Edges are sorted by receiver, then by sender."""
 
-    edge_index: EdgeIndex
-    """Sender (first row) and receiver (second row) of each edge, shape [2, E]."""
+    senders: Tensor
+    """Sender of each edge, shape [E]."""
+    receivers: Tensor
+    """Receiver of each edge, shape [E]."""
+    starts: Tensor
+    """First edge of each receiver, and the number of edges, shape [N + 1]."""
     offsets: Tensor
     """Sender minus receiver over the radius, then its length, shape [E, D + 1]."""
     envelope: Tensor
     """Weight of each edge [-], shape [E, 1]: 1 at distance 0, falls to 0 with zero slope at the radius."""
 
 
-def neighbours(
-    positions: np.ndarray, radius: float, *, batch: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Senders and receivers of all pairs closer than `radius`, both ways, no point with itself, sorted by receiver.
-
-    positions: [m], shape [N, D]; batch: the sample that each point belongs to, shape [N]; samples never meet.
-    """
-    apart = positions.astype(np.float64)
-    if batch is not None:
-        apart[:, 0] += batch * (2.0 * radius + np.ptp(apart[:, 0]))
-    pairs = cKDTree(apart).query_pairs(radius, output_type="ndarray")
-    senders, receivers = np.concatenate((pairs, pairs[:, ::-1])).T
-    order = np.argsort(receivers, kind="stable")
-    return senders[order], receivers[order]
-
-
-def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
+def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None, search: Search | None = None) -> Graph:
     """Build the graph of `positions` [m], shape [N, D].
+
+    batch: the sample that each point belongs to, shape [N]; search: finds the edges, anew unless given.
 
     Offsets and envelope are differentiable in the positions. The envelope (1 - (d/R)^2)^2 makes the model's output
     continuously differentiable although neighbours come and go: at d = R its value and slope are zero.
     """
-    senders, receivers = map(
-        torch.from_numpy,
-        neighbours(positions.detach().numpy(), radius, batch=None if batch is None else batch.numpy()),
-    )
-    offset = (positions.index_select(0, senders) - positions.index_select(0, receivers)) / radius
+    edges = neighbours(positions, radius, batch) if search is None else search(positions, batch)
+    offset = (positions.index_select(0, edges.senders) - positions.index_select(0, edges.receivers)) / radius
     square = offset.square().sum(dim=1, keepdim=True)
     # Points that the floor or a corner stopped can coincide: keep the slope of the root finite there.
     distance = (square + 1.0e-12).sqrt()
-    edges = EdgeIndex(torch.stack((senders, receivers)), sparse_size=(len(positions), len(positions)), sort_order="col")
     return Graph(
-        edge_index=edges,
+        senders=edges.senders,
+        receivers=edges.receivers,
+        starts=edges.starts,
         offsets=torch.cat((offset, distance), dim=1),
         envelope=(1.0 - square).clamp(min=0.0).square(),
     )

@@ -47,11 +47,11 @@ def stencil(positions: Tensor, size: tuple[float, ...], cell: float, batch: Tens
     """The grid of edge about `cell` that spans the box [0, size], seen from `positions` [m], shape [N, D]."""
     shape = tuple(math.ceil(length / cell - 1.0e-6) + 1 for length in size)
     place = positions / cell
-    limit = torch.tensor([count - 2 for count in shape])
+    limit = torch.tensor([count - 2 for count in shape], device=positions.device)
     base = torch.minimum(place.detach().floor().long().clamp(min=0), limit)
     above = place - base
     strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
-    first = (base * torch.tensor(strides)).sum(dim=1)
+    first = (base * torch.tensor(strides, device=positions.device)).sum(dim=1)
     if batch is not None:
         first = first + batch * math.prod(shape)
     nodes: list[Tensor] = []

@@ -1,6 +1,7 @@
 """How good a model is: whole rollouts of flows it has not seen, from the MPM's first frames. `python -m gns.score`."""
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,8 @@ import numpy as np
 import torch
 
 from datasets import command_line, files, measures
-from datasets.samples import Flow, cut, load_flows
+from datasets.samples import Flow, Sample, cut, load_flows
+from datasets.trajectory import Floats
 from gns import checkpoint
 from gns.batch import batched
 from gns.simulator import Simulator
@@ -37,6 +39,10 @@ class Score:
     """Area between the two height profiles over that under the MPM's [-]; 0 is equal, 2 disjoint."""
     rmse: tuple[float, float, float]
     """Root mean square distance of the points [m] at a quarter, half and all of the rollout."""
+    kinetic_error: float
+    """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
+    seconds: float
+    """Processor time of the rollout [s]; of several at once each has the same share."""
 
 
 def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
@@ -62,8 +68,11 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
         ]
         size, gravity = group[0].size, group[0].gravity
         batch = batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+        batch = batch.to(simulator.displacement_scale.device)
+        clock = time.process_time()
         with torch.no_grad():
-            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].numpy()
+            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].cpu().numpy()
+        seconds = (time.process_time() - clock) / len(group)
         ends = np.cumsum([len(sample.friction) for sample in samples])[:-1]
         for flow, sample, positions in zip(group, samples, np.split(moved, ends, axis=1), strict=True):
             distance = np.square(positions - sample.targets).sum(axis=2).mean(axis=1) ** 0.5
@@ -78,11 +87,26 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
                     released=flow.released,
                     friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
                     front_error=(measures.front(positions[-1]) - front) / front,
-                    profile_error=float(np.abs(got - wanted).sum() / wanted.sum()),
+                    profile_error=measures.profile_error(got, wanted),
+                    kinetic_error=kinetic_error(positions, sample, gravity, settings.step),
+                    seconds=seconds,
                     rmse=(float(distance[steps // 4]), float(distance[steps // 2]), float(distance[-1])),
                 )
             )
     return scores
+
+
+def kinetic_error(positions: Floats, sample: Sample, gravity: float, step: float) -> float:
+    """See `Score.kinetic_error`. positions: of the rollout after each step [m], shape [K, n, D]; step: [s]."""
+    start = sample.frames[-1:]
+    found, wanted = (
+        measures.kinetic_energy(np.diff(moved, axis=0, prepend=start) / step, sample.volume)
+        for moved in (positions, sample.targets)
+    )
+    before = sample.frames[-1] - sample.frames[-2] if len(sample.frames) > 1 else step * sample.velocity0
+    whole = measures.kinetic_energy(before / step, sample.volume)
+    whole = whole + measures.potential_energy(start[0], sample.volume, gravity)
+    return float(np.abs(found - wanted).max() / whole)
 
 
 def badness(scores: Sequence[Score]) -> float:

@@ -23,6 +23,10 @@ class ModelSettings:
     """Points closer than this [m] exchange messages."""
     history: int = 3
     """Past displacements that the network sees."""
+    baffles: bool = False
+    """Whether it knows baffles; one that does not runs scenes without them, and pays nothing."""
+    film: bool = False
+    """Whether the material scales and shifts the latents in every layer (FiLM), beside being a feature."""
     past_accelerations: bool = False
     """Whether it sees their differences too, scaled as what it has to predict; measured over a few steps only."""
     width: int = 64
@@ -33,7 +37,7 @@ class ModelSettings:
     """Hidden layers of every node network."""
     rounds: int = 2
     """Rounds of a look at the background grid, then message passing."""
-    grid_cell: float = 0.04
+    grid_cell: float = 0.02
     """Edge of a cell of the background grid [m]."""
     grid_channels: int = 32
     """Channels on the background grid."""

@@ -5,11 +5,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from gns.graph import radius_graph
+from gns.context import channels
+from gns.graph import Search, radius_graph
 from gns.grid import UP, stencil, surroundings
 from gns.network import Network
 from gns.settings import ModelSettings
+from gns.solids import feature_count, features, keep_out, occupancy
 from gns.state import Conditions, State
+
+MATERIAL = 2
+"""Numbers that describe the material of a point: friction and cohesion."""
+REFERENCE_COHESION = 1000.0
+"""Cohesion [Pa] above which the network sees its logarithm, about the weight of 6 cm of sand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,14 +38,15 @@ class Simulator(nn.Module):
 
         a  = g dt^2 + s A(state)         acceleration; gravity is known, the contact forces are learned
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
-        x' = clamp(x + v', 0, size)      the box is hard; what remains of v' is x' - x
+        x' = keep_out(x + v')            walls and baffles are hard; what remains of v' is x' - x
 
     | symbol | variable                                | unit             |
     | A      | `Network`                               | -                |
     | s      | `acceleration_scale`                    | m per step^2     |
     | v, v'  | `State.displacements[-1]`, before, after | m per step       |
 
-    Absolute positions are no features: a point knows its neighbours, the walls where they are near, and the grid.
+    Absolute positions are no features: a point knows its neighbours, walls and baffles where they are near, and the
+    grid.
     """
 
     displacement_scale: Tensor
@@ -57,43 +65,68 @@ class Simulator(nn.Module):
         ):
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
         dimension = settings.dimension
-        # displacements and their changes; distances to the walls; tan(phi), volume; the grid's surroundings
+        # displacements and their changes; solids; volume; material; the grid's surroundings
         motion = settings.history + (settings.history - 1 if settings.past_accelerations else 0)
-        features = motion * dimension + 2 * dimension + 2 + (dimension + 2)
-        self.network = Network(features, settings)
+        solids = feature_count(dimension, settings.baffles)
+        self.network = Network(motion * dimension + solids + 1 + MATERIAL + channels(settings), MATERIAL, settings)
 
-    def forward(self, state: State, conditions: Conditions) -> State:
-        """One step. Differentiable in the state, in friction and volume."""
+    def forward(self, state: State, conditions: Conditions, search: Search | None = None) -> State:
+        """One step. Differentiable in the state, in friction, cohesion, volume and the corners of the baffles.
+
+        search: what finds the neighbours, e.g. a `gns.neighbours.NeighbourList`; they are searched for anew without it.
+        """
         settings, positions = self.settings, state.positions
-        graph = radius_graph(positions, settings.radius, conditions.batch)
+        graph = radius_graph(positions, settings.radius, conditions.batch, search)
         points = stencil(positions, conditions.size, settings.grid_cell, conditions.batch, conditions.samples)
         around = surroundings(points, conditions.volume)
+        if settings.baffles:
+            covered = occupancy(
+                points.shape,
+                points.cell,
+                conditions.size,
+                conditions.baffles,
+                conditions.samples,
+                like=around,
+            )
+            around = torch.cat((around, covered), dim=1)
         share = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
-        features = self._features(state, conditions, points.gather(around))
-        contact = self.acceleration_scale * self.network(features, graph, points, share, around)
+        material = self._material(conditions)
+        seen = self._features(state, conditions, material, points.gather(around))
+        contact = self.acceleration_scale * self.network(seen, material, graph, points, share, around)
         fall = torch.zeros_like(positions[0])
         fall[UP] = -conditions.gravity * settings.step**2
         moved = positions + state.displacements[-1] + contact + fall
-        # Bounds as numbers: a clamp to tensors would halve the gradient of a point that rests exactly on a wall.
-        stopped = torch.stack([moved[:, axis].clamp(0.0, length) for axis, length in enumerate(conditions.size)], dim=1)
+        baffles = conditions.baffles if settings.baffles else None
+        stopped = keep_out(moved, positions, conditions.size, baffles, conditions.batch)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
-    def _features(self, state: State, conditions: Conditions, around: Tensor) -> Tensor:
+    def _material(self, conditions: Conditions) -> Tensor:
+        """What the network is told of the material [N, MATERIAL]."""
+        friction = (conditions.friction - self.friction_mean) / self.friction_std
+        return torch.stack((friction, (conditions.cohesion / REFERENCE_COHESION).log1p()), dim=1)
+
+    def _features(self, state: State, conditions: Conditions, material: Tensor, around: Tensor) -> Tensor:
         """Features of the points [N, F]."""
         settings = self.settings
-        size = state.positions.new_tensor(conditions.size)
         motion = state.displacements / self.displacement_scale
         if settings.past_accelerations:
             changes = state.displacements[1:] - state.displacements[:-1]
             motion = torch.cat((motion, changes / self.acceleration_scale))
-        walls = torch.cat((state.positions, size - state.positions), dim=1) / settings.radius
+        solids = features(
+            state.positions,
+            conditions.size,
+            conditions.baffles,
+            conditions.batch,
+            settings.radius,
+            with_baffles=settings.baffles,
+        )
         return torch.cat(
             (
                 motion.movedim(0, 1).flatten(1),
-                walls.clamp(max=1.0),
-                ((conditions.friction - self.friction_mean) / self.friction_std).unsqueeze(1),
+                solids,
                 (conditions.volume / settings.point_volume).unsqueeze(1) - 1.0,
+                material,
                 around,
             ),
             dim=1,

@@ -1,5 +1,6 @@
 """Where a rollout begins: at a scene's own start, or where the MPM's first frames end."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.points import material_points
-from datasets.samples import frames_per_step
+from datasets.samples import corners, frames_per_step, point_cohesion
 from datasets.scene import Scene
 from datasets.thinning import thin
 from datasets.trajectory import Floats, Trajectory
@@ -37,6 +38,24 @@ class InitialValueProblem:
         """Times of the known positions and of those to come [s], shape [F + steps]."""
         return step * np.arange(len(self.known) + self.steps, dtype=np.float64)
 
+    def to(self, device: torch.device | str) -> "InitialValueProblem":
+        """The same problem, state and conditions on another device."""
+        state, conditions = self.state, self.conditions
+        return dataclasses.replace(
+            self,
+            state=State(
+                positions=state.positions.to(device),
+                displacements=state.displacements.to(device),
+            ),
+            conditions=dataclasses.replace(
+                conditions,
+                friction=conditions.friction.to(device),
+                cohesion=conditions.cohesion.to(device),
+                volume=conditions.volume.to(device),
+                baffles=None if conditions.baffles is None else conditions.baffles.to(device),
+            ),
+        )
+
 
 def at_rest(scene: Scene, settings: ModelSettings, rng: np.random.Generator) -> InitialValueProblem:
     """Begin with the scene itself: its points and their initial velocities. `rng` chooses the points that stay."""
@@ -60,6 +79,20 @@ def after_frames(
     return _problem(scene, frames, start.velocity0, start.friction, settings, rng)
 
 
+def check(scene: Scene, settings: ModelSettings) -> None:
+    """Raise InputError for a scene that no model with these settings can know: each key with what was expected."""
+    if scene.dimension != settings.dimension:
+        raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
+    if scene.baffles and not settings.baffles:
+        raise InputError("expected a scene without baffles, the model knows none", key="baffles")
+    if scene.slope_deg != 0.0:
+        raise InputError("expected a level floor, the model knows no other", key="slope_deg")
+    densities = {scene.material_of(mass).density for mass in scene.masses}
+    if len(densities) > 1:
+        got = " and ".join(f"{density:g}" for density in sorted(densities))
+        raise InputError(f"expected masses of one density, the model knows no others, got {got} kg/m^3", key="masses")
+
+
 def _problem(
     scene: Scene,
     frames: Floats,
@@ -68,12 +101,8 @@ def _problem(
     settings: ModelSettings,
     rng: np.random.Generator,
 ) -> InitialValueProblem:
-    if scene.dimension != settings.dimension:
-        raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
-    if scene.baffles:
-        raise InputError("expected a scene without baffles, the model knows none", key="baffles")
-    if scene.slope_deg != 0.0:
-        raise InputError("expected a level floor, the model knows no other", key="slope_deg")
+    check(scene, settings)
+    cohesion = point_cohesion(scene, len(friction), "")
     thinned = thin(frames[0], scene.point_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
     known, velocity0 = frames[:, thinned.indices], velocity0[thinned.indices]
     return InitialValueProblem(
@@ -85,9 +114,11 @@ def _problem(
         ),
         conditions=Conditions(
             friction=torch.from_numpy(friction[thinned.indices]),
+            cohesion=torch.from_numpy(cohesion[thinned.indices]),
             volume=torch.from_numpy(thinned.volumes),
             size=scene.domain.size,
             gravity=scene.gravity,
+            baffles=torch.from_numpy(corners(scene)).unsqueeze(0) if scene.baffles else None,
         ),
         steps=max(0, round(scene.duration / settings.step) - len(known) + 1),
         known=known,

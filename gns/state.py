@@ -37,6 +37,8 @@ class Conditions:
 
     friction: Tensor
     """tan(phi) of each point [-], shape [N]; may require a gradient."""
+    cohesion: Tensor
+    """Cohesion of each point [Pa], shape [N]; may require a gradient."""
     volume: Tensor
     """Initial volume of each point [m^D], shape [N]."""
     size: tuple[float, ...]
@@ -46,4 +48,9 @@ class Conditions:
     batch: Tensor | None = None
     """Sample that each point belongs to, shape [N]; absent where there is one."""
     samples: int = 1
-    """Number of samples."""
+    """Number of samples, B."""
+    baffles: Tensor | None = None
+    """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D]; may require a gradient.
+
+    A sample with fewer has boxes of no size far outside the domain.
+    """

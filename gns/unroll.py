@@ -5,6 +5,8 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
+from gns.heap import trimming
+from gns.neighbours import NeighbourList
 from gns.simulator import Simulator
 from gns.state import Conditions, State
 
@@ -26,12 +28,14 @@ def unroll(
     `step_activation_bytes` tells what a kept step costs. For a gradient with respect to state or conditions freeze
     the weights (`simulator.requires_grad_(False)`): the backward pass is then much cheaper.
     """
+    search = NeighbourList(simulator.settings.radius)
+    lean = trimming(simulator)
     state, positions = start, [start.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         if torch.is_grad_enabled() and step < steps - kept_steps:
-            state = checkpoint(simulator, state, conditions, use_reentrant=False, preserve_rng_state=False)
+            state = checkpoint(lean, state, conditions, search, use_reentrant=False, preserve_rng_state=False)
         else:
-            state = simulator(state, conditions)
+            state = simulator(state, conditions, search)
         positions.append(state.positions)
     return torch.stack(positions)
 
@@ -42,7 +46,13 @@ def step_activation_bytes(simulator: Simulator, state: State, conditions: Condit
     Measured: every storage that autograd saves is counted once, weights and inputs left out. As in the middle of a
     rollout, the state is taken to depend on what the gradient is wanted for.
     """
-    outside = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.volume]
+    outside = [
+        *simulator.parameters(),
+        *simulator.buffers(),
+        conditions.friction,
+        conditions.cohesion,
+        conditions.volume,
+    ]
     known = {tensor.untyped_storage().data_ptr() for tensor in outside}
     saved: dict[int, int] = {}
 

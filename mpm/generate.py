@@ -21,6 +21,7 @@ from datasets.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.flow2d import FLOW2D
+from datasets.layers2d import LAYERS2D
 from datasets.metadata import metadata
 from datasets.obstacle3d import OBSTACLE3D
 from datasets.releases2d import RELEASES2D
@@ -29,7 +30,7 @@ from datasets.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.processors import processors
 
-DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, OBSTACLE3D)}
+DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D)}
 
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
@@ -44,7 +45,7 @@ def command(definition: str, /, *, out: Path, count: int | None = None, seed: in
     Parameters
     ----------
     definition
-        flow2d, releases2d or obstacle3d.
+        flow2d, releases2d, layers2d or obstacle3d.
     out
         Folder of the dataset: train, valid, test, metadata.json, generation.json.
     count

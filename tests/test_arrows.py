@@ -20,8 +20,8 @@ MAY_IMPORT = {
     "validation": {"datasets", "mpm", "gns", "inverse"},
 }
 BANNED = {
-    "datasets": {"taichi", "torch", "torch_geometric"},
-    "mpm": {"torch", "torch_geometric"},
+    "datasets": {"taichi", "torch"},
+    "mpm": {"torch"},
     "gns": {"taichi"},
 }
 PICKLERS = {"dill", "cloudpickle", "joblib", "shelve", "marshal"}

@@ -2,19 +2,21 @@
 
 import os
 import platform
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
 CPUINFO = Path("/proc/cpuinfo")
+MPM = {"Taichi": "taichi", "NumPy": "numpy"}
+GNS = {"PyTorch": "torch", "Numba": "numba"}
+"""What a part of Talus computes with, by name, and its package."""
 
 
-def machine() -> str:
+def machine(packages: Mapping[str, str] = MPM) -> str:
     """Processor, cores and versions in a line."""
     features = "" if not wide_vectors() else " with AVX-512"
-    return (
-        f"{processor()}{features}, {os.cpu_count()} cores; "
-        f"Python {platform.python_version()}, Taichi {version('taichi')}, NumPy {version('numpy')}"
-    )
+    versions = ", ".join(f"{name} {version(package)}" for name, package in packages.items())
+    return f"{processor()}{features}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}"
 
 
 def processor() -> str:

@@ -1,72 +1,79 @@
-"""python -m validation.speed mpm --out DIR: how fast, on what, and what for."""
+"""python -m validation.speed mpm|gns|memory --out DIR: how fast, on what, and what for."""
 
 import sys
-import tempfile
-import time
 from pathlib import Path
 from typing import Literal
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.files import write_text
-from datasets.obstacle3d import OBSTACLE3D
-from mpm.generate import generate
-from mpm.processors import processors
-from validation import gains, rates
-from validation.speed_page import page
-from validation.timing import in_turn
+from validation import memory, speed_gns, speed_mpm
 
-NEEDS_ROUNDS = 2
-"""Rounds of the shortest measurements, which tell the smallest differences apart, in one of the others."""
+FLAGS = {
+    "mpm": {"--rounds", "--trajectories"},
+    "gns": {"--rounds", "--longest", "--threads"},
+    "memory": {"--full", "--threads"},
+}
+"""What may be said of each subject."""
 
 
-def command(subject: Literal["mpm"], /, *, out: Path, rounds: int = 3, trajectories: int = 20) -> None:
-    """Measure how fast the MPM is, over sizes, dimensions, threads and precisions, and what it saves; three minutes.
+def command(
+    subject: Literal["mpm", "gns", "memory"],
+    /,
+    *,
+    out: Path,
+    rounds: int | None = None,
+    trajectories: int | None = None,
+    longest: float | None = None,
+    threads: int | None = None,
+    full: bool = False,
+) -> None:
+    """Measure how fast the MPM is, how fast the learned simulator is, or what memory its gradient takes.
+
+    mpm: over sizes, dimensions, threads and precisions, and what it saves; three minutes. gns: seconds and memory of a
+    step beside a textbook's network, over sizes; four minutes. memory: of a gradient over points and steps; five.
 
     Parameters
     ----------
     subject
-        What is measured: mpm.
+        What is measured: mpm, gns or memory.
     out
-        Folder for speed.md.
+        Folder for speed.md, speed-gns.md or memory.md.
     rounds
-        How often everything is measured, in turn; the tables give the median and the range.
+        mpm, gns: how often everything is measured, in turn; the tables give the median and the range. 3 unless given.
     trajectories
-        How many of Obstacle3D are generated to estimate the whole; none with 0.
+        mpm: how many of Obstacle3D are generated to estimate the whole, 20 unless given; none with 0.
+    longest
+        gns: steps of the textbook's that would take longer [s] are left out; 5 unless given.
+    threads
+        gns, memory: threads of PyTorch; 1 unless given.
+    full
+        memory: the gradients of many minutes too, 20,000 points through 400 steps among them.
     """
-    if rounds < 1:
-        raise InputError(f"expected at least 1 round, got {rounds}", key="--rounds")
-    if not 0 <= trajectories <= OBSTACLE3D.size:
-        raise InputError(f"expected 0 to {OBSTACLE3D.size} trajectories, got {trajectories}", key="--trajectories")
-    begin = time.perf_counter()
-    text = page(
-        in_turn(rates.runs(rates.CASES), rounds, "rates"),
-        in_turn(gains.need_runs(), NEEDS_ROUNDS * rounds, "needs"),
-        in_turn(gains.shortcut_runs(), rounds, "shortcuts"),
-        rounds=rounds,
-        training=generation(trajectories) if trajectories else "",
-    )
-    text += f"\nAll of this took {time.perf_counter() - begin:.0f} s.\n"
-    write_text(out / "speed.md", text)
-    print(text)
-
-
-def generation(count: int) -> str:
-    """Generate some of Obstacle3D, and say what all of it would take."""
-    jobs = processors()
-    with tempfile.TemporaryDirectory() as folder:
-        begin = time.perf_counter()
-        generate(OBSTACLE3D, Path(folder), seed=0, count=count, jobs=jobs)
-        seconds = time.perf_counter() - begin
-        size = sum(path.stat().st_size for path in Path(folder).rglob("*.npz"))
-    one, one_size, whole = seconds / count, size / count, OBSTACLE3D.size
-    return f"""\
-## A training set in 3D
-
-`python -m mpm.generate obstacle3d --count {count} --jobs {jobs}`, with the start of the processes and the statistics:
-{seconds:.0f} s and {size / 1.0e9:.2f} GB, {one:.2f} s and {one_size / 1.0e6:.0f} MB a trajectory.
-All {whole:,} would take {one * whole / 60.0:.0f} minutes and {one_size * whole / 1.0e9:.0f} GB.
-"""
+    given = {
+        "--rounds": rounds,
+        "--trajectories": trajectories,
+        "--longest": longest,
+        "--threads": threads,
+        "--full": full or None,
+    }
+    for key, value in given.items():
+        if value is None:
+            continue
+        if key not in FLAGS[subject]:
+            raise InputError(f"expected one of {', '.join(sorted(FLAGS[subject]))} for {subject}", key=key)
+        if key in ("--rounds", "--threads") and value < 1:
+            raise InputError(f"expected at least 1, got {value}", key=key)
+    if longest is not None and not longest > 0.0:
+        raise InputError(f"expected a positive number of seconds, got {longest:g}", key="--longest")
+    threads, rounds = threads or 1, rounds or 3
+    if subject == "mpm":
+        wanted = speed_mpm.TRAJECTORIES if trajectories is None else trajectories
+        print(speed_mpm.measure(out, rounds=rounds, trajectories=wanted))
+    elif subject == "gns":
+        longest = speed_gns.LONGEST if longest is None else longest
+        print(speed_gns.measure(out, rounds=rounds, longest=longest, threads=threads))
+    else:
+        print(memory.measure(out, full=full, threads=threads))
 
 
 if __name__ == "__main__":

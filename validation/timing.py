@@ -1,7 +1,8 @@
-"""Simulations timed in turn, so that what else the machine does meets all of them alike."""
+"""Work timed in turn, so that what else the machine does meets all of it alike."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import TypeVar
 
@@ -12,6 +13,7 @@ from mpm.layout import Precision
 from mpm.simulate import simulate_many
 
 Key = TypeVar("Key")
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,15 +69,21 @@ class Spread:
 
 def in_turn(runs: Mapping[Key, Run], rounds: int, what: str) -> dict[Key, list[Took]]:
     """Every run once, then every run once more, `rounds` times in all."""
-    took: dict[Key, list[Took]] = {key: [] for key in runs}
     # Taichi starts anew for another precision or number of threads.
     ordered = sorted(runs.items(), key=lambda item: (item[1].precision, item[1].threads))
-    with tqdm(total=rounds * len(runs), desc=what, unit="run", dynamic_ncols=True) as bar:
+    took = turns({key: partial(timed, run) for key, run in ordered}, rounds, what)
+    return {key: took[key] for key in runs}
+
+
+def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> dict[Key, list[Found]]:
+    """All work once, then all of it once more, `rounds` times in all."""
+    found: dict[Key, list[Found]] = {key: [] for key in work}
+    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as bar:
         for _ in range(rounds):
-            for key, run in ordered:
-                took[key].append(timed(run))
+            for key, each in work.items():
+                found[key].append(each())
                 bar.update()
-    return took
+    return found
 
 
 def timed(run: Run) -> Took:

@@ -10,14 +10,17 @@ import pytest
 from datasets.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.flow2d import FLOW2D, FRICTION_DEG
+from datasets.layers2d import LAYERS2D
 from datasets.library import read_scene
 from datasets.obstacle3d import OBSTACLE3D
 from datasets.points import material_points
 from datasets.releases2d import RELEASES2D, held_out
 from datasets.scene import Baffle, Mass
 
-every = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, OBSTACLE3D], ids=lambda definition: definition.name)
-both = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D], ids=lambda definition: definition.name)
+every = pytest.mark.parametrize(
+    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D], ids=lambda definition: definition.name
+)
+planar = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, LAYERS2D], ids=lambda definition: definition.name)
 
 
 @cache
@@ -50,7 +53,7 @@ def test_every_scene_has_its_own_shape_and_jitter(definition: Definition) -> Non
 
 
 @every
-@pytest.mark.parametrize("count", [0, -1, 1001])
+@pytest.mark.parametrize("count", [0, -1, 1201])
 def test_a_count_out_of_range(definition: Definition, count: int) -> None:
     with pytest.raises(InputError, match=str(definition.size)):
         definition.entries(seed=0, count=count)
@@ -62,7 +65,7 @@ def test_a_negative_seed(definition: Definition) -> None:
         definition.entries(seed=-1)
 
 
-@both
+@planar
 @pytest.mark.parametrize("seed", [0, 1])
 def test_shapes_are_whole_cells_and_settings_the_columns_own(definition: Definition, seed: int) -> None:
     column = read_scene("column-short-21")
@@ -109,13 +112,13 @@ def test_a_small_flow2d_has_every_angle_and_every_split() -> None:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_releases2d_is_what_it_says(seed: int) -> None:
     entries = RELEASES2D.entries(seed=seed)
-    assert splits(entries) == {Split.TRAIN: 216, Split.VALID: 12, Split.TEST: 12}
+    assert splits(entries) == {Split.TRAIN: 1080, Split.VALID: 60, Split.TEST: 60}
     angles = [entry.scene.material.friction_deg for entry in entries]
     assert 15.0 <= min(angles) < 17.0
     assert 43.0 < max(angles) <= 45.0
     columns = Counter(len(entry.scene.masses) for entry in entries)
     assert sorted(columns) == [1, 2, 3]
-    assert min(columns.values()) > 50
+    assert min(columns.values()) > 250
     for entry in entries:
         masses = entry.scene.masses
         assert all(mass.velocity is None and mass.lower[1] == 0.0 for mass in masses)
@@ -137,9 +140,37 @@ def leaning(entry: Entry) -> str:
 
 def test_half_of_the_releases_lean_on_the_left_wall() -> None:
     entries = RELEASES2D.entries(seed=0)
-    assert Counter(map(leaning, entries)) == {"left": 120, "free": 80, "right": 40}
+    assert Counter(map(leaning, entries)) == {"left": 600, "free": 400, "right": 200}
     for split in Split:
         assert {"left", "free"} <= {leaning(entry) for entry in entries if entry.split is split}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_layers2d_is_what_it_says(seed: int) -> None:
+    entries = LAYERS2D.entries(seed=seed)
+    assert splits(entries) == {Split.TRAIN: 432, Split.VALID: 24, Split.TEST: 24}
+    assert {len(entry.scene.masses) for entry in entries} == set(range(1, 11))
+    moving = 0
+    for entry in entries:
+        masses = entry.scene.masses
+        for lower, upper in pairwise(masses):
+            assert lower.lower[1] + lower.size[1] == pytest.approx(upper.lower[1])
+            assert (lower.lower[0], lower.size[0]) == (upper.lower[0], upper.size[0])
+        length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
+        assert 0.0199 < length * height < 0.1201
+        assert min(mass.size[1] for mass in masses) > 0.0199
+        # Neither the ten layers of the inverse problem nor a column of a test.
+        assert max(abs(length - 0.35), abs(height - 0.28)) > 0.03
+        assert leaning(entry) == "free" or not held_out(length, height)
+        velocities = [mass.velocity[0] for mass in masses if mass.velocity]
+        assert max(map(abs, velocities)) <= 2.0
+        moving += any(velocities)
+        cohesions = {mass.material.cohesion for mass in masses if mass.material}
+        assert len(cohesions) == 1
+        assert 30.0 <= cohesions.pop() <= 3000.0
+    assert moving == 320
+    angles = [len({mass.material.friction_deg for mass in entry.scene.masses if mass.material}) for entry in entries]
+    assert 0.3 < np.mean(np.array(angles) == 1) < 0.7
 
 
 @pytest.mark.parametrize("seed", range(5))

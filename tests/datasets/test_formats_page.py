@@ -11,6 +11,7 @@ import pytest
 
 from datasets.definition import Definition
 from datasets.flow2d import FLOW2D
+from datasets.layers2d import LAYERS2D
 from datasets.material import Material
 from datasets.metadata import metadata
 from datasets.obstacle3d import OBSTACLE3D
@@ -63,7 +64,9 @@ def test_every_key_of_the_metadata() -> None:
     assert f"{MOVING_SPEED:g} m/s" in PAGE
 
 
-@pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, OBSTACLE3D], ids=lambda definition: definition.name)
+@pytest.mark.parametrize(
+    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D], ids=lambda definition: definition.name
+)
 def test_the_sizes_of_the_datasets(definition: Definition) -> None:
     entries = definition.entries(seed=0)
     parts = [sum(entry.split == split for entry in entries) for split in ("train", "valid", "test")]

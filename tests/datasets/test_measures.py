@@ -3,8 +3,20 @@
 import numpy as np
 import pytest
 
-from datasets.measures import front, height_profile, profile_stations, runout, toe
-from datasets.scene import Scene
+from datasets.material import Material
+from datasets.measures import (
+    UPSTREAM,
+    front,
+    height_profile,
+    kinetic_energy,
+    potential_energy,
+    profile_error,
+    profile_stations,
+    runout,
+    toe,
+    upstream_depth,
+)
+from datasets.scene import Baffle, Domain, Mass, Scene
 
 SPACING = 0.005
 
@@ -71,3 +83,48 @@ def test_profile_is_continuous() -> None:
     profiles = np.array([height_profile(np.array([[each, 0.0]]), 1.0, stations) for each in x])
     steepest = np.abs(np.diff(profiles, axis=0)).max() / (x[1] - x[0])
     assert steepest == pytest.approx(2.0 / 0.1**2, rel=1e-6)
+
+
+def test_profile_error_of_equal_shorter_and_disjoint_deposits() -> None:
+    wanted = np.array([2.0, 2.0, 0.0, 0.0])
+    assert profile_error(wanted, wanted) == 0.0
+    assert profile_error(np.array([4.0, 0.0, 0.0, 0.0]), wanted) == 1.0
+    assert profile_error(wanted[::-1], wanted) == 2.0
+
+
+def before_baffles(*, dimension: int) -> Scene:
+    """Two rows of baffles in a box, the first at x = 0.5 m; in 3D two in the first row."""
+    places = [(0.5, 0.0), (0.8, 0.0)] if dimension == 2 else [(0.5, 0.0, 0.1), (0.5, 0.0, 0.6), (0.8, 0.0, 0.3)]
+    return Scene(
+        domain=Domain(size=(1.0,) * dimension, cell=0.05),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0,) * dimension, size=(0.1,) * dimension),),
+        baffles=tuple(Baffle(lower=place, size=(0.1,) * dimension) for place in places),
+    )
+
+
+def test_depth_before_the_first_baffles_is_that_of_the_strip() -> None:
+    # A block of depth 0.2 m reaches half-way into the strip; what stands before the second row does not count.
+    points = np.concatenate((block(0.5 - UPSTREAM / 2, 0.2), np.add(block(0.1, 0.3), (0.65, 0.0))))
+    assert upstream_depth(points, SPACING**2, before_baffles(dimension=2)) == pytest.approx(0.1)
+    assert upstream_depth(points, np.full(len(points), SPACING**2), before_baffles(dimension=2)) == pytest.approx(0.1)
+
+
+def test_depth_in_3d_is_that_before_the_baffles_alone() -> None:
+    flat = block(0.5, 0.2)
+    sheets = [np.column_stack((flat, np.full(len(flat), z))) for z in np.arange(0.1 + SPACING / 2, 0.2, SPACING)]
+    # Sand stands before one of the two baffles of the first row.
+    assert upstream_depth(np.concatenate(sheets), SPACING**3, before_baffles(dimension=3)) == pytest.approx(0.1)
+
+
+def test_energies_of_points_that_fall() -> None:
+    time = np.linspace(0.0, 0.2, 5)
+    heights = 1.0 - 0.5 * 9.81 * time**2
+    positions = np.stack([np.zeros((5, 3)), np.repeat(heights[:, None], 3, axis=1)], axis=2)
+    velocities = np.zeros_like(positions)
+    velocities[..., 1] = -9.81 * time[:, None]
+    mass = np.array([1.0, 2.0, 3.0])
+    potential, kinetic = potential_energy(positions, mass, 9.81), kinetic_energy(velocities, mass)
+    assert potential[0] == pytest.approx(6.0 * 9.81)
+    np.testing.assert_allclose(potential + kinetic, potential[0])
+    assert kinetic_energy(velocities[-1], 2.0) == pytest.approx(0.5 * 6.0 * (9.81 * 0.2) ** 2)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.samples import Flow, cut, load_flows, mirrored
+from datasets.material import Material
+from datasets.points import material_points
+from datasets.samples import Flow, Sample, corners, cut, exchanged, load_flows, mirrored, point_cohesion
+from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 
 
@@ -29,7 +32,7 @@ def test_a_flow_takes_every_so_many_frames(trajectory: Trajectory) -> None:
 
 
 def test_moving_times_are_those_before_it_rests(flow: Flow) -> None:
-    assert flow.moving().tolist() == [0, 1, 2, 3, 4, 5]
+    assert [time for time in range(9) if flow.moves(time)] == [0, 1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, [0]), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
@@ -40,12 +43,99 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
     assert sample.volume.sum() == pytest.approx(5 * flow.volume)
 
 
-def test_mirroring_twice_changes_nothing_and_once_turns_x_around(flow: Flow) -> None:
-    sample = cut(flow, now=4, steps=3, history=3, cell=0.01, kept=4, rng=np.random.default_rng(0))
-    once = mirrored(sample, 0.2)
-    np.testing.assert_allclose(once.frames[..., 0], 0.2 - sample.frames[..., 0], atol=1e-7)
-    np.testing.assert_allclose(once.velocity0, sample.velocity0 * [-1.0, 1.0])
-    np.testing.assert_allclose(mirrored(once, 0.2).targets, sample.targets, atol=1e-7)
+def test_a_flow_on_a_slope_is_refused(trajectory: Trajectory) -> None:
+    tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=5.0))
+    with pytest.raises(InputError, match="a: slope_deg: expected a level floor"):
+        Flow.of(tilted, 0.0025, "a")
+
+
+def test_cohesion_goes_with_the_points_of_the_masses(scene: Scene) -> None:
+    stiff = dataclasses.replace(scene.material, cohesion=500.0)
+    masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
+    two = dataclasses.replace(scene, masses=masses)
+    points = material_points(two)
+    found = point_cohesion(two, len(points.positions), "a")
+    assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
+    assert set(found) == {0.0, 500.0}
+    with pytest.raises(InputError, match="a: positions: expected the 68 points of masses that differ in cohesion, got"):
+        point_cohesion(two, 60, "a")
+    # Where all are alike, any number of points will do: an imported trajectory has its own.
+    assert point_cohesion(dataclasses.replace(scene, material=stiff), 3, "a").tolist() == [500.0] * 3
+
+
+BAFFLES = (Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)), Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1)))
+
+
+@pytest.fixture
+def stretch() -> Sample:
+    """A sample in a box of 0.8 x 0.6 x 0.8 m, points and corners at random, but for two baffles."""
+    rng = np.random.default_rng(0)
+    scene = Scene(
+        domain=Domain(size=(0.8, 0.6, 0.8), cell=0.1),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),),
+        baffles=BAFFLES,
+    )
+    return Sample(
+        frames=rng.random((3, 7, 3), np.float32),
+        velocity0=rng.random((7, 3), np.float32),
+        targets=rng.random((2, 7, 3), np.float32),
+        friction=rng.random(7, np.float32),
+        cohesion=rng.random(7, np.float32),
+        volume=rng.random(7, np.float32),
+        baffles=corners(scene),
+    )
+
+
+def same(one: Sample, other: Sample) -> bool:
+    """Whether two samples are equal but for round-off."""
+    return all(
+        np.allclose(getattr(one, field.name), getattr(other, field.name), rtol=0.0, atol=1e-6)
+        for field in dataclasses.fields(Sample)
+    )
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_mirroring_twice_changes_nothing_and_once_turns_an_axis_around(stretch: Sample, axis: int) -> None:
+    once = mirrored(stretch, axis, 0.8)
+    others = [other for other in range(3) if other != axis]
+    np.testing.assert_allclose(once.frames[..., axis], 0.8 - stretch.frames[..., axis], atol=1e-7)
+    np.testing.assert_allclose(once.velocity0[:, axis], -stretch.velocity0[:, axis])
+    for name in ("frames", "targets", "velocity0", "baffles"):
+        assert np.array_equal(getattr(once, name)[..., others], getattr(stretch, name)[..., others])
+    assert not same(once, stretch)
+    assert same(mirrored(once, axis, 0.8), stretch)
+
+
+def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sample) -> None:
+    once = exchanged(stretch)
+    for name in ("frames", "targets", "velocity0", "baffles"):
+        assert np.array_equal(getattr(once, name)[..., 0], getattr(stretch, name)[..., 2])
+        assert np.array_equal(getattr(once, name)[..., 1], getattr(stretch, name)[..., 1])
+    assert same(exchanged(once), stretch)
+
+
+def test_baffles_go_where_the_points_go(stretch: Sample) -> None:
+    turned = exchanged(mirrored(stretch, 0, 0.8))
+    assert (turned.baffles[:, 0] <= turned.baffles[:, 1]).all()
+    # A baffle from x = 0.5 to 0.6 stands from 0.2 to 0.3 in the mirror, and then so in z.
+    np.testing.assert_allclose(turned.baffles[0], [[0.1, 0.0, 0.2], [0.3, 0.3, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(stretch.baffles[0], [[0.5, 0.0, 0.1], [0.6, 0.3, 0.3]], atol=1e-6)
+
+
+def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        trajectory.save(tmp_path / "train" / f"{name}.npz")
+    flows = load_flows(tmp_path, "train", step=0.0025, dimension=2)
+    assert np.array_equal(flows[1].positions, trajectory.positions)
+    assert not flows[1].positions.flags.owndata
+    assert [Path(flow.name).stem for flow in flows[1:]] == ["b", "c"]
+    (tmp_path / "train" / "b.npz").write_bytes(b"none")
+    assert Path(flows[2].name).stem == "c"
+    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
+        flows[1]
+    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
+        load_flows(tmp_path, "train", step=0.0025, dimension=2)
 
 
 def test_a_split_is_loaded_in_order(trajectory: Trajectory, tmp_path: Path) -> None:

@@ -61,7 +61,8 @@ def cloud(settings: ModelSettings) -> Cloud:
         state = State.launched(positions, velocities, step=settings.step, history=settings.history)
         friction = torch.full((len(positions),), 0.5)
         volume = torch.full((len(positions),), settings.point_volume)
-        return state, Conditions(friction=friction, volume=volume, size=(1.0, 1.0))
+        cohesion = torch.full_like(friction, 100.0)
+        return state, Conditions(friction=friction, cohesion=cohesion, volume=volume, size=(1.0, 1.0))
 
     return build
 

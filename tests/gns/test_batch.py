@@ -1,5 +1,6 @@
 """Samples side by side are samples alone."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +41,36 @@ def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset
     walk = noisy.state.displacements - batch.state.displacements
     assert 0.8e-3 < walk[-1].std() < 1.2e-3
     torch.testing.assert_close(walk.sum(0), noisy.state.positions - batch.state.positions, atol=1e-6, rtol=0.0)
+
+
+def test_baffles_are_padded_far_away(settings: ModelSettings, dataset: Path) -> None:
+    def joined(*baffles: list[list[list[float]]]) -> torch.Tensor | None:
+        some = [
+            dataclasses.replace(sample, baffles=np.array(boxes, np.float32).reshape(-1, 2, 2))
+            for sample, boxes in zip(samples(dataset, settings), baffles, strict=True)
+        ]
+        return batched(some, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3).conditions.baffles
+
+    one, two = [[0.1, 0.0], [0.2, 0.3]], [[0.4, 0.0], [0.5, 0.3]]
+    assert joined([], []) is None
+    away = [[-10.0, -10.0], [-10.0, -10.0]]
+    found = joined([one], [two, one])
+    assert found is not None
+    torch.testing.assert_close(found, torch.tensor([[one, away], [two, one]]))
+
+
+def test_a_batch_goes_to_a_device_whole(settings: ModelSettings, dataset: Path) -> None:
+    batch = batched(samples(dataset, settings), size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3)
+    there = batch.to("meta")
+    for part in (there, there.state, there.conditions):
+        for field in dataclasses.fields(part):
+            value = getattr(part, field.name)
+            assert not isinstance(value, torch.Tensor) or value.device.type == "meta"
+    assert there.conditions.size == (0.6, 0.4)
+
+
+def test_cohesion_comes_with_the_points(settings: ModelSettings, dataset: Path) -> None:
+    some = samples(dataset, settings)
+    some[1] = dataclasses.replace(some[1], cohesion=np.full_like(some[1].cohesion, 100.0))
+    found = batched(some, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3).conditions
+    assert found.cohesion.tolist() == (found.batch * 100.0).tolist()

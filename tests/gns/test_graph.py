@@ -4,19 +4,32 @@ import numpy as np
 import pytest
 import torch
 
-from gns.graph import mean_envelope_sum, neighbours, radius_graph
+from gns.graph import mean_envelope_sum, radius_graph
+from gns.neighbours import neighbours
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("count", [1, 2, 150])
-def test_neighbours_are_those_of_brute_force(dimension: int, count: int) -> None:
-    positions = np.random.default_rng(count).random((count, dimension))
-    batch = np.arange(count) % 3
-    senders, receivers = neighbours(positions, 0.2, batch=batch)
-    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    near = (distance <= 0.2) & (batch[:, None] == batch[None]) & ~np.eye(count, dtype=bool)
-    assert sorted(zip(receivers, senders, strict=True)) == list(zip(*np.nonzero(near), strict=True))
-    assert (np.diff(receivers) >= 0).all()
+def test_edges_and_offsets_are_those_of_brute_force(dimension: int, count: int) -> None:
+    positions = torch.rand(count, dimension, generator=torch.Generator().manual_seed(count))
+    batch = torch.arange(count) % 3
+    away = positions.unsqueeze(0) - positions.unsqueeze(1)
+    near = (away.norm(dim=2) <= 0.2) & (batch.unsqueeze(1) == batch) & ~torch.eye(count, dtype=torch.bool)
+    receivers, senders = near.nonzero().T
+    graph = radius_graph(positions, 0.2, batch)
+    assert torch.equal(graph.receivers, receivers)
+    assert torch.equal(graph.senders, senders)
+    assert torch.equal(graph.starts.diff(), near.sum(dim=1))
+    offset = away[receivers, senders] / 0.2
+    torch.testing.assert_close(graph.offsets, torch.cat((offset, offset.norm(dim=1, keepdim=True)), dim=1))
+
+
+def test_the_edges_are_those_that_the_search_finds() -> None:
+    positions = torch.rand(50, 2, generator=torch.Generator().manual_seed(0))
+    some = neighbours(positions, 0.1)
+    graph = radius_graph(positions, 0.3, None, lambda points, batch: some)
+    assert torch.equal(graph.senders, some.senders)
+    assert graph.offsets[:, 2].max() < 0.1 / 0.3 + 1e-3
 
 
 def test_an_edge_fades_out_with_zero_value_and_slope() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.samples import Flow, load_flows
-from gns.objective import Curriculum, rollout_loss, statistics, unrolled_steps
+from datasets.samples import Flows, Sample, load_flows
+from gns.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
 from gns.settings import ModelSettings
 
 
@@ -26,13 +26,20 @@ def test_the_entries_of_the_schedule_share_the_time() -> None:
     ]  # fmt: skip
 
 
+def test_the_steps_left_are_the_area_under_the_schedule() -> None:
+    schedule = (1, 2, 2, 8)
+    assert remaining_steps(schedule, 0.0) == pytest.approx(13 / 4)
+    assert remaining_steps(schedule, 0.625) == pytest.approx(0.125 * 2 + 0.25 * 8)
+    assert remaining_steps(schedule, 1.0) == 0.0
+
+
 @pytest.fixture
-def flows(dataset: Path, settings: ModelSettings) -> list[Flow]:
+def flows(dataset: Path, settings: ModelSettings) -> Flows:
     """The training flows."""
     return load_flows(dataset, "train", step=settings.step, dimension=2)
 
 
-def test_samples_are_stretches_of_the_flows(flows: list[Flow], settings: ModelSettings) -> None:
+def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
     drawn = [curriculum.draw(4, rng) for _ in range(60)]
@@ -45,7 +52,7 @@ def test_samples_are_stretches_of_the_flows(flows: list[Flow], settings: ModelSe
         assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
 
-def test_statistics_leave_gravity_out(flows: list[Flow]) -> None:
+def test_statistics_leave_gravity_out(flows: Flows) -> None:
     time = np.arange(8) * 0.01
     falling = np.zeros((8, 5, 2), np.float32)
     falling[..., 0] = 0.1 * np.arange(5)
@@ -53,7 +60,55 @@ def test_statistics_leave_gravity_out(flows: list[Flow]) -> None:
     flow = dataclasses.replace(
         flows[0], positions=falling, friction=np.ones(5, np.float32), velocity0=np.zeros((5, 2), np.float32)
     )
-    found = statistics([flow])
+    found = statistics([[flow]])
     assert found.acceleration < 1e-6
     assert found.friction_mean == pytest.approx(1.0)
     assert found.friction_std == 1.0
+
+
+def test_statistics_of_many_times_are_sampled_and_always_the_same(
+    flows: Flows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exact = statistics([flows])
+    monkeypatch.setattr("gns.objective.SAMPLED_TIMES", 32)
+    sampled = statistics([flows])
+    assert sampled == statistics([flows])
+    assert sampled != exact
+    assert sampled.displacement == pytest.approx(exact.displacement, rel=0.3)
+    assert sampled.friction_std == exact.friction_std
+
+
+def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gns.objective.SHARE_FIRST", 0.0)
+    monkeypatch.setattr("gns.objective.SHARE_EARLY", 0.0)
+    monkeypatch.setattr("gns.objective.SHARE_MOVING", 1.0)
+    flow = flows[0]
+    resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
+    longer = dataclasses.replace(flow, positions=resting)
+    curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
+    drawn = [curriculum.draw(1, rng) for _ in range(30)]
+    assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
+
+
+@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
+def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
+    rng = np.random.default_rng(0)
+    place = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
+    one = np.ones(1, np.float32)
+    sample = Sample(
+        frames=place.reshape(1, 1, -1),
+        velocity0=place.reshape(1, -1),
+        targets=place.reshape(1, 1, -1),
+        friction=one,
+        cohesion=one,
+        volume=one,
+        baffles=np.stack((place, place + 0.1))[None],
+    )
+    found = set()
+    for _ in range(100):
+        other = turned(sample, size, rng)
+        found.add(tuple(np.round(other.targets[0, 0].astype(float), 5)))
+        assert (other.baffles[:, 0] < other.baffles[:, 1]).all()
+        # The point is a corner of the baffle, and stays one.
+        assert np.isclose(other.baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+    assert len(found) == ways

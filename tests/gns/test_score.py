@@ -32,6 +32,9 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert not right.released
     assert max(abs(right.front_error), right.rmse[2]) < 2e-3
     assert right.profile_error < 0.02
+    assert right.kinetic_error < 1e-3
+    assert wrong.kinetic_error > 1e-3
+    assert right.seconds > 0.0
     assert wrong.released
     assert wrong.front_error < -0.1
     assert min(wrong.rmse) > 0.01
@@ -39,7 +42,14 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:
-    common = {"name": "a", "friction_deg": 30.0, "profile_error": 0.25, "rmse": (0.001, 0.002, 0.003)}
+    common = {
+        "name": "a",
+        "friction_deg": 30.0,
+        "profile_error": 0.25,
+        "rmse": (0.001, 0.002, 0.003),
+        "kinetic_error": 0.01,
+        "seconds": 1.0,
+    }
     scores = [Score(released=True, front_error=error, **common) for error in (-0.03, 0.04)]
     lines = table([*scores, Score(released=False, front_error=0.1, **common)]).splitlines()
     assert len(lines) == 4

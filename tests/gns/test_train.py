@@ -1,77 +1,151 @@
-"""Training on flows with a formula: it learns, resumes, and leaves a model that runs."""
+"""Training on flows with a formula, as a command: it resumes, stops when asked, and leaves a model that runs."""
 
 import csv
+import dataclasses
+import itertools
+import signal
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from datasets import command_line
-from datasets.errors import InputError
-from datasets.samples import load_flows
+from datasets.samples import Flow, load_flows
+from datasets.scene import Baffle
+from datasets.trajectory import Trajectory
 from gns import checkpoint
-from gns.objective import Curriculum, statistics
+from gns import train as command
+from gns.budget import Clock
 from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from gns.train import Run, TrainingSettings, pick, train
-from tests.gns.conftest import NORMALISATION
+from gns.train import pick, train
+from gns.training import Run
 
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
-    *("--threads", "1", "--unroll", "1", "--unroll", "2"),
+    *("--threads", "1", "--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
 ]
 
 
-def test_the_loss_falls(dataset: Path, settings: ModelSettings) -> None:
-    torch.manual_seed(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
-    run = Run(Simulator(settings, statistics(flows)), TrainingSettings(warmup=5, learning_rate=1e-2), seed=0)
-    run.set_learning_rate(0.0)
-    losses = [run.update(Curriculum([flows], settings), (0.6, 0.4), 9.81, steps=2) for _ in range(60)]
-    assert np.mean(losses[-10:]) < 0.5 * np.mean(losses[:5])
+def run(dataset: Path, out: Path, *flags: str) -> int:
+    """Train a tiny model; the exit status."""
+    return command_line.run(train, "train", [str(dataset), "--out", str(out), *TINY, *flags])
 
 
-def test_a_run_resumes_where_it_was(dataset: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    begin = ["--out", str(out), "--validate-flows", "1", *TINY]
-    assert command_line.run(train, "train", [str(dataset), "--minutes", "0.02", *begin]) == 0
-    first = checkpoint.read(out / "last.pt")
-    assert command_line.run(train, "train", [str(dataset), "--minutes", "0.04", "--resume", *begin]) == 0
-    second = checkpoint.read(out / "last.pt")
-    assert second["updates"] > first["updates"] > 0
-    assert second["elapsed"] >= 2.4 > first["elapsed"] >= 1.2
+def rows(out: Path) -> list[dict[str, str]]:
+    """The log, but for the minutes."""
     with (out / "log.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["updates"]) for row in rows] == [first["updates"], second["updates"]]
-    model = checkpoint.load(out / "best.pt")
-    assert model.provenance["seed"] == 0
-    assert "released at rest" in (out / "scores.md").read_text()
+        return [{key: value for key, value in row.items() if key != "minutes"} for row in csv.DictReader(file)]
 
 
-def test_everything_of_a_run_is_brought_back(dataset: Path, settings: ModelSettings, tmp_path: Path) -> None:
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
-    curriculum = Curriculum([flows], settings)
+def same(one: Any, other: Any) -> bool:
+    """Whether two contents of files are equal to the bit."""
+    if isinstance(one, torch.Tensor):
+        return torch.equal(one, other)
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    return bool(one == other)
 
-    def begin() -> Run:
-        torch.manual_seed(0)
-        return Run(Simulator(settings, statistics(flows)), TrainingSettings(), seed=0)
 
-    unbroken, broken = begin(), begin()
-    for run in (unbroken, broken):
-        run.update(curriculum, (0.6, 0.4), 9.81, steps=1)
-    broken.save(tmp_path / "last.pt")
-    resumed = begin()
-    resumed.resume(tmp_path / "last.pt")
-    losses = [run.update(curriculum, (0.6, 0.4), 9.81, steps=1) for run in (unbroken, resumed)]
-    assert losses[0] == losses[1]
-    for one, other in zip(unbroken.average.parameters(), resumed.average.parameters(), strict=True):
-        assert torch.equal(one, other)
+def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A clock that goes on by a tenth of a second whenever it is read, however busy the machine is.
+    ticks = itertools.count()
+    monkeypatch.setattr(Clock, "now", lambda clock: next(ticks) / 10.0)
+    assert run(dataset, tmp_path, "--minutes", "0.02") == 0
+    first = checkpoint.read(tmp_path / "last.pt")["position"]
+    assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
+    second = checkpoint.read(tmp_path / "last.pt")["position"]
+    assert second["updates"] > first["updates"] > 0
+    assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
+    assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
+    provenance = checkpoint.load(tmp_path / "best.pt").provenance
+    assert (provenance["seed"], provenance["clock"], provenance["minutes"]) == (0, "wall", 0.04)
+    assert "released at rest" in (tmp_path / "scores.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def unbroken(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seven updates without a break, a validation after every third."""
+    out = tmp_path_factory.mktemp("unbroken")
+    torch.set_num_threads(1)
+    assert run(dataset, out, "--updates", "7", "--validate-updates", "3") == 0
+    assert [row["updates"] for row in rows(out)] == ["3", "6", "7"]
+    return out
+
+
+def broken(call: str, number: int, kind: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Send this process a signal in the call `number` of an update or of a validation."""
+    place: Any = Run if call == "update" else command
+    inner, calls = getattr(place, call), []
+
+    def outer(*given: Any, **flags: Any) -> Any:
+        calls.append(None)
+        if len(calls) == number:
+            signal.raise_signal(kind)
+            if call == "update":
+                # As torchrun does, which hands on what the terminal has sent too.
+                signal.raise_signal(kind)
+        return inner(*given, **flags)
+
+    monkeypatch.setattr(place, call, outer)
+
+
+@pytest.mark.parametrize(
+    ("call", "number", "kind", "done"),
+    [
+        ("update", 5, signal.SIGINT, 5),
+        ("update", 3, signal.SIGTERM, 3),
+        ("evaluate", 2, signal.SIGTERM, 6),
+        ("evaluate", 3, signal.SIGINT, 7),
+    ],
+)
+def test_a_run_that_was_stopped_anywhere_ends_the_same(
+    call: str, number: int, kind: signal.Signals, done: int,
+    unbroken: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    flags = ("--updates", "7", "--validate-updates", "3")
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    with monkeypatch.context() as patch:
+        broken(call, number, kind, patch)
+        assert run(dataset, tmp_path, *flags) == 130
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert checkpoint.read(tmp_path / "last.pt")["position"]["updates"] == done
+    assert run(dataset, tmp_path, *flags, "--resume") == 0
+    assert rows(tmp_path) == rows(unbroken)
+    found, wanted = (checkpoint.read(out / "last.pt") for out in (tmp_path, unbroken))
+    for content in (found, wanted):
+        for key in ("seconds", "validated_seconds", "log_size"):
+            del content["position"][key]
+    assert same(found, wanted)
+    assert same(checkpoint.read(tmp_path / "best.pt")["state"], checkpoint.read(unbroken / "best.pt")["state"])
+
+
+def test_baffles_need_a_model_that_knows_them(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    column = Trajectory.load(dataset / "valid" / "0000.npz")
+    scene = dataclasses.replace(column.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
+    for split in ("train", "valid"):
+        dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / "a.npz")
+    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2") == 2
+    assert "a.npz: baffles: expected flows without baffles" in capsys.readouterr().err
+    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2", "--baffles") == 0
+
+
+def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gns.budget.time.process_time", iter(range(100)).__next__)
+    assert run(dataset, tmp_path, "--minutes", "0.1", "--clock", "cpu") == 0
+    assert checkpoint.load(tmp_path / "best.pt").provenance["clock"] == "cpu"
+    assert 6.0 <= checkpoint.read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
 
 
 def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:
     released = load_flows(dataset, "train", step=settings.step, dimension=2)
-    assert pick(released, 2) == [released[0], released[2]]
+
+    def names(flows: list[Flow]) -> list[str]:
+        return [flow.name for flow in flows]
+
+    assert names(pick(released, 2)) == [released[0].name, released[2].name]
     assert len(pick(released, 10)) == 4
 
 
@@ -81,7 +155,12 @@ def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettin
         (["--resume"], "there is no last.pt"),
         (["--layers", "3"], "layers: expected a multiple of the 2 rounds"),
         (["--batch", "0"], "batch: expected a positive number"),
+        (["--minutes", "0"], "minutes: expected a positive number"),
+        (["--updates", "0"], "updates: expected an integer of at least 1"),
+        (["--memory-gib", "-1"], "memory_gib: expected a number of at least 0"),
+        (["--device", "cpu", "--mixed"], "mixed: expected a GPU"),
         (["--frames-per-step", "3", "--frame-dt", "0.001"], "expected frames 0.003 s apart"),
+        (["--unroll", "40"], "expected at least 40 steps of 0.01 s, got 25"),
         (["--dimension", "3"], "expected a 3D trajectory"),
         (["--widht", "3"], "widht"),
     ],
@@ -92,10 +171,3 @@ def test_mistakes_are_told_in_one_line(
     assert command_line.run(train, "train", [str(dataset), "--out", str(tmp_path), *flags]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert message in lines[-1]
-
-
-def test_a_run_of_another_model_is_not_resumed(settings: ModelSettings, simulator: Simulator, tmp_path: Path) -> None:
-    Run(simulator, TrainingSettings(), seed=0).save(tmp_path / "last.pt")
-    other = Simulator(ModelSettings(width=8), NORMALISATION)
-    with pytest.raises(InputError, match="settings that the run was begun with"):
-        Run(other, TrainingSettings(), seed=0).resume(tmp_path / "last.pt")

@@ -189,13 +189,23 @@ def test_the_machine_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     monkeypatch.setattr(machine, "CPUINFO", file)
     assert machine.machine().startswith("Some CPU with AVX-512, ")
     assert "Taichi 1." in machine.machine()
+    assert "PyTorch 2." in machine.machine(machine.GNS)
     monkeypatch.setattr(machine, "CPUINFO", tmp_path / "absent")
     assert machine.machine()
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
-    [(["gns"], "gns"), (["mpm", "--rounds", "0"], "--rounds"), (["mpm", "--trajectories", "1001"], "--trajectories")],
+    [
+        (["sph"], "sph"),
+        (["mpm", "--rounds", "0"], "--rounds"),
+        (["mpm", "--trajectories", "1001"], "--trajectories"),
+        (["mpm", "--full"], "--full"),
+        (["gns", "--trajectories", "0"], "--trajectories"),
+        (["gns", "--longest", "0"], "--longest"),
+        (["memory", "--rounds", "2"], "--rounds"),
+        (["memory", "--threads", "0"], "--threads"),
+    ],
 )
 def test_wrong_input_is_one_line_and_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], named: str

@@ -1,0 +1,122 @@
+"""Two processes train as one with both their samples."""
+
+import dataclasses
+import multiprocessing
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.samples import Sample, cut, load_flows
+from gns import checkpoint
+from gns.batch import Batch, batched
+from gns.distributed import Processes, joined
+from gns.objective import Curriculum
+from gns.settings import ModelSettings
+from gns.simulator import Simulator
+from gns.training import Run, TrainingSettings
+
+ROOT = Path(__file__).parents[2]
+STEPS = 3
+
+
+class Given(Curriculum):
+    """Always these samples, in double precision."""
+
+    def __init__(self, samples: list[Sample], settings: ModelSettings) -> None:
+        self._samples, self._settings = samples, settings
+
+    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Batch:
+        """All of them."""
+        settings = self._settings
+        one = batched(self._samples, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=settings.history)
+        conditions = {key: getattr(one.conditions, key).double() for key in ("friction", "cohesion", "volume")}
+        return Batch(
+            state=type(one.state)(
+                positions=one.state.positions.double(), displacements=one.state.displacements.double()
+            ),
+            conditions=dataclasses.replace(one.conditions, **conditions),
+            targets=one.targets.double(),
+        )
+
+
+def updated(simulator: Simulator, samples: list[Sample], processes: Processes) -> dict[str, torch.Tensor]:
+    """Gradients of one update, unclipped, and the weights after it."""
+    run = Run(simulator, TrainingSettings(clip=1e9), seed=0, processes=processes)
+    # One step keeps its activations, the others are checkpointed.
+    run.kept_steps = lambda batch: 1  # type: ignore[method-assign]
+    run.update(Given(samples, simulator.settings), steps=STEPS, rate=1e-3)
+    gradients = {f"gradient {name}": value.grad for name, value in simulator.named_parameters()}
+    return {**simulator.state_dict(), **gradients}
+
+
+def worker(rank: int, port: int, simulator: Simulator, samples: list[Sample], out: Path) -> None:
+    """One of two processes, as torchrun starts them."""
+    place = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    os.environ.update({key: str(value) for key, value in place.items()})
+    with joined("cpu") as processes:
+        assert (processes.rank, processes.count, processes.first) == (rank, 2, rank == 0)
+        torch.save(updated(simulator, samples, processes), out / f"{rank}.pt")
+
+
+def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
+    lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path
+) -> None:
+    simulator, rng = lively.double(), np.random.default_rng(0)
+    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
+    samples = [
+        cut(flow, now=now, steps=STEPS, history=settings.history, cell=cell, kept=1, rng=rng)
+        for flow, now, cell in zip(flows, (0, 5, 9), (0.01, 0.01, 0.015), strict=False)
+    ]
+    # Two samples here and one there, of other numbers of points.
+    parts = [samples[:2], samples[2:]]
+    assert len({len(sample.friction) for sample in samples}) > 1
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # Forked: torch is there already.
+    context = multiprocessing.get_context("fork")
+    workers = [context.Process(target=worker, args=(rank, port, simulator, parts[rank], tmp_path)) for rank in (0, 1)]
+    for each in workers:
+        each.start()
+    for each in workers:
+        each.join(60.0)
+    assert [each.exitcode for each in workers] == [0, 0]
+    one = updated(simulator, samples, Processes(device=torch.device("cpu")))
+    first, second = (checkpoint.read(tmp_path / f"{rank}.pt") for rank in (0, 1))
+    for name, value in one.items():
+        assert torch.equal(first[name], second[name])
+        if name.startswith("gradient"):
+            assert (first[name] - value).norm() <= 1e-6 * value.norm()
+            assert value.norm() > 0.0
+
+
+@pytest.mark.slow
+def test_torchrun_trains_stops_and_resumes(dataset: Path, tmp_path: Path) -> None:
+    tiny = ["--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"]
+    flags = ["--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--validate-updates", "3", "--device", "cpu"]
+
+    def run(out: Path, *more: str) -> None:
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
+        command += ["gns.train", str(dataset), "--out", str(out), *tiny, *flags, *more]
+        subprocess.run(command, cwd=ROOT, check=True, timeout=120)
+
+    run(tmp_path, "--updates", "6")
+    content = checkpoint.read(tmp_path / "last.pt")
+    assert content["position"]["updates"] == 6
+    assert checkpoint.load(tmp_path / "best.pt").provenance["processes"] == 2
+    assert len((tmp_path / "log.csv").read_text().splitlines()) == 3
+    run(tmp_path, "--updates", "8", "--resume")
+    assert checkpoint.read(tmp_path / "last.pt")["position"]["updates"] == 8
+
+
+def test_without_torchrun_there_is_one_process() -> None:
+    with joined("cpu") as processes:
+        assert (processes.rank, processes.count) == (0, 1)
+        assert processes.sums(1.0, 2.0) == [1.0, 2.0]
+        assert processes.share(7) == 1.0
