@@ -53,7 +53,7 @@ class FusedSum(torch.autograd.Function):
         offsets, envelope = offsets.contiguous(), envelope.contiguous()
         ctx.save_for_backward(receiver, sender, weight, offsets, envelope, senders, starts)
         total = torch.empty_like(receiver)
-        kernel.forward(offsets.shape[1], receiver.dtype == torch.float64)(
+        kernel.sums(
             receiver.numpy(), sender.numpy(), offsets.numpy(), weight.numpy(), envelope.view(-1).numpy(),
             senders.numpy(), starts.numpy(), total.numpy(),
         )  # fmt: skip
@@ -68,10 +68,11 @@ class FusedSum(torch.autograd.Function):
         to_receiver, to_sender = torch.zeros_like(receiver), torch.zeros_like(sender)
         to_offsets, to_envelope = torch.empty_like(offsets), torch.empty_like(envelope)
         to_weight = torch.zeros_like(weight)
-        kernel.backward(offsets.shape[1], receiver.dtype == torch.float64, positions_matter, weight_matters)(
+        kernel.gradients(
             receiver.numpy(), sender.numpy(), offsets.numpy(), weight.numpy(), envelope.view(-1).numpy(),
             senders.numpy(), starts.numpy(), gradients[0].contiguous().numpy(),
             to_receiver.numpy(), to_sender.numpy(), to_offsets.numpy(), to_weight.numpy(), to_envelope.view(-1).numpy(),
+            positions_matter, weight_matters,
         )  # fmt: skip
         return (
             to_receiver,
