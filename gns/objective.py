@@ -14,6 +14,8 @@ from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 
+Domain = tuple[tuple[float, ...], float]
+"""Extent of the box [m] and gravity [m/s^2]."""
 SHARE_FIRST = 0.15
 """Share of samples that start with the flow itself: from positions and velocities alone."""
 SHARE_EARLY = 0.10
@@ -79,25 +81,28 @@ class UnrolledLoss(nn.Module):
 class Curriculum:
     """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries.
 
-    All flows are of one domain and gravity.
+    A batch is of one domain and gravity, and so are all flows of a dataset.
     """
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings) -> None:
-        self._datasets = datasets
         self._settings = settings
-        first = datasets[0][0]
-        self._size, self._gravity = first.size, first.gravity
+        self._domains: dict[Domain, list[Sequence[Flow]]] = {}
+        for flows in datasets:
+            self._domains.setdefault((flows[0].size, flows[0].gravity), []).append(flows)
+        # As many times as a domain has datasets, so that these get equal shares.
+        self._shares = [domain for domain, group in self._domains.items() for _ in group]
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Batch:
         """`count` samples with `steps` targets, side by side."""
-        samples = [self.draw(steps, rng) for _ in range(count)]
-        settings = self._settings
-        return batched(samples, size=self._size, gravity=self._gravity, step=settings.step, history=settings.history)
+        domain = self._shares[int(rng.integers(len(self._shares)))]
+        samples = [self.draw(domain, steps, rng) for _ in range(count)]
+        settings, (size, gravity) = self._settings, domain
+        return batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
 
-    def draw(self, steps: int, rng: np.random.Generator) -> Sample:
-        """One sample with `steps` targets."""
-        settings = self._settings
-        flows = self._datasets[int(rng.integers(len(self._datasets)))]
+    def draw(self, domain: Domain, steps: int, rng: np.random.Generator) -> Sample:
+        """One sample of a domain with `steps` targets."""
+        settings, datasets = self._settings, self._domains[domain]
+        flows = datasets[int(rng.integers(len(datasets)))]
         flow = flows[int(rng.integers(len(flows)))]
         sample = cut(
             flow,

@@ -1,8 +1,9 @@
 """How good a model is: whole rollouts of flows it has not seen, from the MPM's first frames. `python -m gns.score`."""
 
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,14 +47,13 @@ class Score:
 
 
 def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
-    """Roll out `flows` of one domain and length, `at_once` side by side."""
+    """Roll out `flows`, those of one domain that follow each other `at_once` side by side."""
     settings = simulator.settings
     now = round(START / settings.step)
     rng = np.random.default_rng(seed)
     scores: list[Score] = []
-    for first in range(0, len(flows), at_once):
-        group = flows[first : first + at_once]
-        steps = min(len(flow.positions) for flow in group) - 1 - now
+    for group in grouped(flows, at_once):
+        steps = len(group[0].positions) - 1 - now
         samples = [
             cut(
                 flow,
@@ -94,6 +94,13 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
                 )
             )
     return scores
+
+
+def grouped(flows: Iterable[Flow], at_once: int) -> Iterator[list[Flow]]:
+    """Runs of at most `at_once` flows of one domain, gravity and length."""
+    for _, alike in itertools.groupby(flows, key=lambda flow: (flow.size, flow.gravity, len(flow.positions))):
+        while group := list(itertools.islice(alike, at_once)):
+            yield group
 
 
 def kinetic_error(positions: Floats, sample: Sample, gravity: float, step: float) -> float:

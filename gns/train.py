@@ -59,9 +59,8 @@ def load(
 
     train = [split(dataset, "train") for dataset in datasets]
     valid = [split(dataset, "valid") for dataset in datasets]
-    first = train[0][0]
     frames = max(2 * settings.history + 1, *training.unroll)
-    for flow in itertools.chain(*train, *valid):
+    for first, flow in ((flows[0], flow) for flows in (*train, *valid) for flow in flows):
         if (flow.size, flow.gravity) != (first.size, first.gravity):
             raise InputError(f"expected the domain and gravity of {first.name}", where=flow.name)
         if len(flow.baffles) and not settings.baffles:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from datasets.channel3d import CHANNEL3D
 from datasets.command_line import WorkFailed, run
 from datasets.definition import Definition, Entry, Split
 from datasets.errors import InputError
@@ -30,7 +31,7 @@ from datasets.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.processors import processors
 
-DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D)}
+DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
 
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
@@ -45,7 +46,7 @@ def command(definition: str, /, *, out: Path, count: int | None = None, seed: in
     Parameters
     ----------
     definition
-        flow2d, releases2d, layers2d or obstacle3d.
+        flow2d, releases2d, layers2d, obstacle3d or channel3d.
     out
         Folder of the dataset: train, valid, test, metadata.json, generation.json.
     count

@@ -7,6 +7,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
+from datasets.channel3d import CHANNEL3D
 from datasets.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.flow2d import FLOW2D, FRICTION_DEG
@@ -18,7 +19,7 @@ from datasets.releases2d import RELEASES2D, held_out
 from datasets.scene import Baffle, Mass
 
 every = pytest.mark.parametrize(
-    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D], ids=lambda definition: definition.name
+    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D], ids=lambda definition: definition.name
 )
 planar = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, LAYERS2D], ids=lambda definition: definition.name)
 
@@ -252,6 +253,26 @@ def test_baffles_stand_anywhere_between_the_nodes() -> None:
     within = places[:, [0, 2]] / 0.03125 % 1.0
     shares = np.histogram(within, bins=10, range=(0.0, 1.0))[0] / within.size
     assert np.all((shares > 0.06) & (shares < 0.14))
+
+
+def test_channel3d_is_what_it_says() -> None:
+    entries = all_entries(CHANNEL3D)
+    assert splits(entries) == {Split.TRAIN: 216, Split.VALID: 12, Split.TEST: 12}
+    counts = Counter(len(entry.scene.baffles) for entry in entries)
+    assert counts == dict.fromkeys(range(6), 40)
+    three_cells = 3 * 0.03125 - 1e-9
+    for entry in entries:
+        scene = entry.scene
+        assert scene.domain.size == (2.0, 1.0, 1.0)
+        (mass,) = scene.masses
+        # Lower than any mass here: the paper's scene of two baffles in such a box is none of these.
+        assert min(mass.size) >= 0.25
+        for baffle in scene.baffles:
+            assert 0.15 <= baffle.size[1] <= 0.35
+            assert all(0.10 <= baffle.size[axis] <= 0.17 for axis in (0, 2))
+            assert three_cells <= baffle.lower[0] - mass.lower[0] - mass.size[0] <= three_cells + 0.6 + 1e-8
+            assert baffle.lower[0] + baffle.size[0] <= 2.0
+        assert all(clearance(a, b) >= three_cells for a, b in combinations(scene.baffles, 2))
 
 
 @pytest.mark.parametrize(("name", "points", "baffles"), [("baffles-2", 11_010, 2), ("baffles-5", 32_113, 5)])

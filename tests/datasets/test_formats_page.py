@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.channel3d import CHANNEL3D
 from datasets.definition import Definition
 from datasets.flow2d import FLOW2D
 from datasets.layers2d import LAYERS2D
@@ -65,7 +66,7 @@ def test_every_key_of_the_metadata() -> None:
 
 
 @pytest.mark.parametrize(
-    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D], ids=lambda definition: definition.name
+    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D], ids=lambda definition: definition.name
 )
 def test_the_sizes_of_the_datasets(definition: Definition) -> None:
     entries = definition.entries(seed=0)

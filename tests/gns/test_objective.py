@@ -42,7 +42,7 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw(4, rng) for _ in range(60)]
+    drawn = [curriculum.draw((flows[0].size, flows[0].gravity), 4, rng) for _ in range(60)]
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -50,6 +50,14 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
     assert sides == {False, True}
     for sample in drawn:
         assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
+
+
+def test_a_batch_is_of_one_domain_and_datasets_have_equal_shares(flows: Flows, settings: ModelSettings) -> None:
+    wide = [dataclasses.replace(flow, size=(1.2, 0.4)) for flow in flows]
+    curriculum, rng = Curriculum([flows, wide, wide], settings), np.random.default_rng(0)
+    sizes = [curriculum.batch(2, 1, rng).conditions.size for _ in range(120)]
+    assert set(sizes) == {(0.6, 0.4), (1.2, 0.4)}
+    assert 0.5 < np.mean([size == (1.2, 0.4) for size in sizes]) < 0.8
 
 
 def test_statistics_leave_gravity_out(flows: Flows) -> None:
@@ -86,7 +94,7 @@ def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monk
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
     curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
-    drawn = [curriculum.draw(1, rng) for _ in range(30)]
+    drawn = [curriculum.draw((flow.size, flow.gravity), 1, rng) for _ in range(30)]
     assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
 
 

@@ -9,7 +9,7 @@ import pytest
 from datasets import command_line
 from datasets.samples import Flow, load_flows
 from gns import checkpoint
-from gns.score import Score, badness, evaluate, score, table
+from gns.score import Score, badness, evaluate, grouped, score, table
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 
@@ -39,6 +39,15 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert wrong.front_error < -0.1
     assert min(wrong.rmse) > 0.01
     assert badness([wrong]) > badness([right])
+
+
+def test_flows_side_by_side_are_of_one_domain_and_length(settings: ModelSettings, dataset: Path) -> None:
+    flow = load_flows(dataset, "valid", step=settings.step, dimension=2)[0]
+    wide = dataclasses.replace(flow, size=(1.2, 0.4))
+    short = dataclasses.replace(wide, positions=wide.positions[:-3])
+    groups = list(grouped([flow, flow, flow, wide, short, short], 2))
+    assert [len(group) for group in groups] == [2, 1, 1, 2]
+    assert groups[2][0].size == (1.2, 0.4)
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:

@@ -138,7 +138,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["flow3d"], "one of flow2d, releases2d, layers2d, obstacle3d"),
+        (["flow3d"], "one of flow2d, releases2d, layers2d, obstacle3d, channel3d"),
         (["obstacle3d", "--count", "1001"], "1 to 1000"),
         (["flow2d", "--count", "386"], "1 to 385"),
         (["flow2d", "--count", "0"], "1 to 385"),
