@@ -73,6 +73,16 @@ def load(
     return train, pick(itertools.chain(*valid), training.validate_flows)
 
 
+def begun(path: Path, settings: ModelSettings) -> Simulator:
+    """The model at `path` to train on. Raises InputError where its settings are others."""
+    simulator = checkpoint.load(path).simulator
+    if simulator.settings != settings:
+        there = dataclasses.asdict(simulator.settings)
+        other = [key for key, value in dataclasses.asdict(settings).items() if value != there[key]]
+        raise InputError(f"expected a model of the settings asked for, other is {', '.join(other)}", where=str(path))
+    return simulator.train()
+
+
 def train(
     *datasets: Path,
     out: Path,
@@ -80,6 +90,7 @@ def train(
     updates: int | None = None,
     clock: Literal["wall", "cpu"] = "wall",
     resume: bool = False,
+    begin: Path | None = None,
     seed: int = 0,
     threads: int = 1,
     device: Literal["cpu", "cuda"] | None = None,
@@ -109,6 +120,8 @@ def train(
         What the minutes are: wall time, or time that the process computes.
     resume
         Continue from OUT/last.pt; give the other flags again.
+    begin
+        A model to begin with instead of random weights, of the same settings; its normalisation stays.
     seed
         Seed of the weights and of the samples.
     threads
@@ -133,13 +146,14 @@ def train(
         if mixed and processes.device.type != "cuda":
             raise InputError("expected a GPU, there is nothing to gain on a CPU", key="mixed")
         groups, valid = load(datasets, model, training, progress=processes.first)
-        simulator = Simulator(model, statistics(groups))
+        simulator = Simulator(model, statistics(groups)) if begin is None else begun(begin, model)
         run = Run(simulator, training, seed=seed, processes=processes, mixed=mixed, memory_gib=memory_gib)
         if resume:
             run.resume(out / "last.pt")
         provenance = {
             "command": " ".join(["python -m gns.train", *sys.argv[1:]]),
             "seed": seed,
+            "begin": None if begin is None else dict(checkpoint.load(begin).provenance),
             "minutes": minutes if updates is None else None,
             "updates": updates,
             "clock": clock,

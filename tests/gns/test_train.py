@@ -63,6 +63,20 @@ def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypa
     assert "released at rest" in (tmp_path / "scores.md").read_text()
 
 
+def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(dataset, tmp_path / "first", "--updates", "2") == 0
+    model = tmp_path / "first" / "best.pt"
+    # At hardly any learning rate it stays what it was.
+    still = ("--learning-rate", "1e-30", "--final-learning-rate", "0")
+    assert run(dataset, tmp_path / "second", "--updates", "1", "--begin", str(model), *still) == 0
+    first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, tmp_path / "second" / "best.pt"))
+    for name, weight in first.items():
+        torch.testing.assert_close(second[name], weight)
+    assert checkpoint.load(tmp_path / "second" / "best.pt").provenance["begin"]["updates"] == 2
+    assert run(dataset, tmp_path / "third", "--updates", "1", "--begin", str(model), "--history", "2") == 2
+    assert "other is history" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def unbroken(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Seven updates without a break, a validation after every third."""
