@@ -1,7 +1,8 @@
 """Channel3D: Obstacle3D's flows in a box twice as long, our own addition to the paper's training set.
 
 In a box of 1 m every flow soon meets the far wall. Here it runs out: the layer that gets past the baffles thins until
-it stops. Baffles are fewer, none at all, or more, and differ more in size.
+it stops. Baffles are fewer, none at all, or more, and differ more in size. The masses of the first half are
+Obstacle3D's; those of the second are low, slabs rather than towers, so that thin fast layers are no exception.
 """
 
 import numpy as np
@@ -9,10 +10,27 @@ import numpy as np
 from datasets.definition import Definition, Split
 from datasets.flow2d import jitter_seed
 from datasets.material import Material
-from datasets.obstacle3d import CELLS, GAP, POINTS_PER_AXIS, TRIES, apart, draw_mass, vector
+from datasets.obstacle3d import (
+    CELLS,
+    GAP,
+    HIGHEST_START,
+    POINTS_PER_AXIS,
+    SIDE_SPEED,
+    SPEED,
+    TRIES,
+    apart,
+    draw_mass,
+    vector,
+)
 from datasets.scene import Baffle, Domain, Mass, Scene
 
-SIZE = 240
+SIZE = 480
+TOWERS = 240
+"""Scenes whose mass is drawn as Obstacle3D's; those after them are slabs."""
+SLAB_LENGTH_CELLS = (5, 20)
+"""Least and largest extent of a slab along the channel in cells; likewise its height and its width."""
+SLAB_HEIGHT_CELLS = (3, 8)
+SLAB_WIDTH_CELLS = (8, 32)
 LENGTH = 2.0
 """Of the box [m]; it is 1 m high and wide."""
 BAFFLE_COUNTS = (0, 1, 2, 3, 4, 5)
@@ -29,9 +47,10 @@ SPLIT_PERIOD = 20
 def draw(stream: np.random.Generator, index: int) -> Scene:
     """A cuboid of random sides with a random velocity downstream, and the baffles before it."""
     count = BAFFLE_COUNTS[index % len(BAFFLE_COUNTS)]
-    mass = draw_mass(stream)
+    draw_next = draw_mass if index < TOWERS else draw_slab
+    mass = draw_next(stream)
     while (baffles := draw_baffles(stream, mass, count)) is None:
-        mass = draw_mass(stream)
+        mass = draw_next(stream)
     return Scene(
         domain=Domain(size=(LENGTH, 1.0, 1.0), cell=1 / CELLS),
         material=Material(friction_deg=35.0, density=1800.0, young=2.0e6, poisson=0.3),
@@ -47,6 +66,17 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
         points_per_axis=POINTS_PER_AXIS,
         seed=jitter_seed(stream),
     )
+
+
+def draw_slab(stream: np.random.Generator) -> Mass:
+    """A low cuboid in the first half of the channel, standing or in the air, with a random velocity downstream."""
+    least, most = zip(SLAB_LENGTH_CELLS, SLAB_HEIGHT_CELLS, SLAB_WIDTH_CELLS, strict=True)
+    sides = stream.integers(least, most, endpoint=True)
+    place = stream.integers(0, [CELLS - sides[0], HIGHEST_START, CELLS - sides[2]], endpoint=True)
+    # Half of the masses stand on the floor.
+    place[1] *= stream.integers(2)
+    velocity = stream.uniform([0.0, -SIDE_SPEED, -SIDE_SPEED], [SPEED, SIDE_SPEED, SIDE_SPEED])
+    return Mass(lower=vector(place / CELLS), size=vector(sides / CELLS), velocity=vector(velocity))
 
 
 def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[Baffle, ...] | None:
@@ -66,7 +96,7 @@ def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[B
 
 
 def split(index: int) -> Split:
-    """216 scenes for training, 12 for validation, 12 for the test."""
+    """432 scenes for training, 24 for validation, 24 for the test."""
     return {1: Split.VALID, 2: Split.TEST}.get(index % SPLIT_PERIOD, Split.TRAIN)
 
 

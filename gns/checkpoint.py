@@ -14,7 +14,7 @@ from datasets.files import replacing
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 
-FORMAT = 1
+FORMAT = 2
 """Raised when a model of before would not load or would give other results."""
 
 
