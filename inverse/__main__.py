@@ -1,6 +1,7 @@
 """`python -m inverse PROBLEM --out DIR`: one inversion, by the surrogate or by the MPM, and what it cost."""
 
 import dataclasses
+import os
 import sys
 import time
 from enum import StrEnum
@@ -11,15 +12,18 @@ import numpy as np
 from datasets.command_line import run
 from datasets.errors import InputError
 from gns import checkpoint
-from gns.rollout import SHIPPED
+from gns.rollout import shipped
 from inverse import observations, report
 from inverse.finite_difference import central
 from inverse.gns_forward import MEMORY_GIB, GnsForward, GnsSource
 from inverse.gradient import automatic
-from inverse.inversion import invert
+from inverse.gradient_free import explore
+from inverse.inversion import invert, unconfirmed
 from inverse.mpm_forward import MpmForward
-from inverse.problem import read_problem
-from inverse.target import read_target
+from inverse.observations import Observation, Values
+from inverse.problem import Method, Problem, read_problem
+from inverse.result import Result
+from inverse.target import Target, read_target
 from inverse.unknowns import with_unknowns
 from mpm.simulate import simulate, simulate_many
 
@@ -31,6 +35,8 @@ class Gradient(StrEnum):
     """Reverse-mode automatic differentiation through the whole rollout."""
     FD = "fd"
     """Central differences."""
+    NONE = "none"
+    """None at all: the optimiser's `sampler` proposes, `max_trials` is the budget."""
 
 
 class ForwardModel(StrEnum):
@@ -47,7 +53,7 @@ def main(
     out: Path,
     gradient: Gradient | None = None,
     forward: ForwardModel = ForwardModel.GNS,
-    model: Path = SHIPPED,
+    model: Path | None = None,
     memory_gib: float = MEMORY_GIB,
 ) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
@@ -61,40 +67,67 @@ def main(
     out
         Folder for the results.
     gradient
-        Automatic differentiation, or central differences; the MPM has only the latter.
+        Automatic differentiation, the MPM has none; central differences, its default; or none, a search without.
     forward
         What predicts the observation: the surrogate or the MPM.
     model
-        Weights of the surrogate.
+        Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again.
     """
     asked = read_problem(problem)
     if forward is ForwardModel.MPM and gradient is Gradient.AD:
-        raise InputError("expected --gradient fd, the MPM has no automatic gradient", where="--forward mpm")
+        raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     observation = observations.build(asked.observation, asked.scene)
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:
-        source = GnsSource(checkpoint.load(model).simulator, asked, observation, memory_gib)
-        names = [unknown.name for unknown in asked.unknowns]
-        initial = with_unknowns(asked.scene, names, [unknown.initial for unknown in asked.unknowns])
+        simulator = checkpoint.load(model or shipped(asked.scene.dimension)).simulator
+        source = GnsSource(simulator, asked, observation, memory_gib)
+        frames = source.first_frames(with_unknowns(asked.scene, asked.names, asked.initial))
         began = time.perf_counter()
-        chosen = source.start(simulate(source.first_frames(initial)))
+        beginning = None if frames is None else simulate(frames)
         mpm_seconds = time.perf_counter() - began
+        chosen = source.start(beginning)
     target = read_target(asked, observation, simulate)
-    if isinstance(chosen, GnsForward) and gradient is not Gradient.FD:
-        result = invert(asked, target, automatic(chosen, target.values))
-    else:
-        result = invert(asked, target, central(chosen, target.values, asked))
+    wanted = chosen.wanted(target.values) if isinstance(chosen, GnsForward) else target.values
+    if gradient is None:
+        gradient = Gradient.AD if isinstance(chosen, GnsForward) else Gradient.FD
+    result = solve(asked, target, observation, chosen, wanted, gradient)
     if isinstance(chosen, MpmForward):
         mpm_seconds = result.total_seconds
     result = dataclasses.replace(result, mpm_seconds=mpm_seconds)
     result.write(out)
     report.write(result, chosen.deposit(result.answer), out)
     print(np.array2string(result.answer, precision=3))
+
+
+def solve(
+    problem: Problem,
+    target: Target,
+    observation: Observation,
+    forward: GnsForward | MpmForward,
+    wanted: Values,
+    gradient: Gradient,
+) -> Result:
+    """One inversion of `forward`; `wanted` is the target as far as its predictions are held against it."""
+    jacobian = problem.optimiser.method is Method.GAUSS_NEWTON
+    components = observation.components
+    match gradient:
+        case Gradient.AD:
+            assert isinstance(forward, GnsForward)
+            evaluate = automatic(forward, wanted, components=components, with_jacobian=jacobian)
+        case Gradient.FD:
+            evaluate = central(forward, wanted, problem, components=components, with_jacobian=jacobian)
+        case Gradient.NONE:
+            began = time.perf_counter()
+            # The MPM runs a scene per core, and as many are proposed at a time.
+            at_once = (os.cpu_count() or 1) if isinstance(forward, MpmForward) else 1
+            records = explore(forward, wanted, problem, components=components, at_once=at_once)
+            return unconfirmed(problem, target, records, time.perf_counter() - began)
+    return invert(problem, target, evaluate)
 
 
 if __name__ == "__main__":

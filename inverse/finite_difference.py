@@ -12,25 +12,32 @@ from inverse.problem import Problem
 from inverse.unknowns import Vector
 
 
-def central(forward: Forward, target: Values, problem: Problem) -> Evaluate:
-    """Loss and gradient of `forward` against `target` [m], shape [M]; each unknown moves by its own `step`."""
-    steps = np.array([unknown.step for unknown in problem.unknowns])
+def central(
+    forward: Forward, target: Values, problem: Problem, *, components: int = 1, with_jacobian: bool = False
+) -> Evaluate:
+    """Loss and gradient of `forward` against `target`, shape [M]; each unknown moves by its own step.
+
+    components: of the observation, see `inverse.observations.loss`. with_jacobian: keep it, for a Gauss-Newton search.
+    """
 
     def evaluate(unknowns: Vector) -> Evaluation:
         start = time.perf_counter()
         (observation,) = forward.observe([unknowns])
         middle = time.perf_counter()
         # d/du mean (y - y*)^2 = 2 mean (y - y*) dy/du: differences of y, not of its square, lose fewer digits.
-        slope = jacobian(forward, unknowns, steps)
-        gradient = 2.0 * (observation - target) @ slope / len(target)
+        slopes = jacobian(forward, unknowns, problem.steps)
+        residual = observation - target
+        gradient = 2.0 * components * residual @ slopes / len(target)
         end = time.perf_counter()
         return Evaluation(
             unknowns=unknowns.copy(),
             observation=observation,
-            loss=loss(observation, target),
+            loss=loss(observation, target, components),
             gradient=gradient,
             forward_s=middle - start,
             backward_s=end - middle,
+            residual=residual if with_jacobian else None,
+            jacobian=slopes if with_jacobian else None,
         )
 
     return evaluate

@@ -29,7 +29,7 @@ class Differentiable(Forward, Protocol):
 
 
 class Surrogate(Differentiable, Protocol):
-    """A learned simulator of one flow, started from the MPM's first frames."""
+    """A learned simulator of one flow, started from the scene itself or from the MPM's first frames."""
 
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         """Where its points come to rest [m], shape [N, D]: for pictures."""
@@ -38,11 +38,14 @@ class Surrogate(Differentiable, Protocol):
 class SurrogateSource(Protocol):
     """Makes surrogates of a flow."""
 
-    def first_frames(self, scene: Scene) -> Scene:
-        """`scene`, cut to the first frames that a surrogate is started from."""
+    def first_frames(self, scene: Scene) -> Scene | None:
+        """`scene`, cut to the first frames that a surrogate is started from; None where it needs none."""
 
-    def start(self, beginning: Trajectory) -> Surrogate:
-        """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts."""
+    def start(self, beginning: Trajectory | None) -> Surrogate:
+        """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts.
+
+        One that needs no frames takes the jitter of the points from `beginning`, or from the problem's scene.
+        """
 
 
 Simulate = Callable[[Sequence[Scene]], list[Trajectory]]
@@ -56,12 +59,22 @@ class Evaluation:
     unknowns: Vector
     """Where, shape [U]."""
     observation: Values
-    """What the forward predicts there [m], shape [M]."""
+    """What the forward predicts there, shape [M]."""
     loss: float
-    """Mean squared difference from the target [m^2]."""
-    gradient: Vector
-    """d(loss)/d(unknowns), shape [U]."""
+    """Mean squared difference from the target (`inverse.observations.loss`)."""
+    gradient: Vector | None
+    """d(loss)/d(unknowns), shape [U]; None for a search without gradients."""
     forward_s: float
     """Seconds of prediction."""
     backward_s: float
     """Seconds for the gradient on top of it."""
+    residual: Values | None = None
+    """Observation less target, shape [M], where the Jacobian was asked for."""
+    jacobian: NDArray[np.float64] | None = None
+    """d(observation)/d(unknowns), shape [M, U], where it was asked for."""
+
+    @property
+    def slope(self) -> Vector:
+        """The gradient of an evaluation that has one."""
+        assert self.gradient is not None
+        return self.gradient

@@ -1,4 +1,4 @@
-"""The learned simulator as a forward: from the MPM's first frames to the deposit, differentiable in the unknowns."""
+"""The learned simulator as a forward: from the scene or the MPM's first frames to the deposit, differentiably."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,11 +12,12 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from gns.score import START
 from gns.simulator import Simulator
-from gns.start import after_frames
+from gns.start import InitialValueProblem, after_frames, at_rest
 from gns.unroll import step_activation_bytes, unroll
+from inverse.launch import Launch, Start
 from inverse.observations import Observation, Values
 from inverse.problem import Problem
-from inverse.unknowns import KINDS, Vector
+from inverse.unknowns import Vector, launched
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
@@ -25,31 +26,30 @@ THINNING_SEED = 0
 
 
 class GnsForward:
-    """A rollout of the surrogate from given first frames."""
+    """A rollout of the surrogate in which every unknown of the problem is free."""
 
     def __init__(
         self,
         simulator: Simulator,
-        beginning: Trajectory,
+        beginning: Trajectory | None,
         problem: Problem,
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
     ) -> None:
-        frames = round(START / beginning.scene.frame_dt) + 1
-        start = dataclasses.replace(beginning, positions=beginning.positions[:frames], time=beginning.time[:frames])
-        flow = after_frames(start, problem.scene, simulator.settings, np.random.default_rng(THINNING_SEED))
-        self.simulator, self.state, self.conditions = simulator, flow.state, flow.conditions
-        self.problem, self.observation, self.scene = problem, observation, beginning.scene
-        self.steps = flow.steps
-        bytes_per_step = step_activation_bytes(simulator, self.state, self.conditions)
+        flow = beginning_of(beginning, problem, simulator)
+        dtype = next(simulator.parameters()).dtype
+        self.simulator, self.problem, self.observation = simulator, problem, observation
+        self.launch = Launch.of(flow, problem.scene, step=simulator.settings.step, dtype=dtype)
+        self.indices, self.steps = flow.indices, flow.steps
+        bytes_per_step = step_activation_bytes(simulator, self.launch.state, self.launch.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
     def predict(self, unknowns: Tensor) -> Tensor:
-        """The smooth observation [m], float64 of shape [M], of unknowns, float64 of shape [U]."""
-        return self.observation.smooth(self._final(unknowns), self.conditions.volume)
+        """The smooth observation, float64 of shape [m], of unknowns, float64 of shape [U]."""
+        return self.observation.smooth(self._final(unknowns), self.launch.conditions.volume)
 
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
-        """The smooth observation [M] of each vector of unknowns [U], one after the other."""
+        """The smooth observation [m] of each vector of unknowns [U], one after the other."""
         with torch.no_grad():
             return [self.predict(torch.from_numpy(values)).numpy() for values in unknowns]
 
@@ -58,12 +58,25 @@ class GnsForward:
         with torch.no_grad():
             return self._final(torch.from_numpy(unknowns)).numpy()
 
+    def wanted(self, target: Values) -> Values:
+        """What of an exact `target` [M] the predictions [m] are held against: that of the points followed here."""
+        return self.observation.of_points(target, self.indices)
+
     def _final(self, unknowns: Tensor) -> Tensor:
-        friction = self.conditions.friction
-        for unknown, value in zip(self.problem.unknowns, unknowns, strict=True):
-            friction = KINDS[unknown.name].condition(friction, self.scene, value)
-        conditions = dataclasses.replace(self.conditions, friction=friction)
-        return unroll(self.simulator, self.state, conditions, self.steps, kept_steps=self.kept_steps)[-1]
+        launch = launched(self.launch, self.problem.names, unknowns)
+        return unroll(self.simulator, launch.state, launch.conditions, self.steps, kept_steps=self.kept_steps)[-1]
+
+
+def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialValueProblem:
+    """Where the rollout begins: at the scene, or after the first frames of `beginning`."""
+    settings, rng, scene = simulator.settings, np.random.default_rng(THINNING_SEED), problem.scene
+    if problem.start is Start.REST:
+        seed = scene.seed if beginning is None else beginning.scene.seed
+        return at_rest(dataclasses.replace(scene, seed=seed), settings, rng)
+    assert beginning is not None, "`GnsSource.first_frames` asked for them"
+    frames = round(START / beginning.scene.frame_dt) + 1
+    start = dataclasses.replace(beginning, positions=beginning.positions[:frames], time=beginning.time[:frames])
+    return after_frames(start, scene, settings, rng)
 
 
 class GnsSource:
@@ -75,10 +88,10 @@ class GnsSource:
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.memory_gib = problem, observation, memory_gib
 
-    def first_frames(self, scene: Scene) -> Scene:
-        """`scene`, cut to a twentieth of a second: all that the surrogate needs of the MPM."""
-        return dataclasses.replace(scene, duration=START)
+    def first_frames(self, scene: Scene) -> Scene | None:
+        """`scene`, cut to a twentieth of a second: all that the surrogate needs of the MPM, if it needs any."""
+        return None if self.problem.start is Start.REST else dataclasses.replace(scene, duration=START)
 
-    def start(self, beginning: Trajectory) -> GnsForward:
+    def start(self, beginning: Trajectory | None) -> GnsForward:
         """The surrogate that goes on from the first frames of `beginning`."""
         return GnsForward(self.simulator, beginning, self.problem, self.observation, self.memory_gib)

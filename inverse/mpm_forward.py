@@ -21,7 +21,7 @@ class MpmForward:
 
     def scene(self, unknowns: Vector) -> Scene:
         """The problem's scene at `unknowns`."""
-        return with_unknowns(self.problem.scene, [unknown.name for unknown in self.problem.unknowns], unknowns)
+        return with_unknowns(self.problem.scene, self.problem.names, unknowns)
 
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
         """The exact observation [M] of an MPM run at each vector of unknowns [U]."""

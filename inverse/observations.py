@@ -4,10 +4,11 @@ The exact forms are those of `datasets.measures`; a target is always exact. A ne
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
+import scipy.optimize
 import torch
 from numpy.typing import NDArray
 from scipy.special import betainc
@@ -18,27 +19,38 @@ from datasets.scene import Scene
 from inverse.problem import Observable, ObservationSettings
 
 Values = NDArray[np.float64]
-"""An observation: M numbers [m], shape [M]."""
-
+"""An observation: M numbers, shape [M]; lengths [m], but for a share, which has no unit."""
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 
 
-class Observation(Protocol):
-    """Something measured on a deposit: M numbers in metres."""
+class Observation(ABC):
+    """Something measured on a deposit: M numbers."""
 
+    unit = "m"
+    """Of the numbers; empty for a share."""
+    components = 1
+    """How many of the numbers are the components of one point: their squared differences add up (see `loss`)."""
+
+    @abstractmethod
     def exact(self, positions: NDArray[np.floating]) -> Values:
         """Of the positions of all points [m], shape [N, D]; returns shape [M]."""
 
+    @abstractmethod
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         """Of positions [m], shape [N, D], of points with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
 
+    @abstractmethod
     def edge(self, values: Values) -> float:
-        """How far the deposit reaches [m], as far as this observation alone can tell."""
+        """How far the deposit reaches [m], as far as this observation alone can tell; nan where it cannot."""
+
+    def of_points(self, values: Values, indices: NDArray[np.int64]) -> Values:
+        """The part of an exact observation that the points `indices` alone can be held against."""
+        return values
 
 
-class Front:
+class Front(Observation):
     """The x that 99.5 % of the points are behind."""
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -51,7 +63,7 @@ class Front:
         return float(values[0])
 
 
-class Runout:
+class Runout(Observation):
     """The largest x; smoothly, the mean of x under weights exp(x / width) over the points.
 
     The width is a quarter of a cell: points further than a cell behind the first hardly count.
@@ -71,7 +83,7 @@ class Runout:
         return float(values[0])
 
 
-class Profile:
+class Profile(Observation):
     """The height profile, read sideways: the x behind which a given share of its area lies, for `SHARES` of it.
 
     The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
@@ -125,6 +137,86 @@ class Profile:
         return float(values[-1])
 
 
+class Toe(Observation):
+    """The centroid of the furthest 10 % of the points, D numbers; the loss is the paper's |c - c_target|^2.
+
+    Smoothly, a point at x belongs to them by 1 / (1 + exp((t - x) / width)), with the t at which the volume of all that
+    belong is a tenth: a soft rank. The share of a point that falls back goes to the others, and its part in the
+    centroid's y and z as well, which fixed weights by rank would not see. The width is half a cell.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.width = 0.5 * scene.domain.cell
+        self.components = scene.dimension
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.array(measures.toe(positions))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        places, share = positions.double(), volumes.double() / volumes.double().sum()
+        x = places[:, 0]
+        known, weights = x.detach(), share.detach()
+        low, high = float(known.min()) - 40.0 * self.width, float(known.max()) + 40.0 * self.width
+
+        def surplus(threshold: float) -> float:
+            return float(weights @ torch.sigmoid((known - threshold) / self.width)) - measures.TOE_FRACTION
+
+        found = scipy.optimize.brentq(surplus, low, high, xtol=1e-14, rtol=1e-14)
+        belongs = torch.sigmoid((x - found) / self.width)
+        # A step of Newton's at the root changes its value by rounding alone and gives it its gradient.
+        slope = (weights @ (belongs * (1.0 - belongs)).detach()) / self.width
+        threshold = found + (share @ belongs - measures.TOE_FRACTION) / slope
+        weight = share * torch.sigmoid((x - threshold) / self.width)
+        return (weight / weight.sum()) @ places
+
+    def edge(self, values: Values) -> float:
+        return float(values[0])
+
+
+class Deposit(Observation):
+    """Where every point came to rest, N D numbers; the loss is the paper's mean over the points of |p - p_target|^2.
+
+    The surrogate follows some of the points: it is held against the same ones of the target.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.components = scene.dimension
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.asarray(positions.astype(np.float64).ravel())
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        return positions.double().flatten()
+
+    def edge(self, values: Values) -> float:
+        return measures.front(values.reshape(-1, self.components))
+
+    def of_points(self, values: Values, indices: NDArray[np.int64]) -> Values:
+        return np.asarray(values.reshape(-1, self.components)[indices].ravel())
+
+
+class Passed(Observation):
+    """The share of the volume that came to rest beyond a line across the flow, x = `line` [m].
+
+    Smoothly, a point at x counts as 1 / (1 + exp((line - x) / width)).
+    """
+
+    unit = ""
+
+    def __init__(self, line: float, width: float) -> None:
+        self.line, self.width = line, width
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.array([np.mean(positions[:, 0].astype(np.float64) > self.line)])
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        share = volumes.double() / volumes.double().sum()
+        return (share @ torch.sigmoid((positions[:, 0].double() - self.line) / self.width)).reshape(1)
+
+    def edge(self, values: Values) -> float:
+        return math.nan
+
+
 def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:
     """The quantile as a weighted mean of all order statistics: smooth where the usual one is a single point's fate.
 
@@ -141,10 +233,18 @@ def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:
     return (torch.from_numpy(weights) * ordered).sum()
 
 
+def _passed(settings: ObservationSettings, scene: Scene) -> Observation:
+    assert settings.line is not None, "a problem has been checked"
+    return Passed(settings.line, settings.width or scene.domain.cell)
+
+
 _BUILDERS: dict[Observable, Callable[[ObservationSettings, Scene], Observation]] = {
     Observable.FRONT: lambda settings, scene: Front(),
     Observable.RUNOUT: lambda settings, scene: Runout(scene),
     Observable.PROFILE: lambda settings, scene: Profile(scene, settings.spacing),
+    Observable.TOE: lambda settings, scene: Toe(scene),
+    Observable.DEPOSIT: lambda settings, scene: Deposit(scene),
+    Observable.PASSED: _passed,
 }
 
 
@@ -153,6 +253,9 @@ def build(settings: ObservationSettings, scene: Scene) -> Observation:
     return _BUILDERS[settings.kind](settings, scene)
 
 
-def loss(values: Values, target: Values) -> float:
-    """Mean squared difference [m^2]; for one number the paper's (d - d_target)^2."""
-    return float(np.mean((values - target) ** 2))
+def loss(values: Values, target: Values, components: int = 1) -> float:
+    """Mean over what is compared of the squared distance from the target [m^2; of a share without a unit].
+
+    For one number the paper's (d - d_target)^2. components: of `Observation`, numbers that make up one thing.
+    """
+    return components * float(np.mean((values - target) ** 2))

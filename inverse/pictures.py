@@ -10,12 +10,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from datasets import files, measures
 from datasets.scene import Scene
 from inverse.observations import Profile, Values
-from inverse.problem import Problem
+from inverse.problem import Observable, Problem
 from inverse.result import Round
 
 Deposit = NDArray[np.floating]
@@ -30,6 +31,7 @@ def draw_deposits(
 ) -> None:
     """Points and height profiles of `deposits` (name -> positions [m], shape [N, D]), one above the other.
 
+    scene: seen from the side, with its baffles.
     observed: what is known of a target without a deposit, stations and heights of its profile or its front [m].
     """
     profile = Profile(scene, SPACING)
@@ -38,6 +40,10 @@ def draw_deposits(
     for axis, (name, deposit) in zip(axes, deposits.items(), strict=False):
         axis.scatter(deposit[:, 0], deposit[:, 1], s=900.0 / len(deposit), color=COLOURS[name], linewidths=0)
         axis.axvline(measures.front(deposit), color=COLOURS[name], linewidth=0.8)
+        for baffle in scene.baffles:
+            axis.add_patch(
+                Rectangle((baffle.lower[0], baffle.lower[1]), *baffle.size[:2], fill=False, edgecolor="#888888")
+            )
         axis.set_title(f"{name}: front at {measures.front(deposit):.4f} m", loc="left", fontsize=9)
     for name, deposit in deposits.items():
         axes[-1].plot(profile.stations, profile.heights(deposit), color=COLOURS[name], label=name)
@@ -65,7 +71,8 @@ def draw_iterations(
     checks: Sequence[tuple[Mapping[str, float], float]] = (),
 ) -> None:
     """Loss and unknowns over the evaluations; `checks` are the unknowns and the loss of MPM runs, one per round."""
-    figure, axes = plt.subplots(len(problem.unknowns) + 1, 1, figsize=(9, 5), sharex=True, layout="constrained")
+    rows = len(problem.unknowns) + 1
+    figure, axes = plt.subplots(rows, 1, figsize=(9, max(5.0, 1.2 * rows)), sharex=True, layout="constrained")
     first, ends = 1, []
     for stage in rounds:
         numbers = np.arange(first, first + len(stage.evaluations))
@@ -83,7 +90,8 @@ def draw_iterations(
         for unknown, axis in zip(problem.unknowns, axes[1:], strict=True):
             axis.plot(place, unknowns[unknown.name], "s", color=COLOURS["MPM"], label=label)
     axes[0].set_yscale("log")
-    axes[0].set_ylabel("loss [m$^2$]")
+    share = problem.observation.kind is Observable.PASSED
+    axes[0].set_ylabel("loss [-]" if share else "loss [m$^2$]")
     for unknown, axis in zip(problem.unknowns, axes[1:], strict=True):
         axis.set_ylabel(unknown.name)
         if truth:

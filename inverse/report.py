@@ -1,5 +1,6 @@
 """`report.md` of a single inversion."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from inverse.observations import Values
 from inverse.problem import Problem
 from inverse.result import Result, peak_memory_mib
 from inverse.target import Target
-from inverse.unknowns import KINDS
+from inverse.unknowns import kind, with_unknowns
 
 
 def write(result: Result, deposit: NDArray[np.floating], folder: Path) -> None:
@@ -21,7 +22,8 @@ def write(result: Result, deposit: NDArray[np.floating], folder: Path) -> None:
     deposits = {"surrogate": deposit}
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
-    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target))
+    scene = with_unknowns(problem.scene, problem.names, result.answer)
+    pictures.draw_deposits(folder / "deposit.png", scene, deposits, observed(target))
     pictures.draw_iterations(folder / "iterations.png", problem, result.rounds, target.truth)
     lines = [
         f"# {problem.name}",
@@ -46,7 +48,9 @@ def write(result: Result, deposit: NDArray[np.floating], folder: Path) -> None:
 
 def observed(target: Target) -> tuple[Values, Values] | float | None:
     """What a picture shows of a target whose deposit is not known."""
-    return None if target.deposit is not None else target.profile or target.edge
+    if target.deposit is not None or (target.profile is None and math.isnan(target.edge)):
+        return None
+    return target.profile or target.edge
 
 
 def question(problem: Problem) -> str:
@@ -57,7 +61,7 @@ def question(problem: Problem) -> str:
 
 def quantity(name: str, value: float) -> str:
     """A value of an unknown with its unit."""
-    return f"{value:.2f} {KINDS[name].unit}"
+    return f"{value:.{kind(name).digits}f} {kind(name).unit}"
 
 
 def known(result: Result, name: str) -> list[str]:

@@ -14,6 +14,9 @@ from inverse.problem import Problem
 from inverse.target import Target
 from inverse.unknowns import Vector
 
+MOST_NUMBERS = 100
+"""Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
+
 
 class Verdict(StrEnum):
     """What the MPM says of the answer."""
@@ -69,7 +72,7 @@ class Result:
     certainty: dict[str, float] | None
     """Half-widths at 95 %, where the MPM was asked."""
     surrogate: Values
-    """What the uncorrected surrogate observes at the answer [m]."""
+    """What the uncorrected surrogate observes at the answer, shape [m]; of a deposit, its own points."""
     mpm: Values | None
     """What the MPM observes there [m]."""
     front_error_pct: float | None
@@ -154,7 +157,7 @@ class Result:
                         "unknowns": named(self.problem, evaluation.unknowns),
                         "observation": plain(evaluation.observation),
                         "loss": evaluation.loss,
-                        "gradient": named(self.problem, evaluation.gradient),
+                        "gradient": None if evaluation.gradient is None else named(self.problem, evaluation.gradient),
                         "seconds": {"forward": evaluation.forward_s, "backward": evaluation.backward_s},
                     }
                     for stage in self.rounds
@@ -171,8 +174,10 @@ def named(problem: Problem, values: Vector) -> dict[str, float]:
     return {unknown.name: float(value) for unknown, value in zip(problem.unknowns, values, strict=True)}
 
 
-def plain(values: Values) -> float | list[Any]:
-    """An observation as JSON has it: a number where it is one number."""
+def plain(values: Values) -> float | list[Any] | None:
+    """An observation as JSON has it: a number where it is one number, null where it is a whole deposit."""
+    if len(values) > MOST_NUMBERS:
+        return None
     return float(values[0]) if len(values) == 1 else [float(value) for value in values]
 
 

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.errors import InputError
+from datasets.points import point_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Observation, Profile, Values
+from inverse.observations import Deposit, Observation, Profile, Values
 from inverse.problem import Problem
-from inverse.unknowns import KINDS, with_unknowns
+from inverse.unknowns import kind, with_unknowns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +24,9 @@ class Target:
     """What the inversion is given (`values`) and what only the report may look at (the rest)."""
 
     values: Values
-    """The observation [m], shape [M]."""
+    """The observation, shape [M]."""
     edge: float
-    """How far the deposit reaches [m]: what the front of an MPM run is held against."""
+    """How far the deposit reaches [m]: what the front of an MPM run is held against; nan where nothing tells."""
     deposit: NDArray[np.floating] | None = None
     """Where known: positions of the deposit [m], shape [N, D]."""
     profile: tuple[NDArray[np.float64], Values] | None = None
@@ -53,8 +54,8 @@ def hidden_scene(problem: Problem) -> Scene:
 def read_target(problem: Problem, observation: Observation, simulate: Callable[[Scene], Trajectory]) -> Target:
     """The target of `problem`; a hidden one is made with `simulate`. Raises InputError."""
     settings = problem.target
-    if settings.value is not None:
-        values = np.array([settings.value])
+    if settings.value is not None or settings.values is not None:
+        values = np.array([settings.value] if settings.values is None else settings.values)
         return Target(values=values, edge=observation.edge(values))
     if settings.csv is not None:
         assert isinstance(observation, Profile)
@@ -65,7 +66,7 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
     if settings.hidden:
         scene = hidden_scene(problem)
         trajectory = simulate(scene)
-        truth = {unknown.name: KINDS[unknown.name].read(scene) for unknown in problem.unknowns}
+        truth = {unknown.name: kind(unknown.name).read(scene) for unknown in problem.unknowns}
     else:
         path = problem.folder / str(settings.trajectory)
         trajectory = Trajectory.load(path)
@@ -75,6 +76,12 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
                 where=str(path),
             )
     deposit = trajectory.positions[-1]
+    points = point_count(problem.scene)
+    if isinstance(observation, Deposit) and len(deposit) != points:
+        raise InputError(
+            f"expected the {points} points of the problem's scene for a target of kind deposit, got {len(deposit)}",
+            where=str(settings.trajectory),
+        )
     return Target(values=observation.exact(deposit), edge=measures.front(deposit), deposit=deposit, truth=truth)
 
 

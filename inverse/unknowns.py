@@ -1,60 +1,323 @@
-"""What can be unknown, and how each enters a scene and the surrogate's conditions. A new one is added here alone."""
+"""What can be unknown, and how each enters a scene and the surrogate's launch. A new kind is added here alone.
 
-from collections.abc import Sequence
-from typing import Protocol
+| name | unit | what it is |
+|---|---|---|
+| `friction_deg`, `cohesion` | deg, Pa | of the scene's shared material |
+| `masses[I].friction_deg`, `masses[I].cohesion` | deg, Pa | of mass I, counted from 0, whose material is its own then |
+| `masses[I].velocity_x`, `_y`, `_z` | m/s | initial velocity of mass I |
+| `baffles[I].x`, `.z` | m | centre of baffle I |
+| `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
+| `baffles[I].height` | m | its extent along y, from its foot |
+
+A cohesion takes the tension cutoff along: their ratio stays what it is in the scene.
+"""
+
+import dataclasses
+import itertools
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.scene import Scene
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Vector as Lengths
+from inverse.launch import Launch
 
 Vector = NDArray[np.float64]
 """One value per unknown, in the order of the problem and the units of the names; shape [U]."""
 
+T = TypeVar("T", float, Tensor)
 
-class Kind(Protocol):
+AXES = "xyz"
+UP = 1
+
+
+@dataclass
+class Parts:
+    """What of a scene can be unknown, taken apart: a scene is checked when it is put together again."""
+
+    material: Material
+    masses: list[Mass]
+    baffles: list[Baffle]
+
+
+class Kind(ABC):
     """A kind of unknown."""
 
-    unit: str
+    unit: ClassVar[str]
     """As it is printed."""
-    limits: tuple[float, float]
-    """The open interval outside of which no bound may lie."""
+    digits: ClassVar[int]
+    """Decimals with which it is printed."""
+    step: ClassVar[float]
+    """Step of a finite difference, unless the problem has its own."""
+    moves_the_start: ClassVar[bool] = False
+    """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
 
+    @abstractmethod
+    def check(self, scene: Scene) -> None:
+        """Raise InputError where `scene` has no such thing."""
+
+    @abstractmethod
     def read(self, scene: Scene) -> float:
         """Its value in `scene`."""
 
-    def write(self, scene: Scene, value: float) -> Scene:
-        """`scene` with this value: how it enters the MPM."""
+    @abstractmethod
+    def put(self, parts: Parts, value: float) -> None:
+        """Give it this value: how it enters the MPM. Use `with_unknowns`."""
 
-    def condition(self, friction: Tensor, scene: Scene, value: Tensor) -> Tensor:
-        """tan(phi) per point [N] with this value, differentiable in it: how it enters the surrogate."""
+    @abstractmethod
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        """`launch` with this value, differentiable in it: how it enters the surrogate. Use `launched`."""
 
 
-class FrictionAngle:
-    """`friction_deg`, the angle of internal friction of the scene's shared material [deg]."""
+@dataclass(frozen=True)
+class Strength(Kind):
+    """A constant of the material of a mass, or for None of the shared one."""
+
+    mass: int | None
+
+    def check(self, scene: Scene) -> None:
+        if self.mass is not None:
+            _there("masses", self.mass, len(scene.masses))
+        elif all(mass.material is not None for mass in scene.masses):
+            raise InputError("expected a mass of the scene's shared material, every mass has its own")
+
+    def material(self, scene: Scene) -> Material:
+        """The material in question."""
+        return scene.material if self.mass is None else scene.material_of(scene.masses[self.mass])
+
+    def put(self, parts: Parts, value: float) -> None:
+        if self.mass is None:
+            parts.material = self.changed(parts.material, value)
+            return
+        mass = parts.masses[self.mass]
+        parts.masses[self.mass] = dataclasses.replace(
+            mass, material=self.changed(mass.material or parts.material, value)
+        )
+
+    @abstractmethod
+    def changed(self, material: Material, value: float) -> Material:
+        """`material` with this value."""
+
+
+@dataclass(frozen=True)
+class Friction(Strength):
+    """Angle of internal friction [deg]; the surrogate is told its tangent."""
 
     unit = "deg"
-    limits = (0.0, 90.0)
+    digits = 2
+    step = 0.05  # the paper's
 
     def read(self, scene: Scene) -> float:
-        return scene.material.friction_deg
+        return self.material(scene).friction_deg
 
-    def write(self, scene: Scene, value: float) -> Scene:
-        return scene.with_friction_deg(float(value))
+    def changed(self, material: Material, value: float) -> Material:
+        return dataclasses.replace(material, friction_deg=value)
 
-    def condition(self, friction: Tensor, scene: Scene, value: Tensor) -> Tensor:
-        # Points of a mass with its own material keep their friction.
-        shared = torch.isclose(friction, torch.tensor(scene.material.friction, dtype=friction.dtype))
-        return torch.where(shared, torch.tan(torch.deg2rad(value)).to(friction.dtype), friction)
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        known = launch.conditions.friction
+        friction = torch.tan(torch.deg2rad(value)).to(known.dtype)
+        friction = torch.where(launch.points_of(self.mass), friction, known)
+        return launch.under(dataclasses.replace(launch.conditions, friction=friction))
 
 
-KINDS: dict[str, Kind] = {"friction_deg": FrictionAngle()}
+@dataclass(frozen=True)
+class Cohesion(Strength):
+    """Cohesion [Pa]."""
+
+    unit = "Pa"
+    digits = 1
+    step = 1.0
+
+    def read(self, scene: Scene) -> float:
+        return self.material(scene).cohesion
+
+    def changed(self, material: Material, value: float) -> Material:
+        # Where there is no cohesion there is no ratio: the cutoff stays as well.
+        ratio = value / material.cohesion if material.cohesion > 0.0 else 1.0
+        return dataclasses.replace(material, cohesion=value, tension_cutoff=ratio * material.tension_cutoff)
+
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        known = launch.conditions.cohesion
+        cohesion = torch.where(launch.points_of(self.mass), value.to(known.dtype), known)
+        return launch.under(dataclasses.replace(launch.conditions, cohesion=cohesion))
+
+
+@dataclass(frozen=True)
+class Velocity(Kind):
+    """Initial velocity of a mass along an axis [m/s]."""
+
+    mass: int
+    axis: int
+
+    unit = "m/s"
+    digits = 3
+    step = 0.01
+    moves_the_start = True
+
+    def check(self, scene: Scene) -> None:
+        _there("masses", self.mass, len(scene.masses))
+        _along(self.axis, scene)
+
+    def read(self, scene: Scene) -> float:
+        return (scene.masses[self.mass].velocity or (0.0,) * scene.dimension)[self.axis]
+
+    def put(self, parts: Parts, value: float) -> None:
+        mass = parts.masses[self.mass]
+        velocity = _with(mass.velocity or (0.0,) * len(mass.size), self.axis, value)
+        parts.masses[self.mass] = dataclasses.replace(mass, velocity=velocity)
+
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        # As `gns.state.State.launched`: it has always moved like this.
+        state = launch.state
+        along = torch.arange(state.positions.shape[1]) == self.axis
+        mine = launch.points_of(self.mass).unsqueeze(1) & along
+        moved = (value * launch.step).to(state.displacements.dtype)
+        displacements = torch.where(mine, moved, state.displacements)
+        return dataclasses.replace(launch, state=dataclasses.replace(state, displacements=displacements))
+
+
+@dataclass(frozen=True)
+class BaffleKind(Kind):
+    """A length of a baffle along an axis [m]."""
+
+    baffle: int
+    axis: int
+
+    unit = "m"
+    digits = 4
+    step = 0.002
+
+    def check(self, scene: Scene) -> None:
+        _there("baffles", self.baffle, len(scene.baffles))
+        _along(self.axis, scene)
+
+    def put(self, parts: Parts, value: float) -> None:
+        baffle = parts.baffles[self.baffle]
+        low, size = self.changed(baffle.lower[self.axis], baffle.size[self.axis], value)
+        lower = _with(baffle.lower, self.axis, low)
+        parts.baffles[self.baffle] = dataclasses.replace(baffle, lower=lower, size=_with(baffle.size, self.axis, size))
+
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        boxes = launch.conditions.baffles
+        assert boxes is not None, "the scene was checked, and a model that knows no baffles refuses it"
+        number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
+        mine = (number == self.baffle) & (axis == self.axis)
+        lower, upper = boxes[0, self.baffle, :, self.axis]
+        low, size = self.changed(lower, upper - lower, value.to(boxes.dtype))
+        boxes = torch.where(mine, low + corner * size, boxes)
+        return launch.under(dataclasses.replace(launch.conditions, baffles=boxes))
+
+    @abstractmethod
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        """Lower end and extent along the axis [m] with this value."""
+
+
+@dataclass(frozen=True)
+class Centre(BaffleKind):
+    """Where the middle of a baffle stands [m]."""
+
+    def read(self, scene: Scene) -> float:
+        baffle = scene.baffles[self.baffle]
+        return baffle.lower[self.axis] + 0.5 * baffle.size[self.axis]
+
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        return value - 0.5 * size, size
+
+
+@dataclass(frozen=True)
+class Extent(BaffleKind):
+    """Extent of a baffle [m]: upwards from its foot, else about its centre."""
+
+    def read(self, scene: Scene) -> float:
+        return scene.baffles[self.baffle].size[self.axis]
+
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        return (low if self.axis == UP else low + 0.5 * size - 0.5 * value), value
+
+
+_FORMS: dict[str, Callable[[int], Kind]] = {
+    "friction_deg": lambda _: Friction(None),
+    "cohesion": lambda _: Cohesion(None),
+    "masses[].friction_deg": Friction,
+    "masses[].cohesion": Cohesion,
+    "masses[].velocity_x": lambda mass: Velocity(mass, 0),
+    "masses[].velocity_y": lambda mass: Velocity(mass, 1),
+    "masses[].velocity_z": lambda mass: Velocity(mass, 2),
+    "baffles[].x": lambda baffle: Centre(baffle, 0),
+    "baffles[].z": lambda baffle: Centre(baffle, 2),
+    "baffles[].length": lambda baffle: Extent(baffle, 0),
+    "baffles[].height": lambda baffle: Extent(baffle, UP),
+    "baffles[].width": lambda baffle: Extent(baffle, 2),
+}
+
+
+def kind(name: str) -> Kind:
+    """What `name` stands for. Raises InputError."""
+    index = re.search(r"\[(\d{1,6})\]", name)
+    form = name if index is None else name[: index.start() + 1] + name[index.end() - 1 :]
+    # An index is part of a name exactly where its form has brackets.
+    if form not in _FORMS or ("[]" in form) != (index is not None):
+        known = ", ".join(each.replace("[]", "[0]") for each in _FORMS)
+        raise InputError(f"expected one of {known}, got {name!r}")
+    return _FORMS[form](int(index[1]) if index else 0)
 
 
 def with_unknowns(scene: Scene, names: Sequence[str], values: Sequence[float] | Vector) -> Scene:
-    """`scene` with the unknowns `names` set to `values`."""
-    for name, value in zip(names, values, strict=True):
-        scene = KINDS[name].write(scene, float(value))
-    return scene
+    """`scene` with the unknowns `names` set to `values`. Raises InputError for a scene that cannot be."""
+    parts = Parts(material=scene.material, masses=list(scene.masses), baffles=list(scene.baffles))
+    for place in _shared_first(names):
+        kind(names[place]).put(parts, float(values[place]))
+    return dataclasses.replace(scene, material=parts.material, masses=tuple(parts.masses), baffles=tuple(parts.baffles))
+
+
+def launched(launch: Launch, names: Sequence[str], values: Tensor) -> Launch:
+    """`launch` with the unknowns `names` set to `values` [U], differentiable in them."""
+    for place in _shared_first(names):
+        launch = kind(names[place]).enter(launch, values[place])
+    return launch
+
+
+def swept(scene: Scene, names: Sequence[str], bounds: Sequence[tuple[float, float]]) -> dict[int, Baffle]:
+    """The box that each baffle with an unknown may stand in, while each unknown stays in its (lower, upper)."""
+    boxes = {}
+    for index in sorted({each.baffle for each in map(kind, names) if isinstance(each, BaffleKind)}):
+        own = [place for place, name in enumerate(names) if getattr(kind(name), "baffle", None) == index]
+        ends = []
+        for values in itertools.product(*(bounds[place] for place in own)):
+            parts = Parts(material=scene.material, masses=[], baffles=list(scene.baffles))
+            for place, value in zip(own, values, strict=True):
+                kind(names[place]).put(parts, value)
+            baffle = parts.baffles[index]
+            ends.append((np.array(baffle.lower), np.array(baffle.lower) + baffle.size))
+        lower = np.min([low for low, _ in ends], axis=0).round(9)
+        upper = np.max([high for _, high in ends], axis=0).round(9)
+        boxes[index] = Baffle(lower=tuple(lower.tolist()), size=tuple((upper - lower).round(9).tolist()))
+    return boxes
+
+
+def _shared_first(names: Sequence[str]) -> list[int]:
+    """Places of `names`, shared constants first: those of a single mass count more, in whatever order they stand."""
+    return sorted(range(len(names)), key=lambda place: "[" in names[place])
+
+
+def _with(lengths: Lengths, axis: int, value: float) -> Lengths:
+    return (*lengths[:axis], value, *lengths[axis + 1 :])
+
+
+def _there(group: str, index: int, count: int) -> None:
+    if index >= count:
+        raise InputError(f"expected an index below {count}, the number of {group} in the scene, got {index}")
+
+
+def _along(axis: int, scene: Scene) -> None:
+    if axis >= scene.dimension:
+        raise InputError(f"expected an unknown along x or y, the scene is {scene.dimension}D and has no {AXES[axis]}")

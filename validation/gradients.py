@@ -49,7 +49,8 @@ def comparison(problem: Problem, simulator: Simulator, paper: Paper) -> list[str
     mpm = MpmForward(problem, observation, simulate_many)
     source = GnsSource(simulator, problem, observation)
     start = np.array([unknown.initial for unknown in problem.unknowns])
-    gns = source.start(simulate(source.first_frames(mpm.scene(start))))
+    frames = source.first_frames(mpm.scene(start))
+    gns = source.start(None if frames is None else simulate(frames))
     paper_s = paper.seconds_per_iteration
     descent = dataclasses.replace(problem, optimiser=PAPERS_WAY)
     fine, wide = stepped(problem, PAPER_STEP_DEG), stepped(problem, WIDE_STEP_DEG)

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from datasets.command_line import WorkFailed, run
+from datasets.errors import InputError
 from gns import checkpoint
-from gns.rollout import SHIPPED
+from gns.rollout import shipped
 from inverse import observations
 from inverse.forward import Simulate, SurrogateSource
 from inverse.gns_forward import MEMORY_GIB, GnsSource
 from inverse.observations import Observation
 from inverse.optimise import Bounds
-from inverse.problem import Problem, read_problem
+from inverse.problem import Observable, Problem, read_problem
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
 from inverse.target import Target, read_target
 from inverse.unknowns import with_unknowns
@@ -24,6 +25,9 @@ from validation.certainty import Certainty, certainty, misfit
 from validation.runs import SHARE, KeptRuns
 from validation.search import Checked, Search, search
 from validation.solved import Answer, Solved
+
+JUDGED = (Observable.FRONT, Observable.RUNOUT, Observable.PROFILE)
+"""Observations that the loop knows how to correct and to confirm."""
 
 
 def solve(
@@ -45,8 +49,8 @@ def solve(
         runs=runs,
         bounds=Bounds(lower=lower, upper=upper),
     )
-    (beginning,) = beginnings([source.first_frames(with_unknowns(problem.scene, names, start))])
-    search(state, source.start(beginning))
+    frames = source.first_frames(with_unknowns(problem.scene, names, start))
+    search(state, source.start(None if frames is None else beginnings([frames])[0]))
     alone, worth = state.checked[0], None
     answer, verdict = Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), Verdict.UNREACHABLE
     if state.reachable:
@@ -133,7 +137,7 @@ def record(problem: Problem, purpose: Purpose, checked: Checked, kept: KeptRuns,
     )
 
 
-def main(problem: str, /, *, out: Path, model: Path = SHIPPED, memory_gib: float = MEMORY_GIB) -> None:
+def main(problem: str, /, *, out: Path, model: Path | None = None, memory_gib: float = MEMORY_GIB) -> None:
     """Find the unknowns of PROBLEM, confirmed by the MPM; leaves OUT/result.json, OUT/report.md, pictures and OUT/mpm.
 
     Running the same command again after a kill uses the MPM runs that are there. Exit status 1 where the MPM did not
@@ -146,13 +150,18 @@ def main(problem: str, /, *, out: Path, model: Path = SHIPPED, memory_gib: float
     out
         Folder for the results.
     model
-        Weights of the surrogate.
+        Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again.
     """
     asked = read_problem(problem)
+    if asked.observation.kind not in JUDGED:
+        expected = f"expected {', '.join(JUDGED)}: nothing else is confirmed here yet, `python -m inverse` solves it"
+        raise InputError(f"{expected}, got {asked.observation.kind}", where=problem, key="observation.kind")
     observation = observations.build(asked.observation, asked.scene)
-    source = GnsSource(checkpoint.load(model).simulator, asked, observation, memory_gib)
+    source = GnsSource(
+        checkpoint.load(model or shipped(asked.scene.dimension)).simulator, asked, observation, memory_gib
+    )
     hidden = KeptRuns(out / "mpm", simulate_many, prefix="target-", deposit_only=True)
     target = read_target(asked, observation, lambda scene: hidden([scene])[0])
     solved = solve(asked, target, observation, out, source, simulate_many)

@@ -8,7 +8,7 @@ from inverse.optimise import best
 from inverse.problem import Observable
 from inverse.report import known, observed, price, quantity, question, table
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from inverse.unknowns import KINDS
+from inverse.unknowns import kind
 from validation.solved import Solved
 
 
@@ -85,7 +85,7 @@ def worth(solved: Solved) -> list[str]:
             "the profile, along the direction in which it changes," if is_profile(solved.result) else "the observation"
         )
         lines += [
-            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {KINDS[name].unit} of `{name}`, "
+            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {kind(name).unit} of `{name}`, "
             f"and scatters by {1e3 * calibration.scatter:.1f} mm between MPM runs that differ in nothing but the "
             f"initial jitter ({len(solved.certainty.runs)} extra runs). The target is one such flow as well."
         ]

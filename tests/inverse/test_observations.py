@@ -8,7 +8,7 @@ from scipy.stats.mstats import hdquantiles
 from datasets import measures
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from inverse.observations import SHARES, Observation, Profile, build, harrell_davis
+from inverse.observations import SHARES, Deposit, Observation, Profile, Toe, build, harrell_davis, loss
 from inverse.problem import Observable, ObservationSettings
 
 SCENE = Scene(
@@ -26,7 +26,7 @@ def deposit(points: int, seed: int = 0) -> np.ndarray:
 
 
 def of(kind: Observable) -> Observation:
-    return build(ObservationSettings(kind=kind), SCENE)
+    return build(ObservationSettings(kind=kind, line=0.3 if kind is Observable.PASSED else None), SCENE)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -45,7 +45,10 @@ def test_a_point_of_double_volume_counts_as_two_points() -> None:
     assert harrell_davis(x, torch.ones(400), 0.9).item() < twice - 2e-3
 
 
-@pytest.mark.parametrize(("kind", "within"), [(Observable.FRONT, 0.005), (Observable.RUNOUT, 0.01)])
+@pytest.mark.parametrize(
+    ("kind", "within"),
+    [(Observable.FRONT, 0.005), (Observable.RUNOUT, 0.01), (Observable.TOE, 0.003), (Observable.PASSED, 0.005)],
+)
 def test_the_smooth_form_of_all_points_is_near_the_exact_one(kind: Observable, within: float) -> None:
     positions = deposit(3200)
     smooth = of(kind).smooth(torch.from_numpy(positions), torch.ones(3200)).numpy()
@@ -113,3 +116,33 @@ def test_gradients_agree_with_central_differences(kind: Observable) -> None:
     step = 1.0e-7
     difference = (stretched(factor.detach() + step) - stretched(factor.detach() - step)) / (2.0 * step)
     assert gradient.item() == pytest.approx(difference.item(), rel=1e-5)
+
+
+def test_the_smooth_toe_is_a_tenth_of_the_volume() -> None:
+    """Two heaps of equal points, the further one a tenth of the volume: the toe is its centroid, whatever it weighs."""
+    toe = Toe(SCENE)
+    far = torch.rand(50, 2, dtype=torch.float64) * 0.01 + torch.tensor([0.8, 0.2])
+    near = torch.rand(100, 2, dtype=torch.float64) * 0.01
+    volumes = torch.cat([torch.full((50,), 1.0), torch.full((100,), 4.5)])
+    seen = toe.smooth(torch.cat([far, near]), volumes)
+    torch.testing.assert_close(seen, far.mean(dim=0), rtol=0.0, atol=1e-6)
+
+
+def test_the_toe_feels_who_belongs_to_it() -> None:
+    """A point that is overtaken takes its height along: moving it along x alone moves the toe's y."""
+    positions = torch.from_numpy(deposit(400)).requires_grad_()
+    (gradient,) = torch.autograd.grad(Toe(SCENE).smooth(positions, torch.ones(400))[1], positions)
+    assert gradient[:, 0].abs().max() > 1e-3
+
+
+def test_the_loss_of_points_is_their_mean_squared_distance() -> None:
+    wanted, found = deposit(200, seed=0), deposit(200, seed=1)
+    whole = Deposit(SCENE)
+    expected = np.mean(np.sum((found - wanted) ** 2, axis=1))
+    assert loss(whole.exact(found), whole.exact(wanted), whole.components) == pytest.approx(expected)
+    some = np.array([3, 17, 90])
+    part = whole.of_points(whole.exact(wanted), some)
+    np.testing.assert_array_equal(part, wanted[some].ravel())
+    toe = Toe(SCENE)
+    apart = toe.exact(found) - toe.exact(wanted)
+    assert loss(toe.exact(found), toe.exact(wanted), toe.components) == pytest.approx(float(apart @ apart))

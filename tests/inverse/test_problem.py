@@ -13,8 +13,9 @@ from datasets.trajectory import Trajectory
 from inverse import observations
 from inverse.__main__ import main
 from inverse.observations import SHARES
-from inverse.problem import PROBLEMS, Observable, Problem, TargetSettings, read_problem
+from inverse.problem import PROBLEMS, Observable, Problem, Start, TargetSettings, read_problem
 from inverse.target import hidden_scene, read_target
+from inverse.unknowns import kind
 
 GOOD = """
 scene = "column-tall-42"
@@ -41,8 +42,25 @@ def test_a_shipped_problem_reads(path: Path) -> None:
     problem = read_problem(path.stem)
     assert problem.name == path.stem
     assert hidden_scene(problem).seed != problem.scene.seed
-    kind = Observable.PROFILE if path.stem.endswith("profile") else Observable.FRONT
-    assert problem.observation.kind is kind
+    if path.stem.startswith("friction-"):
+        kind = Observable.PROFILE if path.stem.endswith("profile") else Observable.FRONT
+        assert problem.observation.kind is kind
+        assert problem.start is Start.FRAMES
+
+
+def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
+    velocities, baffles = read_problem("velocity-layers-10"), read_problem("baffles-2")
+    assert velocities.start is baffles.start is Start.REST
+    np.testing.assert_array_equal(velocities.initial, np.zeros(10))
+    layers = [kind(name).read(hidden_scene(velocities)) for name in velocities.names]
+    np.testing.assert_allclose(layers, [1.50, 1.35, 1.20, 1.05, 0.90, 0.75, 0.60, 0.45, 0.30, 0.15])
+    # Ours are the paper's coordinates less 0.1 m.
+    np.testing.assert_allclose(baffles.initial, np.array([0.225, 0.925]) - 0.1)
+    np.testing.assert_allclose([kind(name).read(baffles.scene) for name in baffles.names], baffles.initial)
+    wanted = [kind(name).read(hidden_scene(baffles)) for name in baffles.names]
+    np.testing.assert_allclose(wanted, np.array([0.341, 0.812]) - 0.1)
+    rates = (velocities.optimiser.learning_rate, baffles.optimiser.learning_rate)
+    assert rates == (0.1, 0.01)
 
 
 def test_the_eight_friction_problems_ship() -> None:
@@ -74,6 +92,23 @@ def test_the_eight_friction_problems_ship() -> None:
         ("[target]", "[loop]\nmpm_runs = 0\n[target]", "loop.mpm_runs"),
         ("[target]", "[loop]\nconfirm_within = -0.1\n[target]", "loop.confirm_within"),
         ("[target]", "[[target", "problem.toml"),
+        ('"friction_deg"', '"masses[1].friction_deg"', "unknowns[0].name"),
+        ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),
+        ('"friction_deg"', '"masses[0].velocity_z"', "unknowns[0].name"),
+        ('"friction_deg"', '"masses.velocity_x"', "unknowns[0].name"),
+        ('"friction_deg"', '"friction_deg[0]"', "unknowns[0].name"),
+        ("upper = 52.0", "upper = 52.0\nstep = 0.0", "unknowns[0].step"),
+        ("value = 0.55", "values = [0.5, 0.1]", "target.values"),
+        ('kind = "front"', 'kind = "front"\nline = 0.5', "observation.line"),
+        ('kind = "front"', 'kind = "passed"', "observation.line"),
+        ('kind = "front"', 'kind = "passed"\nline = 1.0', "observation.line"),
+        ('kind = "front"', 'kind = "passed"\nline = 0.5\nwidth = 0.0', "observation.width"),
+        ('kind = "front"', 'kind = "toe"', "target.value"),
+        ('kind = "front"', 'kind = "deposit"', "target.value"),
+        ('kind = "front"', 'kind = "profile"', "target.value"),
+        ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
+        ("[target]", '[optimiser]\nstart = "now"\n[target]', "optimiser.start"),
+        ("[target]", "[optimiser]\nmax_trials = 0\n[target]", "optimiser.max_trials"),
     ],
 )
 def test_a_wrong_problem_is_one_line_and_status_2(
@@ -87,6 +122,24 @@ def test_a_wrong_problem_is_one_line_and_status_2(
     assert key in error
     assert "\n" not in error
     assert not (tmp_path / "out").exists()
+
+
+def test_a_toe_is_two_or_three_numbers_and_a_deposit_has_no_jacobian(tmp_path: Path) -> None:
+    toe = GOOD.replace('"front"', '"toe"').replace("value = 0.55", "values = [0.5, 0.1, 0.2]")
+    with pytest.raises(InputError, match=r"target\.values: expected 2 coordinates"):
+        read_problem(written(tmp_path, toe))
+    assert read_problem(written(tmp_path, toe.replace(", 0.2]", "]"))).target.values == (0.5, 0.1)
+    whole = GOOD.replace('"front"', '"deposit"').replace("value = 0.55", "hidden = true")
+    newton = whole.replace("[target]", '[optimiser]\nmethod = "gauss-newton"\n[target]')
+    with pytest.raises(InputError, match=r"optimiser\.method"):
+        read_problem(written(tmp_path, newton))
+
+
+def test_a_deposit_wants_the_points_of_its_scene(tmp_path: Path) -> None:
+    problem = small(Observable.DEPOSIT, tmp_path, TargetSettings(trajectory="seen.npz"))
+    fall(problem.scene).save(tmp_path / "seen.npz")
+    with pytest.raises(InputError, match=r"seen\.npz: expected the 3200 points"):
+        read_target(problem, observations.build(problem.observation, problem.scene), fall)
 
 
 def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,143 @@
+"""What stands in a problem's file: its sections as they are read from TOML, strictly."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from datasets.strict import Strict
+from inverse.launch import Start
+
+
+class Observable(StrEnum):
+    """What of the deposit was measured."""
+
+    FRONT = "front"
+    """The x that 99.5 % of the points are behind."""
+    RUNOUT = "runout"
+    """The largest x."""
+    PROFILE = "profile"
+    """The height at stations along x."""
+    TOE = "toe"
+    """The centroid of the furthest 10 % of the points."""
+    DEPOSIT = "deposit"
+    """Where every point came to rest."""
+    PASSED = "passed"
+    """The share of the volume beyond a line across the flow."""
+
+
+ONE_NUMBER = (Observable.FRONT, Observable.RUNOUT, Observable.PASSED)
+"""Observations of one number."""
+
+
+class Method(StrEnum):
+    """How the loss is minimised."""
+
+    GRADIENT_DESCENT = "gradient-descent"
+    """The paper's for the angle of friction: a fixed learning rate on the loss in m^2 with the angle in degrees."""
+    ADAM = "adam"
+    """The paper's for velocities and baffles (torch.optim.Adam), projected onto the bounds."""
+    LBFGSB = "lbfgs-b"
+    """Bounded quasi-Newton (SciPy)."""
+    GAUSS_NEWTON = "gauss-newton"
+    """Bounded least squares by the Jacobian (SciPy's trust region), for observations of few numbers."""
+
+
+class Sampler(StrEnum):
+    """Where a search without gradients looks next (Optuna)."""
+
+    TPE = "tpe"
+    """Tree-structured Parzen estimator."""
+    CMA_ES = "cma-es"
+    """Covariance matrix adaptation; wants the package cmaes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown(Strict):
+    """A number to be found, in the units of its name."""
+
+    name: str
+    """See `inverse.unknowns`."""
+    initial: float
+    """Where the search starts."""
+    lower: float
+    """Smallest value allowed."""
+    upper: float
+    """Largest value allowed."""
+    step: float | None = None
+    """Step of a finite difference; that of its kind where absent."""
+    learning_rate: float | None = None
+    """Of this unknown in gradient descent and Adam; the optimiser's where absent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationSettings(Strict):
+    """Which part of the deposit is compared."""
+
+    kind: Observable
+    spacing: float = 0.02
+    """Distance between the stations of a profile [m]."""
+    line: float | None = None
+    """The x beyond which a point has passed [m]."""
+    width: float | None = None
+    """Over how long a way a point passes that line, as gradients see it [m]; a cell of the scene where absent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetSettings(Strict):
+    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv` and `hidden`."""
+
+    value: float | None = None
+    """The observed number, for a front or a runout [m] or a share that passed [-]."""
+    values: tuple[float, ...] | None = None
+    """The observed coordinates of a toe [m]."""
+    trajectory: str | None = None
+    """A trajectory (NPZ) whose last frame is the observed deposit."""
+    csv: str | None = None
+    """A measured profile: columns `x` and `height` [m], one header line."""
+    hidden: bool = False
+    """A twin experiment: the MPM makes the target, the inversion gets to see the observation alone."""
+    seed: int = 1
+    """Seed of the hidden scene's initial jitter; another one than the inversion's."""
+    truth: dict[str, float] = field(default_factory=dict)
+    """Unknown -> hidden value; the scene's own where absent."""
+    noise: float = 0.0
+    """Standard deviation of the measurement itself [m], besides the flow's own chance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimiserSettings(Strict):
+    """How the surrogate is inverted."""
+
+    method: Method = Method.LBFGSB
+    max_iterations: int = 20
+    """Most evaluations of the loss and its gradient."""
+    stop_below: float = 1.0e-7
+    """Loss [m^2] at which the surrogate has done its part: (0.3 mm)^2; the paper stops at 5e-4, (22 mm)^2."""
+    learning_rate: float | None = None
+    """Of gradient descent [unit^2/m^2] or Adam [unit of the unknown], in which a first step is just as long.
+
+    Where absent, the paper's 500 deg^2/m^2 for gradient descent, for Adam a fiftieth of each unknown's range.
+    """
+    start: Start | None = None
+    """Where the surrogate begins; see `inverse.problem.Problem.start` for what it is where absent."""
+    sampler: Sampler = Sampler.TPE
+    """Of a search without gradients (`--gradient none`)."""
+    max_trials: int = 100
+    """Most predictions of such a search."""
+    seed: int = 0
+    """Of its random numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopSettings(Strict):
+    """How the MPM confirms or corrects (`validation.loop`)."""
+
+    confirm_within: float = 0.005
+    """Relative error of the front within which the MPM confirms."""
+    profile_within: float = 0.01
+    """Mean distance between equal shares of two profiles, over the target's mean, within which one is confirmed."""
+    mpm_runs: int = 8
+    """Most MPM runs that the loop may spend."""
+    seeds: int = 16
+    """Jitter seeds of the ensemble that says how certain the answer is."""
+    trust: float = 0.15
+    """Longest step between two MPM runs, as a fraction of an unknown's range."""

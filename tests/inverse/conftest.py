@@ -1,0 +1,103 @@
+"""A tiny random model and small flows against baffles, in 2D and 3D."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from datasets.material import Material
+from datasets.scene import Baffle, Domain, Mass, Scene
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
+from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
+from inverse.unknowns import kind
+
+SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
+FLOWS = {
+    2: Scene(
+        domain=Domain(size=(0.4, 0.2), cell=0.01),
+        material=SAND,
+        masses=(
+            Mass(lower=(0.01, 0.0), size=(0.08, 0.03), velocity=(0.8, 0.0)),
+            Mass(
+                lower=(0.01, 0.03),
+                size=(0.06, 0.03),
+                velocity=(1.4, 0.2),
+                material=dataclasses.replace(SAND, cohesion=300.0),
+            ),
+        ),
+        baffles=(Baffle(lower=(0.123, 0.0), size=(0.029, 0.018)),),
+        duration=0.08,
+    ),
+    3: Scene(
+        domain=Domain(size=(0.5, 0.25, 0.25), cell=0.03125),
+        material=SAND,
+        masses=(Mass(lower=(0.0, 0.0, 0.05), size=(0.15, 0.125, 0.15), velocity=(1.5, 0.0, 0.0)),),
+        baffles=(
+            Baffle(lower=(0.2, 0.0, 0.02), size=(0.05, 0.1, 0.08)),
+            Baffle(lower=(0.2, 0.0, 0.15), size=(0.05, 0.1, 0.08)),
+        ),
+        duration=0.08,
+    ),
+}
+WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005}
+"""Half of the range between an unknown's bounds, by its unit."""
+
+
+def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
+    """A model that takes milliseconds and whose output matters, in double precision."""
+    torch.manual_seed(0)
+    cell = 0.01 if dimension == 2 else 0.03125
+    settings = ModelSettings(
+        dimension=dimension,
+        cell=cell,
+        points_per_cell=1 if dimension == 2 else 2,
+        radius=2.5 * cell,
+        grid_cell=2.0 * cell,
+        baffles=baffles,
+        width=16,
+        layers=2,
+        rounds=1,
+        grid_channels=8,
+        grid_layers=2,
+    )
+    scales = Normalisation(displacement=0.005, acceleration=0.001, friction_mean=0.6, friction_std=0.2)
+    made = Simulator(settings, scales)
+    with torch.no_grad():
+        made.network.decoder[-1].weight.normal_(std=0.3)
+    return made.double().requires_grad_(False)
+
+
+def problem_of(
+    dimension: int, *names: str, observable: Observable = Observable.DEPOSIT, start: Start | None = None
+) -> Problem:
+    """The small flow with these unknowns, each between bounds around the scene's own value."""
+    scene = FLOWS[dimension]
+    unknowns = []
+    for name in names:
+        value, half = kind(name).read(scene), WIDE[kind(name).unit]
+        unknowns.append(Unknown(name=name, initial=value, lower=value - half, upper=value + half))
+    line = 0.15 if observable is Observable.PASSED else None
+    return Problem(
+        name="small",
+        folder=Path(),
+        scene=scene,
+        unknowns=tuple(unknowns),
+        observation=ObservationSettings(kind=observable, line=line, spacing=0.02),
+        target=TargetSettings(hidden=True),
+        optimiser=OptimiserSettings(start=start),
+    )
+
+
+@pytest.fixture(scope="session")
+def make_problem() -> Callable[..., Problem]:
+    """`problem_of`."""
+    return problem_of
+
+
+@pytest.fixture(scope="session")
+def make_simulator() -> Callable[..., Simulator]:
+    """`simulator`."""
+    return simulator

@@ -1,0 +1,84 @@
+"""`python -m inverse` from end to end with a tiny model, where no MPM is needed."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.command_line import run
+from gns import checkpoint
+from inverse.__main__ import main
+
+SCENE = """
+duration = 0.08
+[domain]
+size = [0.4, 0.2]
+cell = 0.01
+[material]
+friction_deg = 30.0
+[[masses]]
+lower = [0.01, 0.0]
+size = [0.06, 0.04]
+[[baffles]]
+lower = [0.12, 0.0]
+size = [0.03, 0.02]
+"""
+PROBLEM = """
+scene = "scene.toml"
+[[unknowns]]
+name = "masses[0].velocity_x"
+initial = 0.5
+lower = 0.0
+upper = 1.5
+[[unknowns]]
+name = "baffles[0].height"
+initial = 0.02
+lower = 0.01
+upper = 0.05
+learning_rate = 0.001
+[observation]
+KIND
+[target]
+TARGET
+[optimiser]
+method = "METHOD"
+max_iterations = 3
+max_trials = 4
+"""
+PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
+TOE = ('kind = "toe"', "values = [0.12, 0.01]")
+
+
+@pytest.mark.parametrize(
+    ("gradient", "method", "observed", "records"),
+    [
+        ("ad", "adam", PASSED, 3),
+        ("ad", "gauss-newton", TOE, 3),
+        ("fd", "lbfgs-b", TOE, 3),
+        ("none", "lbfgs-b", PASSED, 4),
+    ],
+)
+def test_an_inversion(
+    tmp_path: Path,
+    make_simulator: Any,
+    gradient: str,
+    method: str,
+    observed: tuple[str, str],
+    records: int,
+) -> None:
+    checkpoint.save(tmp_path / "tiny.pt", make_simulator(2).float(), {})
+    (tmp_path / "scene.toml").write_text(SCENE)
+    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]).replace("METHOD", method)
+    (tmp_path / "problem.toml").write_text(text)
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.pt")]
+    assert run(main, "inverse", [*arguments, "--gradient", gradient]) == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
+    assert 1 <= len(result["iterations"]) <= records
+    assert (result["iterations"][0]["gradient"] is None) == (gradient == "none")
+    assert result["loss"]["surrogate"] <= result["loss"]["initial"]
+    assert result["seconds"]["mpm"] < 0.1
+    assert "m/s" in (out / "report.md").read_text()
+    assert (out / "deposit.png").exists()

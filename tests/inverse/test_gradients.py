@@ -1,0 +1,93 @@
+"""AD through the unrolled surrogate against central differences in double precision: all unknowns, all observations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from inverse import observations
+from inverse.gns_forward import GnsForward
+from inverse.problem import Observable, ObservationSettings, Problem, Start
+
+KINDS = {
+    2: (
+        "friction_deg",
+        "cohesion",
+        "masses[1].friction_deg",
+        "masses[1].cohesion",
+        "masses[0].velocity_x",
+        "masses[1].velocity_y",
+        "baffles[0].x",
+        "baffles[0].length",
+        "baffles[0].height",
+    ),
+    3: (
+        "friction_deg",
+        "cohesion",
+        "masses[0].velocity_x",
+        "masses[0].velocity_z",
+        "baffles[0].x",
+        "baffles[1].z",
+        "baffles[0].length",
+        "baffles[1].width",
+        "baffles[0].height",
+    ),
+}
+STEPS = {"deg": 1e-2, "cohesion": 0.1, "velocity": 1e-5, "baffles": 1e-6}
+
+
+def step_of(name: str) -> float:
+    return next(step for part, step in STEPS.items() if part in name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rollouts:
+    """One rollout that autograd looks through, and two beside it per unknown."""
+
+    problem: Problem
+    volumes: torch.Tensor
+    point: torch.Tensor
+    """The unknowns, with a gradient."""
+    deposit: torch.Tensor
+    steps: np.ndarray
+    ahead: list[torch.Tensor]
+    behind: list[torch.Tensor]
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
+    problem = make_problem(request.param, *KINDS[request.param])
+    assert problem.start is Start.REST
+    observation = observations.build(problem.observation, problem.scene)
+    forward = GnsForward(make_simulator(request.param), None, problem, observation)
+    assert forward.kept_steps == forward.steps
+    point = torch.tensor(problem.initial, requires_grad=True)
+    steps = np.array([step_of(name) for name in problem.names])
+    return Rollouts(
+        problem=problem,
+        volumes=forward.launch.conditions.volume,
+        point=point,
+        deposit=forward.predict(point).view(-1, request.param),
+        steps=steps,
+        ahead=[torch.from_numpy(forward.deposit(problem.initial + move)) for move in np.diag(steps)],
+        behind=[torch.from_numpy(forward.deposit(problem.initial - move)) for move in np.diag(steps)],
+    )
+
+
+@pytest.mark.parametrize("kind", list(Observable))
+def test_every_unknown_through_every_observation(rollouts: Rollouts, kind: Observable) -> None:
+    settings = ObservationSettings(kind=kind, line=0.15 if kind is Observable.PASSED else None)
+    observation = observations.build(settings, rollouts.problem.scene)
+    seen = observation.smooth(rollouts.deposit, rollouts.volumes)
+    weights = torch.from_numpy(np.random.default_rng(3).normal(size=len(seen)))
+    (by_ad,) = torch.autograd.grad(weights @ seen, rollouts.point, retain_graph=True)
+
+    def total(deposit: torch.Tensor) -> float:
+        return float(weights @ observation.smooth(deposit, rollouts.volumes))
+
+    pairs = zip(rollouts.ahead, rollouts.behind, rollouts.steps, strict=True)
+    by_differences = np.array([(total(ahead) - total(behind)) / (2.0 * step) for ahead, behind, step in pairs])
+    assert np.abs(by_differences).min() > 0.0
+    np.testing.assert_allclose(by_ad.numpy(), by_differences, rtol=1e-4)
