@@ -29,6 +29,8 @@ class ModelSettings:
     """Whether the material scales and shifts the latents in every layer (FiLM), beside being a feature."""
     past_accelerations: bool = False
     """Whether it sees their differences too, scaled as what it has to predict; measured over a few steps only."""
+    rest_speed: float = 0.01
+    """Speed [m/s] below which a point soon stands still, as sand does; without it (0) deposits creep for ever."""
     width: int = 64
     """Width of every latent vector."""
     layers: int = 4
@@ -54,6 +56,7 @@ class ModelSettings:
             require(getattr(self, key) > 0.0, key, "a positive number")
         for key in ("points_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
             require(getattr(self, key) >= 1, key, "an integer of at least 1")
+        require(self.rest_speed >= 0.0, "rest_speed", "a speed of at least 0 m/s")
         for key in ("hidden_layers", "grid_layers"):
             require(getattr(self, key) >= 0, key, "an integer of at least 0")
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds")

@@ -39,6 +39,7 @@ class Simulator(nn.Module):
         a  = g dt^2 + s A(state)         acceleration; gravity is known, the contact forces are learned
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
         x' = keep_out(x + v')            walls and baffles are hard; what remains of v' is x' - x
+        v' <- v' r^2 / (1 + r^2)         r = |v'| / (rest_speed dt): what hardly moves stands still
 
     | symbol | variable                                | unit             |
     | A      | `Network`                               | -                |
@@ -98,6 +99,11 @@ class Simulator(nn.Module):
         moved = positions + state.displacements[-1] + contact + fall
         baffles = conditions.baffles if settings.baffles else None
         stopped = keep_out(moved, positions, conditions.size, baffles, conditions.batch)
+        if settings.rest_speed > 0.0:
+            stopped = positions + settled(stopped - positions, settings.rest_speed * settings.step)
+            if baffles is not None:
+                # Less than the whole way round a corner may end in it.
+                stopped = keep_out(stopped, positions, conditions.size, baffles, conditions.batch)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
@@ -131,3 +137,13 @@ class Simulator(nn.Module):
             ),
             dim=1,
         )
+
+
+def settled(displacements: Tensor, limit: float) -> Tensor:
+    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade.
+
+    Static friction, as far as a step knows it: small errors of the acceleration no longer add up to a creep that never
+    ends. Sand that begins to move is faster after one step, unless it is driven by less than limit / dt^2.
+    """
+    square = displacements.square().sum(dim=1, keepdim=True) / limit**2
+    return displacements * (square / (1.0 + square))

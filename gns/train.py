@@ -74,12 +74,14 @@ def load(
 
 
 def begun(path: Path, settings: ModelSettings) -> Simulator:
-    """The model at `path` to train on. Raises InputError where its settings are others."""
+    """The model at `path` to train on. Raises InputError where its settings are others, but for the speed of rest."""
     simulator = checkpoint.load(path).simulator
-    if simulator.settings != settings:
-        there = dataclasses.asdict(simulator.settings)
-        other = [key for key, value in dataclasses.asdict(settings).items() if value != there[key]]
+    there = dataclasses.asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
+    other = [key for key, value in dataclasses.asdict(settings).items() if value != there[key]]
+    if other:
         raise InputError(f"expected a model of the settings asked for, other is {', '.join(other)}", where=str(path))
+    # No weight depends on it.
+    simulator.settings = settings
     return simulator.train()
 
 
@@ -121,7 +123,8 @@ def train(
     resume
         Continue from OUT/last.pt; give the other flags again.
     begin
-        A model to begin with instead of random weights, of the same settings; its normalisation stays.
+        A model to begin with instead of random weights, of the same settings but for --rest-speed; its
+        normalisation stays.
     seed
         Seed of the weights and of the samples.
     threads

@@ -73,6 +73,10 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
     assert checkpoint.load(tmp_path / "second" / "best.pt").provenance["begin"]["updates"] == 2
+    # No weight depends on the speed of rest.
+    slower = ("--begin", str(model), "--rest-speed", "0.02", *still)
+    assert run(dataset, tmp_path / "slower", "--updates", "1", *slower) == 0
+    assert checkpoint.load(tmp_path / "slower" / "best.pt").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", "--updates", "1", "--begin", str(model), "--history", "2") == 2
     assert "other is history" in capsys.readouterr().err
 
