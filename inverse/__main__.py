@@ -7,8 +7,6 @@ import time
 from enum import StrEnum
 from pathlib import Path
 
-import numpy as np
-
 from datasets.command_line import run
 from datasets.errors import InputError
 from gns import checkpoint
@@ -100,8 +98,20 @@ def main(
         mpm_seconds = result.total_seconds
     result = dataclasses.replace(result, mpm_seconds=mpm_seconds)
     result.write(out)
-    report.write(result, chosen.deposit(result.answer), out)
-    print(np.array2string(result.answer, precision=3))
+    records = result.evaluations
+    stages = [
+        (f"evaluation {place + 1}, loss {records[place].loss:.1e}", records[place].unknowns)
+        for place in report.picked(result.rounds)
+    ]
+    report.write(
+        result,
+        chosen.deposit(result.answer),
+        out,
+        forward="surrogate" if forward is ForwardModel.GNS else "MPM",
+        stages=[(title, unknowns, chosen.deposit(unknowns)) for title, unknowns in stages],
+    )
+    for name, value in result.unknowns.items():
+        print(f"{name:<24} {report.quantity(name, value)}")
 
 
 def solve(

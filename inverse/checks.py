@@ -93,10 +93,10 @@ def check_target(scene: Scene, names: Sequence[str], observation: ObservationSet
     """Raise InputError for a target that is none of this observation."""
     sources = ("value", "values", "trajectory", "csv")
     given = [name for name in sources if getattr(target, name) is not None]
-    given += ["hidden"] if target.hidden else []
+    given += [name for name in ("hidden", "least") if getattr(target, name)]
     if len(given) != 1:
         got = " and ".join(given) or "none"
-        message = f"expected exactly one of {', '.join(sources)} and hidden = true, got {got}"
+        message = f"expected exactly one of {', '.join(sources)}, hidden = true and least = true, got {got}"
         raise InputError(message, key="target")
     observed = observation.kind
     own = {
@@ -107,6 +107,8 @@ def check_target(scene: Scene, names: Sequence[str], observation: ObservationSet
     if given[0] in ("value", "values", "csv") and given[0] != own:
         others = " or ".join((*([own] if own else []), "trajectory", "hidden = true"))
         raise InputError(f"expected {others} for a target of kind {observed}", key=f"target.{given[0]}")
+    if target.least and observed not in ONE_NUMBER:
+        raise InputError(f"expected it with {', '.join(ONE_NUMBER)}, not with {observed}", key="target.least")
     if target.value is not None:
         if observed is Observable.PASSED:
             require(0.0 <= target.value <= 1.0, "target.value", "a share in [0, 1]", target.value)
@@ -143,6 +145,7 @@ def check_search(
         ("optimiser.max_iterations", optimiser.max_iterations, 1),
         ("optimiser.max_trials", optimiser.max_trials, 1),
         ("optimiser.seed", optimiser.seed, 0),
+        ("optimiser.starts", optimiser.starts, 1),
         ("loop.mpm_runs", loop.mpm_runs, 1),
         ("loop.seeds", loop.seeds, 2),
     ):
@@ -152,6 +155,10 @@ def check_search(
         ("optimiser.learning_rate", optimiser.learning_rate, 1e9),
         ("loop.confirm_within", loop.confirm_within, 1.0),
         ("loop.profile_within", loop.profile_within, 1.0),
+        ("loop.runout_within", loop.runout_within, 1.0),
+        ("loop.toe_within", loop.toe_within, 100.0),
+        ("loop.deposit_within", loop.deposit_within, 100.0),
+        ("loop.passed_within", loop.passed_within, 1.0),
         ("loop.trust", loop.trust, 1.0),
     ):
         require(value is None or 0.0 < value <= most, key, f"a number in (0, {most:g}]", value)

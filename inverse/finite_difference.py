@@ -13,19 +13,27 @@ from inverse.unknowns import Vector
 
 
 def central(
-    forward: Forward, target: Values, problem: Problem, *, components: int = 1, with_jacobian: bool = False
+    forward: Forward,
+    target: Values,
+    problem: Problem,
+    *,
+    components: int = 1,
+    with_jacobian: bool = False,
+    steps: Vector | None = None,
 ) -> Evaluate:
     """Loss and gradient of `forward` against `target`, shape [M]; each unknown moves by its own step.
 
     components: of the observation, see `inverse.observations.loss`. with_jacobian: keep it, for a Gauss-Newton search.
+    steps: other steps than the problem's, shape [U].
     """
+    moves = problem.steps if steps is None else steps
 
     def evaluate(unknowns: Vector) -> Evaluation:
         start = time.perf_counter()
         (observation,) = forward.observe([unknowns])
         middle = time.perf_counter()
         # d/du mean (y - y*)^2 = 2 mean (y - y*) dy/du: differences of y, not of its square, lose fewer digits.
-        slopes = jacobian(forward, unknowns, problem.steps)
+        slopes = jacobian(forward, unknowns, moves)
         residual = observation - target
         gradient = 2.0 * components * residual @ slopes / len(target)
         end = time.perf_counter()
@@ -49,3 +57,12 @@ def jacobian(forward: Forward, unknowns: Vector, steps: Vector) -> NDArray[np.fl
     values = forward.observe([unknowns + move for move in moves] + [unknowns - move for move in moves])
     ahead, behind = values[: len(steps)], values[len(steps) :]
     return np.stack([(a - b) / (2.0 * h) for a, b, h in zip(ahead, behind, steps, strict=True)], axis=1)
+
+
+def one_sided(forward: Forward, unknowns: Vector, base: Values, steps: Vector) -> NDArray[np.float64]:
+    """d(observation)/d(unknowns) by differences from `base` [M], the observation at `unknowns`, shape [M, U].
+
+    Half the predictions of `jacobian`; steps: with their signs, so that none leaves the bounds.
+    """
+    values = forward.observe([unknowns + move for move in np.diag(steps)])
+    return np.stack([(value - base) / step for value, step in zip(values, steps, strict=True)], axis=1)

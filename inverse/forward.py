@@ -31,6 +31,9 @@ class Differentiable(Forward, Protocol):
 class Surrogate(Differentiable, Protocol):
     """A learned simulator of one flow, started from the scene itself or from the MPM's first frames."""
 
+    def wanted(self, target: Values) -> Values:
+        """What of an exact observation [M] its own [m] are held against: it may follow some of the points alone."""
+
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         """Where its points come to rest [m], shape [N, D]: for pictures."""
 

@@ -1,5 +1,6 @@
 """`result.json`: what an inversion found, what it is worth and what it cost."""
 
+import math
 import resource
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -59,6 +60,48 @@ class Round:
 
     number: int
     evaluations: Sequence[Evaluation]
+    start: int = 0
+    """Of round 0: which of the starting points it began at; 0 is the problem's `initial`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimum:
+    """Another minimum of the surrogate, which the loop did not follow."""
+
+    unknowns: Vector
+    loss: float
+    """Of the uncorrected surrogate [m^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Combination:
+    """A direction in the space of the unknowns, and how well the observation tells how far to go along it."""
+
+    weights: dict[str, float]
+    """Of each unknown, in fractions of its range; together of length 1."""
+    singular_value: float
+    """What a step of the whole range does to the observation, over the scatter and the noise of it [-]."""
+    half_width: float
+    """At 95 %, as a fraction of the range."""
+
+    @property
+    def told(self) -> bool:
+        """Whether the observation tells it: to half of the range at least."""
+        return self.half_width <= 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identifiability:
+    """What the observation near the answer knows of the unknowns together."""
+
+    combinations: Sequence[Combination]
+    """Best known first, as many as unknowns."""
+    half_a_cell: dict[str, float] | None
+    """Standard deviation of each unknown if each number of the observation had one of half a cell; None for a share."""
+    scatter: dict[str, float]
+    """Standard deviation of each unknown by the MPM's scatter of a single flow alone."""
+    noise: dict[str, float]
+    """The same by the stated noise of the measurement alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +123,11 @@ class Result:
     loss_surrogate: float
     loss_mpm: float | None
     rounds: Sequence[Round]
+    other_starts: Sequence[Round] = field(default_factory=list)
+    """Round 0 from the starting points that did not lead to the answer."""
+    other_minima: Sequence[Minimum] = field(default_factory=list)
+    """Where those ended, if elsewhere."""
+    identifiability: Identifiability | None = None
     mpm_runs: Sequence[RunRecord] = field(default_factory=list)
     mpm_seconds: float = 0.0
     total_seconds: float
@@ -97,14 +145,18 @@ class Result:
             for name, value in self.unknowns.items()
             if self.target.truth and self.target.truth[name] != 0.0
         }
-        if self.front_error_pct is not None:
+        if self.front_error_pct is not None and math.isfinite(self.front_error_pct):
             errors["front"] = abs(self.front_error_pct)
         return errors
 
     @property
     def evaluations(self) -> list[Evaluation]:
-        """Every evaluation of loss and gradient, in order."""
-        return [evaluation for stage in self.rounds for evaluation in stage.evaluations]
+        """Every evaluation of the surrogate's loss, in order; those of other starts come last."""
+        return [evaluation for stage in self._stages for evaluation in stage.evaluations]
+
+    @property
+    def _stages(self) -> list[Round]:
+        return [*self.rounds, *self.other_starts]
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -122,7 +174,7 @@ class Result:
 
     def write(self, folder: Path) -> None:
         """Write `result.json` into `folder`."""
-        first = self.evaluations[0]
+        first = next(stage for stage in self._stages if (stage.number, stage.start) == (0, 0)).evaluations[0]
         write_json(
             folder / "result.json",
             {
@@ -130,6 +182,7 @@ class Result:
                 "verdict": self.verdict.value,
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
+                "identifiability": None if self.identifiability is None else told(self.identifiability),
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {
@@ -151,22 +204,41 @@ class Result:
                     }
                     for run in self.mpm_runs
                 ],
+                "other_minima": [
+                    {"unknowns": named(self.problem, minimum.unknowns), "loss": minimum.loss}
+                    for minimum in self.other_minima
+                ],
                 "iterations": [
                     {
                         "round": stage.number,
+                        "start": stage.start,
                         "unknowns": named(self.problem, evaluation.unknowns),
                         "observation": plain(evaluation.observation),
                         "loss": evaluation.loss,
                         "gradient": None if evaluation.gradient is None else named(self.problem, evaluation.gradient),
                         "seconds": {"forward": evaluation.forward_s, "backward": evaluation.backward_s},
                     }
-                    for stage in self.rounds
+                    for stage in self._stages
                     for evaluation in stage.evaluations
                 ],
                 "seconds": self.seconds,
                 "peak_memory_mib": peak_memory_mib(),
             },
         )
+
+
+def told(identifiability: Identifiability) -> dict[str, Any]:
+    """`identifiability` as JSON has it."""
+    return {
+        "singular_values": [combination.singular_value for combination in identifiability.combinations],
+        "combinations": [
+            {"weights": each.weights, "half_width": each.half_width, "told": each.told}
+            for each in identifiability.combinations
+        ],
+        "half_a_cell": identifiability.half_a_cell,
+        "scatter": identifiability.scatter,
+        "noise": identifiability.noise,
+    }
 
 
 def named(problem: Problem, values: Vector) -> dict[str, float]:

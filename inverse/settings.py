@@ -83,7 +83,7 @@ class ObservationSettings(Strict):
 
 @dataclass(frozen=True, kw_only=True)
 class TargetSettings(Strict):
-    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv` and `hidden`."""
+    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `hidden` and `least`."""
 
     value: float | None = None
     """The observed number, for a front or a runout [m] or a share that passed [-]."""
@@ -95,12 +95,14 @@ class TargetSettings(Strict):
     """A measured profile: columns `x` and `height` [m], one header line."""
     hidden: bool = False
     """A twin experiment: the MPM makes the target, the inversion gets to see the observation alone."""
+    least: bool = False
+    """A design: nothing was observed, of the one number as little as possible is wanted."""
     seed: int = 1
     """Seed of the hidden scene's initial jitter; another one than the inversion's."""
     truth: dict[str, float] = field(default_factory=dict)
     """Unknown -> hidden value; the scene's own where absent."""
     noise: float = 0.0
-    """Standard deviation of the measurement itself [m], besides the flow's own chance."""
+    """Standard deviation of each measured number [m; of a share -], besides the flow's own chance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +121,8 @@ class OptimiserSettings(Strict):
     """
     start: Start | None = None
     """Where the surrogate begins; see `inverse.problem.Problem.start` for what it is where absent."""
+    starts: int = 1
+    """Points from which the surrogate is inverted: `initial` and, for problems with several answers, others."""
     sampler: Sampler = Sampler.TPE
     """Of a search without gradients (`--gradient none`)."""
     max_trials: int = 100
@@ -131,10 +135,18 @@ class OptimiserSettings(Strict):
 class LoopSettings(Strict):
     """How the MPM confirms or corrects (`validation.loop`)."""
 
-    confirm_within: float = 0.005
+    confirm_within: float = 0.003
     """Relative error of the front within which the MPM confirms."""
+    runout_within: float = 0.01
+    """Relative error of the runout within which one is confirmed: it is a single point's fate."""
     profile_within: float = 0.01
     """Mean distance between equal shares of two profiles, over the target's mean, within which one is confirmed."""
+    toe_within: float = 0.32
+    """Distance between two toes within which one is confirmed, in cells: 1e-4 m^2 squared in a cell of 31 mm."""
+    deposit_within: float = 1.0
+    """Root mean square distance of the points within which a deposit is confirmed, in cells."""
+    passed_within: float = 0.01
+    """Difference between two shares that passed within which one is confirmed."""
     mpm_runs: int = 8
     """Most MPM runs that the loop may spend."""
     seeds: int = 16

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,6 +55,8 @@ def hidden_scene(problem: Problem) -> Scene:
 def read_target(problem: Problem, observation: Observation, simulate: Callable[[Scene], Trajectory]) -> Target:
     """The target of `problem`; a hidden one is made with `simulate`. Raises InputError."""
     settings = problem.target
+    if settings.least:
+        return Target(values=np.zeros(1), edge=math.nan)
     if settings.value is not None or settings.values is not None:
         values = np.array([settings.value] if settings.values is None else settings.values)
         return Target(values=values, edge=observation.edge(values))

@@ -58,6 +58,7 @@ VARIANTS = (
     Variant(name="single-steps", what="trained on single steps with noise only", schedule=(1,)),
     Variant(name="no-noise", what="no noise while training on single steps", flags=("--noise", "0")),
     Variant(name="rate-3e-3", what="learning rate 3e-3", flags=("--learning-rate", "3e-3")),
+    Variant(name="wide-loss", what="loss squared up to twice the accelerations", flags=("--loss-scale", "2")),
     Variant(
         name="both",
         what="FiLM and past accelerations, steps of 20 ms",
@@ -101,6 +102,8 @@ def train(variant: Variant, folders: Sequence[Path], runs: Path, minutes: float)
         return
     schedule = [word for steps in variant.schedule for word in ("--unroll", str(steps))]
     arguments = [*map(str, folders), "--out", str(folder), "--minutes", f"{minutes:g}", "--clock", "cpu", *schedule]
+    # So little trained a network has errors that standing still would hide.
+    arguments += ["--rest-speed", "0"]
     # Scored once, at the end: validations would eat into the minutes.
     arguments += ["--validate-minutes", f"{100.0 * minutes:g}", *variant.flags]
     if (folder / "last.pt").exists():

@@ -17,7 +17,7 @@ from inverse.report import table
 from inverse.result import Purpose
 from inverse.target import read_target
 from mpm.simulate import simulate_many
-from validation import report
+from validation import loop_report
 from validation.gradients import COMPARED, comparison
 from validation.loop import solve
 from validation.paper import Paper, read_paper
@@ -93,8 +93,8 @@ def loop_row(problem: Problem, out: Path, simulator: Simulator, paper: Paper) ->
     target = read_target(problem, observation, lambda scene: hidden([scene])[0])
     solved = solve(problem, target, observation, out, source, simulate_many)
     solved.result.write(out)
-    report.write(solved, out)
-    print(report.summary(solved.result), flush=True)
+    loop_report.write(solved, out)
+    print(loop_report.summary(solved.result), flush=True)
     return cells(solved, paper)
 
 

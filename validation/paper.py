@@ -19,6 +19,30 @@ class Scenario(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Velocity(Strict):
+    """What the paper reports of ten layers: mean squared distances of the points [m^2]."""
+
+    mse_initial: float
+    mse_surrogate: float
+    mse_mpm: float
+    """Of its MPM with the velocities found."""
+    iterations: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baffles(Strict):
+    """What the paper reports of two baffles: squared distances of the toe [m^2]."""
+
+    loss_initial: float
+    loss_surrogate: float
+    loss_mpm: float
+    """Of its MPM with the positions found."""
+    iterations: int
+    z: tuple[float, float]
+    """Where they ended [m], in the coordinates of our scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Paper(Strict):
     """The paper's numbers (`paper.toml`)."""
 
@@ -27,6 +51,8 @@ class Paper(Strict):
     """By method: ad_gns, fd_gns, fd_mpm."""
     fd_gns_phi_estimated: float
     """Of the tall column at 42 degrees [deg]."""
+    velocity: Velocity
+    baffles: Baffles
 
 
 def read_paper() -> Paper:

@@ -1,148 +1,81 @@
-"""`report.md` of a loop: what was found, what the MPM says of it, what it is worth and what it cost."""
+"""`python -m validation.report --runs DIR --out DIR`: every inverse problem that ships, gathered in one document."""
 
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
-from datasets import files
-from inverse import pictures
-from inverse.optimise import best
-from inverse.problem import Observable
-from inverse.report import known, observed, price, quantity, question, table
-from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from inverse.unknowns import kind
-from validation.solved import Solved
+from datasets.command_line import WorkFailed, run
+from datasets.errors import InputError
+from datasets.library import find
+from inverse.problem import PROBLEMS, Problem, read_problem
+from validation import bars, outcomes, problems_page
+from validation.outcomes import Origin, Outcome
+from validation.paper import read_paper
+
+SOLVED = (0, 1)
+"""Exit statuses of a loop that came to an end: confirmed, and not."""
 
 
-def write(solved: Solved, folder: Path) -> None:
-    """Write `report.md`, `deposit.png` and `iterations.png` into `folder`."""
-    result = solved.result
-    problem, target = result.problem, result.target
-    deposits = {
-        "surrogate": solved.surrogate_deposit,
-        "MPM": solved.answer.runs[0].trajectory.positions[-1],
-    }
-    if target.deposit is not None:
-        deposits = {"target": target.deposit, **deposits}
-    pictures.draw_deposits(folder / "deposit.png", problem.scene, deposits, observed(target))
-    checks = [(run.unknowns, run.loss) for run in result.mpm_runs if run.purpose is Purpose.CHECK]
-    pictures.draw_iterations(folder / "iterations.png", problem, result.rounds, target.truth, checks)
-    lines = [
-        f"# {problem.name}: {result.verdict}",
-        "",
-        question(problem),
-        "",
-        *answer(solved),
-        "",
-        *(worth(solved) if solved.certainty else []),
-        "![deposits](deposit.png)",
-        "",
-        "## How it was found",
-        "",
-        *way(solved),
-        "",
-        "![iterations](iterations.png)",
-        "",
-        *price(result),
-    ]
-    files.write_text(folder / "report.md", "\n".join(lines) + "\n")
+def main(*, runs: Path = Path("out/problems"), out: Path = Path("docs"), only: tuple[str, ...] = ()) -> None:
+    """Solve every shipped problem that has no result yet, and write OUT/problems.md with its pictures.
+
+    Each problem is a `python -m validation.loop` of its own in RUNS/NAME. What was solved is kept, unless the problem
+    or the surrogate's weights have changed since; a command that was interrupted goes on where it stopped. Exit status
+    1 where a problem could not be run; an answer that the MPM does not confirm is part of the document.
+
+    Parameters
+    ----------
+    runs
+        Folder of the results, one more for each problem.
+    out
+        Folder for the document.
+    only
+        Solve these shipped problems alone; the document has all that is there.
+    """
+    for name in only:
+        if find(name, PROBLEMS, "problem").parent != PROBLEMS:
+            raise InputError("expected the name of a shipped problem", where=name, key="--only")
+    problems = {name: read_problem(name) for name in sorted(path.stem for path in PROBLEMS.glob("*.toml"))}
+    found, failed = {}, []
+    for name, problem in problems.items():
+        outcome = current(problem, runs / name)
+        if outcome is None and (not only or name in only):
+            outcome = solve(problem, runs / name)
+            failed += [name] if outcome is None else []
+        if outcome is not None:
+            found[name] = outcome
+    problems_page.write(out, bars.read_families(), problems, found, read_paper())
+    print(f"{len(found)} of {len(problems)} problems, gathered in {out / 'problems.md'}")
+    if failed:
+        raise WorkFailed(f"not solved: {', '.join(failed)}")
 
 
-def answer(solved: Solved) -> list[str]:
-    """The verdict in a sentence and the unknowns in a table."""
-    result, runs = solved.result, len(solved.answer.runs)
-    problem = result.problem
-    within = f"{100.0 * problem.loop.confirm_within:g} %"
-    seeds = "run" if runs == 1 else f"mean of {runs} runs with different jitter seeds"
-    front = f"the front of the MPM's {seeds} at the answer is {result.front_error_pct:+.2f} % off the target"
-    sentence = {
-        Verdict.CONFIRMED: f"The MPM confirms: {front}, within the {within} asked.",
-        Verdict.UNCONFIRMED: f"The MPM does not confirm: {front}; {within} was asked"
-        + (" of the front, and a profile as close as the MPM's own scatter." if is_profile(result) else "."),
-        Verdict.UNREACHABLE: "Nothing within the bounds reaches the target, not even in the MPM. "
-        f"Below is the nearest that was found; {front}.",
-    }[result.verdict]
-    alone = named(problem, best(list(result.rounds[0].evaluations)).unknowns)
-    first = f"{100.0 * solved.alone.front_error:+.2f} %"
-    rows = []
-    for name, value in result.unknowns.items():
-        half_width = f"± {quantity(name, result.certainty[name])}" if result.certainty else "-"
-        rows.append([name, quantity(name, value), half_width, *known(result, name), quantity(name, alone[name]), first])
-    truth = ["truth", "error"] if result.target.truth else []
-    head = ["unknown", "found", "certain to (95 %)", *truth, "the surrogate alone", "front in the MPM there"]
-    return [sentence, "", *table(head, rows)]
+def current(problem: Problem, folder: Path) -> Outcome | None:
+    """The outcome in `folder`, if it is of `problem` as it is now and, as far as is known, of today's surrogate."""
+    outcome = outcomes.read(problem, folder)
+    if outcome is None or outcome.origin is None:
+        return outcome
+    return outcome if outcome.origin.same(Origin.of(problem, "", folder)) else None
 
 
-def is_profile(result: Result) -> bool:
-    """Whether the observation is a profile."""
-    return result.problem.observation.kind is Observable.PROFILE
+def solve(problem: Problem, folder: Path) -> Outcome | None:
+    """Run the loop on a shipped problem in a process of its own; None where it failed."""
+    arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
+    origin = Origin.of(problem, f"python {shlex.join(arguments)}", folder)
+    # An older result is not this one's, should this one fail.
+    (folder / outcomes.RESULT).unlink(missing_ok=True)
+    print(f"\n{origin.command}", flush=True)
+    if run_loop(arguments) not in SOLVED:
+        return None
+    origin.write(folder)
+    return outcomes.read(problem, folder)
 
 
-def worth(solved: Solved) -> list[str]:
-    """The certainty in plain words."""
-    assert solved.certainty is not None
-    lines = ["## What it is worth", ""]
-    for name, calibration in solved.certainty.calibrations.items():
-        what = (
-            "the profile, along the direction in which it changes," if is_profile(solved.result) else "the observation"
-        )
-        lines += [
-            f"Near the answer {what} moves by {1e3 * calibration.slope:+.1f} mm per {kind(name).unit} of `{name}`, "
-            f"and scatters by {1e3 * calibration.scatter:.1f} mm between MPM runs that differ in nothing but the "
-            f"initial jitter ({len(solved.certainty.runs)} extra runs). The target is one such flow as well."
-        ]
-        range_ = {unknown.name: unknown.upper - unknown.lower for unknown in solved.result.problem.unknowns}[name]
-        if calibration.half_width >= range_:
-            lines += [f"The slope drowns in the scatter: this observation does not tell `{name}` within its bounds."]
-        else:
-            lines += [
-                f"So the truth lies within {quantity(name, calibration.half_width)} of the estimate, 95 times in 100."
-            ]
-    return [*lines, ""]
+def run_loop(arguments: list[str]) -> int:
+    """Run Python with `arguments` and return its exit status: memory and seconds are those of one problem alone."""
+    return subprocess.run([sys.executable, *arguments], check=False).returncode
 
 
-def way(solved: Solved) -> list[str]:
-    """Every MPM run."""
-    result = solved.result
-    names = list(result.unknowns)
-    checks = [run for run in result.mpm_runs if run.purpose is Purpose.CHECK]
-    members = [run for run in result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
-    lines = [
-        f"The surrogate proposes, the MPM answers; {len(checks)} of {result.problem.loop.mpm_runs} MPM runs were "
-        f"spent, and {len(members)} on the certainty.",
-        "",
-        *table(["run", *names, "front [m]", "off", "loss [m^2]", "seconds", "file"], [row(run) for run in checks]),
-    ]
-    if members:
-        head = ["ensemble", *names, "front [m]", "off", "loss [m^2]", "seconds", "file"]
-        lines += ["", *table(head, [row(run) for run in members])]
-    return lines
-
-
-def row(run: RunRecord) -> list[str]:
-    """A line of the table of MPM runs."""
-    return [
-        run.purpose,
-        *(f"{value:.3f}" for value in run.unknowns.values()),
-        f"{run.front:.4f}",
-        f"{run.front_error_pct:+.2f} %",
-        f"{run.loss:.2e}",
-        f"{run.seconds:.2f}",
-        f"`{run.file}`",
-    ]
-
-
-def summary(result: Result) -> str:
-    """The outcome as the terminal shows it."""
-    lines = [f"{result.problem.name}: {result.verdict}"]
-    for name, value in result.unknowns.items():
-        line = f"  {name:<14} {quantity(name, value)}"
-        if result.certainty:
-            line += f" ± {quantity(name, result.certainty[name])}"
-        if result.target.truth:
-            line += ", truth {}, error {}".format(*known(result, name))
-        lines.append(line)
-    checks = sum(run.purpose is Purpose.CHECK for run in result.mpm_runs)
-    lines.append(f"  front          {result.front_error_pct:+.2f} % off in the MPM, {checks} MPM runs")
-    lines.append(
-        f"  time           {result.seconds['total']:.0f} s, {result.seconds['per_iteration']:.1f} s per gradient"
-    )
-    return "\n".join(lines)
+if __name__ == "__main__":
+    sys.exit(run(main, "python -m validation.report"))

@@ -5,10 +5,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from tqdm import tqdm
+
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.forward import Simulate
+from mpm.processors import processors
 
 SHARE = "share_s"
 """In the summary of a kept run: its share of the wall time of all that ran beside it [s]."""
@@ -27,17 +30,24 @@ class KeptRuns:
                 continue  # Not one of ours, or from another version: run again, under the next number.
 
     def __call__(self, scenes: Sequence[Scene]) -> list[Trajectory]:
-        """The trajectory of each scene; those that are not there yet run side by side."""
+        """The trajectory of each scene; those that are not there yet run side by side, some at a time."""
         missing = [scene for scene in dict.fromkeys(scenes) if scene not in self.files]
+        at_once = 2 * processors()
+        with tqdm(total=len(missing), desc="MPM", unit="run", leave=False, disable=None) as bar:
+            for first in range(0, len(missing), at_once):
+                self._run(missing[first : first + at_once])
+                bar.update(min(at_once, len(missing) - first))
+        return [Trajectory.load(self.files[scene]) for scene in scenes]
+
+    def _run(self, scenes: Sequence[Scene]) -> None:
         began = time.perf_counter()
-        trajectories = self.simulate(missing) if missing else []
-        share = (time.perf_counter() - began) / max(1, len(missing))
-        for scene, trajectory in zip(missing, trajectories, strict=True):
+        trajectories = self.simulate(scenes)
+        share = (time.perf_counter() - began) / len(scenes)
+        for scene, trajectory in zip(scenes, trajectories, strict=True):
             path = self._free()
             trajectory = dataclasses.replace(trajectory, summary=trajectory.summary | {SHARE: share})
             (deposit(trajectory) if self.deposit_only else trajectory).save(path)
             self.files[scene] = path
-        return [Trajectory.load(self.files[scene]) for scene in scenes]
 
     def file(self, scene: Scene) -> Path:
         """Where the run of `scene` lies."""
@@ -53,4 +63,9 @@ class KeptRuns:
 
 def deposit(trajectory: Trajectory) -> Trajectory:
     """The last frame alone: a hundredth of the file, and all that an observation needs."""
-    return dataclasses.replace(trajectory, positions=trajectory.positions[-1:], time=trajectory.time[-1:])
+    last = {
+        name: values[-1:]
+        for name in ("positions", "time", "velocities", "pressure", "plastic_strain", "baffle_impulse")
+        if (values := getattr(trajectory, name)) is not None
+    }
+    return dataclasses.replace(trajectory, **last)

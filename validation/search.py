@@ -1,4 +1,7 @@
-"""The loop: the surrogate proposes, the MPM confirms or corrects, the surrogate learns from it and proposes again."""
+"""The loop: the surrogate proposes, the MPM confirms or corrects, the surrogate learns from it and proposes again.
+
+Here is a search's state, and the search for one unknown; for several, and for a design, see `validation.several`.
+"""
 
 import dataclasses
 import itertools
@@ -8,20 +11,24 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from datasets import measures
+from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.forward import Surrogate, SurrogateSource
+from inverse.forward import SurrogateSource
 from inverse.gradient import automatic
 from inverse.observations import Observation, Values, loss
 from inverse.optimise import Bounds, best, minimise
-from inverse.problem import Method, OptimiserSettings, Problem
-from inverse.result import Round
+from inverse.problem import Method, Observable, OptimiserSettings, Problem
+from inverse.result import Minimum, Round
 from inverse.target import Target
 from inverse.unknowns import Vector, with_unknowns
 from validation.correction import Corrected
+from validation.judgement import Seen, meets
 from validation.runs import KeptRuns
 
 SCATTER_CELLS = 0.25
 """The MPM's own scatter over jitter seeds before an ensemble has measured it, in cells (1 to 3 mm at 10 mm)."""
+SCATTER_OF_A_SHARE = 0.005
+"""The same of a share that passed [-]."""
 SETTLED = 0.02
 """A proposal this close to the best MPM run, as a fraction of the range, is left to the ensemble (0.8 degrees)."""
 STUCK = 0.0025
@@ -41,7 +48,7 @@ class Checked:
     front: float
     """[m]."""
     front_error: float
-    """Relative, with its sign."""
+    """Relative, with its sign; nan where the target tells nothing of a front."""
     loss: float
     """[m^2]."""
 
@@ -57,18 +64,24 @@ class Search:
     runs: KeptRuns
     bounds: Bounds
     rounds: list[Round] = field(default_factory=list)
+    other_starts: list[Round] = field(default_factory=list)
+    """Of the first inversion, those that did not end lowest."""
+    other_minima: list[Minimum] = field(default_factory=list)
     checked: list[Checked] = field(default_factory=list)
     reachable: bool = True
     """False once not even the MPM's own slope leads any nearer to the target."""
 
     def check(self, unknowns: Vector, seed: int | None = None) -> Checked:
         """Run the MPM at `unknowns`, with another jitter `seed` than the scene's if so asked."""
-        names = [unknown.name for unknown in self.problem.unknowns]
-        scene = with_unknowns(self.problem.scene, names, unknowns)
-        (trajectory,) = self.runs([scene if seed is None else dataclasses.replace(scene, seed=seed)])
+        (trajectory,) = self.runs([self.scene(unknowns, seed)])
         run = self.judge(unknowns, trajectory)
         self.checked.append(run)
         return run
+
+    def scene(self, unknowns: Vector, seed: int | None = None) -> Scene:
+        """The problem's scene at `unknowns`, with another jitter `seed` if so asked."""
+        scene = with_unknowns(self.problem.scene, self.problem.names, unknowns)
+        return scene if seed is None else dataclasses.replace(scene, seed=seed)
 
     def judge(self, unknowns: Vector, trajectory: Trajectory) -> Checked:
         """Hold an MPM run against the target."""
@@ -80,7 +93,19 @@ class Search:
             observation=observation,
             front=measures.front(deposit),
             front_error=self.target.front_error(self.observation, deposit),
-            loss=loss(observation, self.target.values),
+            loss=loss(observation, self.target.values, self.observation.components),
+        )
+
+    def fits(self, run: Checked) -> bool:
+        """Whether `run` meets the target as closely as was asked."""
+        seen = Seen(observation=run.observation, front_error=run.front_error, components=self.observation.components)
+        return meets(self.problem, self.target, seen, chance=0.0, front_chance=0.0)
+
+    def rounded(self, unknowns: Vector) -> Vector:
+        """`unknowns` to a millionth of the range, inside the bounds: a kept run is found again by its scene."""
+        digits = 6 - np.ceil(np.log10(self.bounds.range)).astype(int)
+        return self.bounds.clip(
+            np.array([round(float(value), int(places)) for value, places in zip(unknowns, digits, strict=True)])
         )
 
     def corrected(self) -> Corrected:
@@ -96,13 +121,23 @@ class Search:
         # At least as many as unknowns, wherever they lie: a slope across is better than the surrogate's.
         count = len(self.bounds.range)
         learned = [run for number, run in enumerate(others) if number < count or (apart(run) <= far and number < 3)]
-        model.learn([run.unknowns for run in learned], [run.observation for run in learned], self.scatter)
+        points, shown = [run.unknowns for run in learned], [run.observation for run in learned]
+        model.learn(points, shown, self.scatter, self.bounds.range)
         return model
 
     @property
     def scatter(self) -> float:
-        """What an observed length of the MPM is expected to scatter over jitter seeds [m]."""
+        """What an observed number of the MPM is expected to scatter over jitter seeds [m; of a share -]."""
+        if self.problem.observation.kind is Observable.PASSED:
+            return SCATTER_OF_A_SHARE
         return SCATTER_CELLS * self.problem.scene.domain.cell
+
+    @property
+    def single(self) -> bool:
+        """Whether one unknown is to be found from how far along x a deposit reaches: a search of its own."""
+        lengths = (Observable.FRONT, Observable.RUNOUT, Observable.PROFILE)
+        one = len(self.problem.unknowns) == 1 and self.problem.observation.kind in lengths
+        return one and not self.problem.target.least
 
     @property
     def nearest(self) -> Checked:
@@ -115,23 +150,19 @@ class Search:
         return self.problem.loop.mpm_runs - len(self.checked)
 
 
-def search(state: Search, first: Surrogate) -> None:
-    """Invert `first`, then let the MPM correct it until what is left is scatter.
+def reserved(problem: Problem) -> int:
+    """MPM runs that stay in the budget for the answer that the ensemble sharpens (`validation.loop`)."""
+    return problem.loop.mpm_runs * 3 // 8
 
-    Some runs stay in the budget for the answer that the ensemble sharpens (`validation.loop`).
-    """
-    reserved = state.problem.loop.mpm_runs * 3 // 8
-    start = np.array([unknown.initial for unknown in state.problem.unknowns])
-    settings = state.problem.optimiser
-    records = minimise(automatic(first, state.target.values), start, state.bounds, settings, "surrogate")
-    state.rounds.append(Round(number=0, evaluations=records))
-    proposal = best(records).unknowns
+
+def search(state: Search, proposal: Vector) -> None:
+    """Let the MPM correct the surrogate, whose answer was `proposal`, until what is left is scatter."""
     reach = state.problem.loop.trust * state.bounds.range
     while True:
         before = state.nearest if state.checked else None
         state.check(proposal)
         anchor = state.nearest
-        if near(state, anchor) or state.budget <= reserved:
+        if near(state, anchor) or state.budget <= reserved(state.problem):
             return
         if anchor is before:
             reach = reach / 2.0  # The step made it worse: believe the corrected surrogate less far.
@@ -167,7 +198,7 @@ def propose(state: Search, corrected: Corrected, reach: Vector) -> Vector:
     stop_below = (0.1 * state.scatter) ** 2
     settings = OptimiserSettings(method=Method.LBFGSB, max_iterations=EVALUATIONS_PER_ROUND, stop_below=stop_below)
     box = state.bounds.around(anchor.unknowns, reach)
-    evaluate = automatic(corrected, state.target.values)
+    evaluate = automatic(corrected, corrected.surrogate.wanted(state.target.values))
     number = len(state.rounds)
     records = minimise(evaluate, anchor.unknowns, box, settings, f"corrected surrogate, round {number}")
     state.rounds.append(Round(number=number, evaluations=records))

@@ -28,7 +28,7 @@ class Answer:
 
     @property
     def front_error(self) -> float:
-        """Mean relative error of the front, with its sign."""
+        """Mean relative error of the front, with its sign; nan where the target tells nothing of a front."""
         return float(np.mean([run.front_error for run in self.runs]))
 
 
@@ -40,6 +40,8 @@ class Solved:
     answer: Answer
     alone: Checked
     """The MPM run at what the surrogate alone had found."""
+    begun: Checked | None = None
+    """Of a design: the MPM run at the problem's own start."""
     certainty: Certainty | None
     """Absent where the target is out of reach."""
     surrogate_deposit: NDArray[np.floating]

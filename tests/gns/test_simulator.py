@@ -105,7 +105,9 @@ def test_what_hardly_moves_stands_still_and_the_rest_is_left_alone() -> None:
     limit = 1e-4
     faster = torch.tensor([[0.1, 0.0], [0.0, 1.0], [6.0, 8.0], [0.0, 0.0]]) * limit
     kept = settled(faster, limit) / limit
-    torch.testing.assert_close(kept, torch.tensor([[0.1 * 0.01 / 1.01, 0.0], [0.0, 0.5], [600 / 101, 800 / 101], [0, 0]]))
+    torch.testing.assert_close(
+        kept, torch.tensor([[0.1 * 0.01 / 1.01, 0.0], [0.0, 0.5], [600 / 101, 800 / 101], [0, 0]])
+    )
 
 
 def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> None:

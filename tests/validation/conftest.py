@@ -82,6 +82,9 @@ class FakeSurrogate:
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
         return [self.predict(torch.from_numpy(values)).numpy() for values in unknowns]
 
+    def wanted(self, target: Values) -> Values:
+        return target
+
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         return np.stack([length(float(unknowns[0])) * SHAPE, 0.1 * np.ones(POINTS)], axis=1)
 

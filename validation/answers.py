@@ -1,0 +1,128 @@
+"""From the search to the answer: sharpened by the ensemble, and the verdict on it."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from inverse.forward import Simulate
+from inverse.result import Verdict
+from inverse.unknowns import Vector
+from validation.certainty import Certainty, certainty
+from validation.joint import Joint
+from validation.judgement import Seen, allowed, distance, meets
+from validation.search import Checked, Search
+from validation.solved import Answer
+
+MOST_ENSEMBLES = 3
+"""Where the MPM's slopes have changed on the way from an ensemble to its estimate, another one is made there."""
+STRAIGHT = 0.5
+"""Share of a half-width by which they may have moved the estimate."""
+NO_WORSE = 1.5
+"""Loss over the least so far up to which that is worth it."""
+NO_NEARER = 0.5
+"""Of the squared misfit; where the MPM's own slopes promise no less within the bounds, the target is out of reach."""
+
+
+def settle(state: Search, members: Simulate) -> tuple[Answer, Certainty]:
+    """The answer that all runs together point to, and what it is worth."""
+    worth = certainty(state, state.nearest.unknowns, members)
+    if state.problem.target.least:
+        return Answer(unknowns=worth.centre, runs=[state.nearest, *worth.here]), worth
+    for number in range(1, MOST_ENSEMBLES + 1):
+        unknowns = pointed_to(state, worth)
+        if state.budget < 1:
+            return Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), worth
+        run = state.check(unknowns)
+        worth = dataclasses.replace(worth, bend=bend(state, worth, run))
+        straight = worth.bend is None or bool(np.all(np.abs(worth.bend) <= STRAIGHT * widths(worth)))
+        if straight or number == MOST_ENSEMBLES or state.budget < 1 or run.loss > NO_WORSE * state.nearest.loss:
+            break
+        # The slopes change over such a distance: look at them again where it led.
+        worth = certainty(state, unknowns, members)
+    return sharpened(state, worth, run), worth
+
+
+def bend(state: Search, worth: Certainty, run: Checked) -> Vector | None:
+    """By how much each unknown is off at `run`, by the change from the centre to it with the same jitter seed."""
+    joint, scale = worth.joint, state.bounds.range
+    base = [each for each in state.checked if np.array_equal(each.unknowns, worth.centre)]
+    if joint is None or not base or len(joint.centre) != len(run.observation):
+        return None
+    return joint.bend((run.unknowns - worth.centre) / scale, run.observation - base[0].observation) * scale
+
+
+def widths(worth: Certainty) -> Vector:
+    """Half-widths by the ensemble alone, shape [U]."""
+    return np.array([calibration.half_width for calibration in worth.calibrations.values()])
+
+
+def pointed_to(state: Search, worth: Certainty) -> Vector:
+    """The unknowns that belong to the target by all runs around the ensemble's centre."""
+    if worth.joint is None:
+        estimate = np.array([calibration.estimate for calibration in worth.calibrations.values()])
+        return state.bounds.clip(estimate) if np.all(np.isfinite(estimate)) else worth.centre
+    scale = state.bounds.range
+    box = state.bounds.around(worth.centre, state.problem.loop.trust * scale)
+    inside = worth.joint.inside((box.lower - worth.centre) / scale, (box.upper - worth.centre) / scale)
+    return state.rounded(worth.centre + inside * scale)
+
+
+def sharpened(state: Search, worth: Certainty, run: Checked) -> Answer:
+    """The answer at `run`, where all runs together pointed to.
+
+    A run scatters with its jitter seed, the line through all of them much less. Where a run at the answer misses by
+    its own scatter, other seeds join it while the budget lasts, and their mean counts.
+    """
+    nearest = Answer(unknowns=state.nearest.unknowns, runs=[state.nearest])
+    answer = Answer(unknowns=run.unknowns, runs=[run])
+    for seed in np.random.SeedSequence([state.problem.scene.seed, 1]).generate_state(state.budget):
+        if confirms(state, answer, worth):
+            break
+        answer = Answer(unknowns=run.unknowns, runs=[*answer.runs, state.check(run.unknowns, int(seed))])
+    if not state.single and not confirms(state, answer, worth) and confirms(state, nearest, worth):
+        return nearest  # The slopes misled.
+    return answer
+
+
+def confirms(state: Search, answer: Answer, worth: Certainty) -> bool:
+    """Whether the MPM at the answer, on average over its runs, meets the target."""
+    seen = Seen(observation=answer.observation, front_error=answer.front_error, components=state.observation.components)
+    return meets(state.problem, state.target, seen, chance=worth.misfit, front_chance=worth.front_misfit)
+
+
+def verdict(state: Search, answer: Answer, worth: Certainty) -> Verdict:
+    """What the MPM says of the answer."""
+    if state.problem.target.least:
+        begun = state.checked[1].observation[0]
+        scatter = next(iter(worth.calibrations.values())).scatter
+        better = begun - answer.observation[0] > 2.0 * scatter
+        return Verdict.CONFIRMED if better else Verdict.UNCONFIRMED
+    if confirms(state, answer, worth):
+        return Verdict.CONFIRMED
+    far = worth.joint is not None and out_of_reach(state, worth.joint, answer, worth)
+    return Verdict.UNREACHABLE if far else Verdict.UNCONFIRMED
+
+
+def out_of_reach(state: Search, joint: Joint, answer: Answer, worth: Certainty) -> bool:
+    """Whether nothing within the bounds is any nearer to the target, by the MPM's own slopes around the answer."""
+    widths = state.bounds.range
+    kind, components = state.problem.observation.kind, state.observation.components
+    miss = distance(kind, answer.observation, state.target.values, components)
+    if miss <= allowed(state.problem, state.target, worth.misfit, components):
+        return False
+    if len(joint.centre) != len(state.target.values):
+        return False  # The slopes are the surrogate's.
+    low, high = (state.bounds.lower - worth.centre) / widths, (state.bounds.upper - worth.centre) / widths
+    return joint.least_misfit(state.target.values, low, high) > NO_NEARER
+
+
+def half_widths(state: Search, answer: Answer, worth: Certainty) -> dict[str, float]:
+    """Half-width of each unknown around the answer; no wider than the bounds, which were known before."""
+    off = np.zeros(len(answer.unknowns)) if worth.bend is None else worth.bend
+    return {
+        name: float(min(math.hypot(calibration.half_width, bent) + abs(calibration.estimate - value), width))
+        for (name, calibration), bent, value, width in zip(
+            worth.calibrations.items(), off, answer.unknowns, state.bounds.range, strict=True
+        )
+    }
