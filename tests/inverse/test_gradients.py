@@ -35,7 +35,8 @@ KINDS = {
         "baffles[0].height",
     ),
 }
-STEPS = {"deg": 1e-2, "cohesion": 0.1, "velocity": 1e-5, "baffles": 1e-6}
+STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7}
+"""Short, because a profile has a kink wherever a point passes a station."""
 
 
 def step_of(name: str) -> float:
