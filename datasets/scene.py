@@ -3,8 +3,12 @@
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.material import Material
@@ -194,20 +198,16 @@ def check(scene: Scene) -> None:
                 f"{dimension} finite components in m/s",
                 list(mass.velocity),
             )
-        for other in range(index):
-            require(
-                not overlap(mass, scene.masses[other]),
-                f"masses[{index}]",
-                f"a box clear of masses[{other}]",
-                "an overlap",
-            )
-        for other, baffle in enumerate(scene.baffles):
-            require(not overlap(mass, baffle), f"baffles[{other}]", f"a box clear of masses[{index}]", "an overlap")
+    names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
+    shared = overlaps((*scene.masses, *scene.baffles))
+    shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of several boxes
+    for first, second in np.argwhere(shared):
+        raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
 
 
-def overlap(a: Mass | Baffle, b: Mass | Baffle) -> bool:
-    """Whether two boxes share volume; touching faces do not count."""
-    return all(
-        low_a + TOLERANCE < low_b + size_b and low_b + TOLERANCE < low_a + size_a
-        for low_a, size_a, low_b, size_b in zip(a.lower, a.size, b.lower, b.size, strict=True)
-    )
+def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
+    """Which boxes share volume with a later one, shape [N, N]; touching faces do not count."""
+    lower = np.array([box.lower for box in boxes])
+    upper = lower + np.array([box.size for box in boxes])
+    below = lower[:, None] + TOLERANCE < upper[None]
+    return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))
