@@ -127,7 +127,7 @@ def seen(problem: Problem, values: Values) -> str:
     if kind is Observable.DEPOSIT:
         return f"{len(values) // problem.scene.dimension} points"
     if kind is Observable.PROFILE:
-        return f"mean x {values.mean():.4f} m, front {values[-1]:.4f} m"
+        return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
     return f"{kind} {values[0]:.4f} m"
 
 

@@ -110,6 +110,11 @@ class Outcome:
         return sum(run["purpose"] == Purpose.CHECK for run in self.result["mpm_runs"])
 
     @property
+    def alone(self) -> dict[str, Any]:
+        """The first MPM run: where the surrogate ended before any of them corrected it."""
+        return next(run for run in self.result["mpm_runs"] if run["purpose"] == Purpose.CHECK)
+
+    @property
     def ensemble(self) -> int:
         """MPM runs for the certainty."""
         return len(self.result["mpm_runs"]) - self.checks

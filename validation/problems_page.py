@@ -18,8 +18,9 @@ HEAD = """\
 
 Every problem that ships, solved by `python -m validation.loop`: the surrogate proposes, our MPM confirms or corrects.
 Targets of twin experiments are made by our own MPM with another initial jitter than the inversion's. All that is said
-of an answer is the MPM's word: loss and front are those of the MPM at the answer. The ± is meant to hold the truth 95
-times in 100. "MPM runs" counts what the answer took, and in brackets the ensemble that its half-width took.
+of an answer is the MPM's word: loss and front are those of the MPM at the answer, and with "the surrogate alone" those
+where it ended before the MPM corrected it. The ± is meant to hold the truth 95 times in 100. "MPM runs" counts what the
+answer took, and in brackets the ensemble that its half-width took.
 """
 
 PAPER = """
@@ -74,13 +75,13 @@ def section(folder: Path, group: Family, here: Sequence[Outcome], paper: Paper) 
     """A group: its table, what was asked, its pictures."""
     twins = any(outcome.truth for outcome in here)
     stated = [papers(outcome.problem.name, paper) for outcome in here]
-    head = ["problem", *(["the paper"] if any(stated) else []), "verdict", "found"]
+    head = ["problem", *(["the paper"] if any(stated) else []), "the surrogate alone", "verdict", "found"]
     head += [*(["largest error", "truth inside"] if twins else []), "away from the target", "loss", "MPM runs"]
     head += ["s per iteration", "s in all"]
     rows = []
     for outcome, said in zip(here, stated, strict=True):
         row = [f"`{outcome.problem.name}`", *([said or "-"] if any(stated) else [])]
-        row += [f"**{outcome.verdict}**", answer(outcome), *(truth(outcome) if twins else [])]
+        row += [alone(outcome), f"**{outcome.verdict}**", answer(outcome), *(truth(outcome) if twins else [])]
         row += [miss(outcome), "-" if outcome.loss is None else f"{outcome.loss:.2e}"]
         star = "\\*" if outcome.origin and outcome.origin.resumed else ""
         row += [f"{outcome.checks} (+ {outcome.ensemble})", f"{outcome.seconds['per_iteration']:.1f}"]
@@ -127,6 +128,16 @@ def answer(outcome: Outcome) -> str:
             label + (f"{number(name, value)} ± {quantity(name, widths[name])}" if widths else quantity(name, value))
         )
     return "<br>".join(said)
+
+
+def alone(outcome: Outcome) -> str:
+    """What the surrogate had found before any MPM run corrected it, and the MPM's loss there."""
+    run = outcome.alone
+    loss = f"loss {run['loss']:.2e}"
+    if len(outcome.unknowns) > 1:
+        return loss
+    ((name, value),) = run["unknowns"].items()
+    return f"{quantity(name, value)}; {loss}"
 
 
 def truth(outcome: Outcome) -> list[str]:

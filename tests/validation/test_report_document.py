@@ -21,7 +21,8 @@ def result(name: str, verdict: str = "confirmed", off: float = 0.002) -> dict[st
     problem = read_problem(name)
     truth = {unknown.name: unknown.initial + 0.1 * (unknown.upper - unknown.initial) for unknown in problem.unknowns}
     unknowns = {name: value * (1.0 + off) for name, value in truth.items()}
-    record = {"purpose": "check", "seconds": 1.0}
+    began = {name: value * 0.75 for name, value in truth.items()}
+    record = {"purpose": "check", "seconds": 1.0, "unknowns": began, "loss": 5e-4}
     return {
         "problem": name,
         "verdict": verdict,
@@ -64,6 +65,7 @@ def test_two_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     text = (tmp_path / "docs" / "problems.md").read_text()
     assert "44.54 deg (6.06 %); runout 0.72 %" in text
     assert "loss 8.70e-04" in text
+    assert "24.15 deg; loss 5.00e-04" in text, "of one unknown the surrogate's own answer is told as well"
     for name in names:
         assert f"`python -m validation.loop {name} --out {tmp_path / 'runs' / name}`" in text
     assert "![deposit](pictures/friction-tall-42-deposit.png)" in text
