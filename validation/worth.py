@@ -97,7 +97,11 @@ def combinations(result: Result, known: Identifiability) -> list[str]:
     if len(hidden) == len(known.combinations):
         return [*lines, "", "It tells nothing of the unknowns."]
     heavy = {name for each in hidden for name in _heavy(each)}
-    lines += ["", f"Single values of {', '.join(code(sorted(heavy)))} are to be read with that in mind."]
+    lines += [
+        "",
+        f"Single values of {', '.join(code(sorted(heavy)))} are to be read with that in mind. Far away along what is not "
+        "told other answers may lie, and all half-widths are those of this one: `optimiser.starts` looks for others.",
+    ]
     return lines
 
 
