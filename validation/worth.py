@@ -99,8 +99,8 @@ def combinations(result: Result, known: Identifiability) -> list[str]:
     heavy = {name for each in hidden for name in _heavy(each)}
     lines += [
         "",
-        f"Single values of {', '.join(code(sorted(heavy)))} are to be read with that in mind. Far away along what is not "
-        "told other answers may lie, and all half-widths are those of this one: `optimiser.starts` looks for others.",
+        f"Single values of {', '.join(code(sorted(heavy)))} are to be read with that in mind. Far away along what is "
+        "not told may lie other answers; the half-widths are of this one alone: `optimiser.starts` looks for others.",
     ]
     return lines
 
