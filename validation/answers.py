@@ -8,7 +8,7 @@ import numpy as np
 from inverse.forward import Simulate
 from inverse.result import Verdict
 from inverse.unknowns import Vector
-from validation.certainty import Certainty, certainty
+from validation.certainty import SPREAD, Certainty, certainty
 from validation.joint import Joint
 from validation.judgement import Seen, allowed, distance, meets
 from validation.search import Checked, Search
@@ -17,7 +17,8 @@ from validation.solved import Answer
 MOST_ENSEMBLES = 3
 """Where the MPM's slopes have changed on the way from an ensemble to its estimate, another one is made there."""
 STRAIGHT = 0.5
-"""Share of a half-width by which they may have moved the estimate."""
+"""Share of a half-width by which they may have moved the estimate; of a single unknown, whose bend is fitted, share of
+the ensemble's reach at which the estimate may lie."""
 NO_WORSE = 1.5
 """Loss over the least so far up to which that is worth it."""
 NO_NEARER = 0.5
@@ -35,12 +36,22 @@ def settle(state: Search, members: Simulate) -> tuple[Answer, Certainty]:
             return Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), worth
         run = state.check(unknowns)
         worth = dataclasses.replace(worth, bend=bend(state, worth, run))
-        straight = worth.bend is None or bool(np.all(np.abs(worth.bend) <= STRAIGHT * widths(worth)))
-        if straight or number == MOST_ENSEMBLES or state.budget < 1 or run.loss > NO_WORSE * state.nearest.loss:
+        if straight(state, worth, unknowns) or number == MOST_ENSEMBLES or state.budget < 1:
+            break
+        if run.loss > NO_WORSE * state.nearest.loss:
             break
         # The slopes change over such a distance: look at them again where it led.
+        state.surveyed += worth.runs
         worth = certainty(state, unknowns, members)
     return sharpened(state, worth, run), worth
+
+
+def straight(state: Search, worth: Certainty, unknowns: Vector) -> bool:
+    """Whether what the runs around the ensemble's centre say holds at `unknowns` too, where they point to."""
+    if worth.joint is None:
+        reach = STRAIGHT * SPREAD * state.bounds.range
+        return bool(np.all(np.abs(unknowns - worth.centre) <= reach))
+    return worth.bend is None or bool(np.all(np.abs(worth.bend) <= STRAIGHT * widths(worth)))
 
 
 def bend(state: Search, worth: Certainty, run: Checked) -> Vector | None:

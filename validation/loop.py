@@ -59,7 +59,8 @@ def solve(
     surrogate = source.start(answer.runs[0].trajectory)
     (seen,) = surrogate.observe([answer.unknowns])
     checks = [(Purpose.CHECK, checked, runs) for checked in state.checked]
-    others = [(Purpose.ENSEMBLE, member, members) for member in worth.runs] if worth else []
+    ensembles = [*state.surveyed, *worth.runs] if worth else []
+    others = [(Purpose.ENSEMBLE, member, members) for member in ensembles]
     records = [record(problem, purpose, checked, kept, out) for purpose, checked, kept in checks + others]
     certain = worth if verdict is not Verdict.UNREACHABLE else None
     result = Result(

@@ -68,6 +68,8 @@ class Search:
     """Of the first inversion, those that did not end lowest."""
     other_minima: list[Minimum] = field(default_factory=list)
     checked: list[Checked] = field(default_factory=list)
+    surveyed: list[Checked] = field(default_factory=list)
+    """Runs of ensembles that were followed by another one, nearer to the answer."""
     reachable: bool = True
     """False once not even the MPM's own slope leads any nearer to the target."""
 

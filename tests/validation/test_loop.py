@@ -12,6 +12,7 @@ from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
 from inverse.problem import LoopSettings, Observable, TargetSettings
 from inverse.result import Purpose, Result, Verdict
+from validation import answers
 from validation.loop import finish, solve
 from validation.solved import Solved
 
@@ -70,6 +71,21 @@ def test_the_truth_is_found_through_the_mpms_scatter(make_case: Any, tmp_path: P
     assert result.certainty is not None
     assert 0.1 < result.certainty["friction_deg"] < 1.2
     assert result.verdict is Verdict.CONFIRMED
+
+
+@pytest.mark.parametrize(("straight", "ensembles"), [(0.5, 1), (0.1, 2)])
+def test_an_ensemble_that_points_far_away_is_made_again_there(
+    make_case: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, straight: float, ensembles: int
+) -> None:
+    monkeypatch.setattr(answers, "STRAIGHT", straight)
+    # The surrogate alone ends 0.7 degrees off: near enough to leave the rest to the ensemble.
+    found = solved(make_case(truth=40.0, offset=1.004, scatter=0.0005), tmp_path)
+    members = [run for run in found.result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
+    assert len(members) == 32 * ensembles
+    assert found.certainty is not None
+    reach = 0.2 if ensembles == 2 else 1.0
+    assert abs(found.certainty.centre[0] - found.result.answer[0]) < reach
+    assert found.result.unknowns["friction_deg"] == pytest.approx(40.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("beyond", "bound"), [(5.0, 12.0), (60.0, 52.0)])
