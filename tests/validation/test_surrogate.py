@@ -150,7 +150,9 @@ def tiny(tmp_path: Path) -> models.Model:
     )
     normalisation = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
     path = tmp_path / "tiny.pt"
-    checkpoint.save(path, Simulator(settings, normalisation), {"minutes": 3.0, "seed": 7, "datasets": ["none: 0"]})
+    checkpoint.save(
+        path, Simulator(settings, normalisation), {"log": {"updates": 3000}, "seed": 7, "datasets": ["none: 0"]}
+    )
     ((model,), missing) = models.load((path,))
     assert missing == []
     return model
@@ -181,7 +183,7 @@ def test_every_scene_by_every_model_from_both_starts(tiny: models.Model, monkeyp
 
 def test_a_model_is_described(tiny: models.Model) -> None:
     text = "\n".join(models.facts([tiny]))
-    assert "| training | 3 minutes |" in text
+    assert "| training | 3,000 updates |" in text
     assert "| cell, points per cell | 10 mm, 1 |" in text
     assert "none: 0" in text
 

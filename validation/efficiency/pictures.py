@@ -56,7 +56,7 @@ def draw_unknowns(path: Path, over: OverUnknowns) -> None:
     for other in (FD_GNS, FD_MPM):
         found = crossing(curves[AD], curves[other])
         if not found.never and not found.everywhere:
-            mark(axis, found.first, curves[AD], f"{found.first:.2g} unknowns")
+            mark(axis, found.first, curves[AD], f"{found.first:.2g} unknowns", above=other == FD_GNS)
     axis.set_xlabel("unknowns")
     axis.set_ylabel("seconds per gradient")
     finish(figure, axis, path)
@@ -93,12 +93,13 @@ def draw_points(path: Path, over: OverPoints) -> None:
     finish(figure, left, path)
 
 
-def mark(axis: Axes, number: float, curve: list[tuple[float, float]], text: str) -> None:
-    """A cross on a curve, straight between its points on logarithmic axes."""
+def mark(axis: Axes, number: float, curve: list[tuple[float, float]], text: str, *, above: bool = False) -> None:
+    """A cross on a curve, straight between its points on logarithmic axes, and `text` below it or above."""
     x, y = np.log(np.array(curve)).T
     height = float(np.exp(np.interp(np.log(number), x, y)))
     axis.plot(number, height, "x", color="#222222", markersize=9, zorder=5)
-    axis.annotate(text, (number, height), xytext=(7, -12), textcoords="offset points", fontsize=8)
+    shift, side = ((-7, 14), "right") if above else ((7, -12), "left")
+    axis.annotate(text, (number, height), xytext=shift, textcoords="offset points", fontsize=8, ha=side)
 
 
 def finish(figure: Figure, axis: Axes, path: Path) -> None:

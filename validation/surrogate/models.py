@@ -95,9 +95,8 @@ def facts(models: Sequence[Model]) -> list[str]:
 
 def trained(provenance: Mapping[str, Any]) -> str:
     """How long a model was trained, with the models that it was begun with."""
-    minutes, at = 0.0, provenance
+    updates, at = 0, provenance
     while at:
-        part = at.get("log", at).get("minutes")
-        minutes += part if isinstance(part, int | float) else 0.0
+        updates += at.get("log", {}).get("updates", 0)
         at = at.get("begin") or {}
-    return f"{minutes:.0f} minutes" if minutes else "-"
+    return f"{updates:,} updates" if updates else "-"
