@@ -199,8 +199,8 @@ def way(result: Result) -> list[str]:
     members = [run for run in result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
     lines = [
         f"The surrogate proposes, the MPM answers: {len(checked)} of {result.problem.loop.mpm_runs} MPM runs were "
-        f"spent on the answer, {len(members)} more on its certainty. Round 0 is the surrogate as it is; in later "
-        "rounds it is corrected by what the MPM showed.",
+        f"spent on the way, {len(members)} more around the answer for its last step and its certainty. Round 0 is the "
+        "surrogate as it is; in later rounds it is corrected by what the MPM showed.",
         "",
         *rounds_table(result),
         "",

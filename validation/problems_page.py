@@ -19,8 +19,8 @@ HEAD = """\
 Every problem that ships, solved by `python -m validation.loop`: the surrogate proposes, our MPM confirms or corrects.
 Targets of twin experiments are made by our own MPM with another initial jitter than the inversion's. All that is said
 of an answer is the MPM's word: loss and front are those of the MPM at the answer, and with "the surrogate alone" those
-where it ended before the MPM corrected it. The ± is meant to hold the truth 95 times in 100. "MPM runs" counts what the
-answer took, and in brackets the ensemble that its half-width took.
+where it ended before the MPM corrected it. The ± is meant to hold the truth 95 times in 100. "MPM runs" counts those
+on the way, and in brackets the ensembles around the answer, for its last step and its half-width.
 """
 
 PAPER = """
