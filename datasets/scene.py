@@ -201,7 +201,8 @@ def check(scene: Scene) -> None:
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of several boxes
-    for first, second in np.argwhere(shared):
+    if shared.any():
+        first, second = np.argwhere(shared)[0]
         raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
 
 

@@ -1,7 +1,7 @@
 """`python -m gns.average MODEL... --out PATH`: one model whose weights are the mean of those of several.
 
 Models of one line of training, each begun with the one before, lie in one valley of the loss, and their errors differ:
-the mean of their weights errs less than they do one by one (Izmailov, Podoprikhin, Garipov, Vetrov & Wilson, Averaging
+the mean of their weights often errs less than each of them (Izmailov, Podoprikhin, Garipov, Vetrov & Wilson, Averaging
 weights leads to wider optima and better generalization, UAI 2018). It costs no training and a rollout no time. Models
 that were begun with other random weights have nothing to average: score the result before it is used.
 """

@@ -53,7 +53,7 @@ def draw(
         ends.append(first - 0.5)
         losses = [max(evaluation.loss, LEAST_LOSS) for evaluation in stage.evaluations]
         label = forward if stage is rounds[0] else None
-        axes[0].plot(numbers, losses, ".-", color=COLOURS["surrogate"], label=label)
+        axes[0].plot(numbers, losses, ".-", color=COLOURS[forward], label=label)
         for index, name in enumerate(problem.names):
             values = [evaluation.unknowns[index] for evaluation in stage.evaluations]
             axis = axes[1 + units.index(kind(name).unit)]

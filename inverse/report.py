@@ -135,7 +135,7 @@ def answer(result: Result, alone: Mapping[str, float] | None = None) -> list[str
         row += [f"± {quantity(name, widths[name])}"] if widths else []
         row += known(result, name)
         if truth and widths:
-            row.append("yes" if abs(value - truth[name]) <= widths[name] else "**no**")
+            row.append("yes" if name in result.inside else "**no**")
         rows.append([*row, *([quantity(name, alone[name])] if alone else [])])
     return table([*head, *(["the surrogate alone"] if alone else [])], rows)
 

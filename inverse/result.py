@@ -138,6 +138,19 @@ class Result:
         return named(self.problem, self.answer)
 
     @property
+    def inside(self) -> list[str]:
+        """The unknowns whose true value is known and lies within their half-width."""
+        truth, widths = self.target.truth, self.certainty
+        if not truth or not widths:
+            return []
+        return [name for name, value in self.unknowns.items() if abs(value - truth[name]) <= widths[name]]
+
+    @property
+    def checks(self) -> list[RunRecord]:
+        """The MPM runs that count against the budget."""
+        return [run for run in self.mpm_runs if run.purpose is Purpose.CHECK]
+
+    @property
     def error_pct(self) -> dict[str, float]:
         """Relative errors that are known: of each unknown in a twin experiment, of the front where the MPM ran."""
         errors = {

@@ -142,8 +142,7 @@ def design(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
     changed it by t times the scatter of the difference of a run from the mean at the answer.
     """
     runs, here, _ = around(state, answer, simulate, replicates=replicates(state.problem))
-    number = {id(run): float(run.observation[0]) for run in runs}
-    at = np.array([number[id(run)] for run in here])
+    at = np.array([run.observation[0] for run in here])
     scatter = float(at.std(ddof=1))
     student = float(student_t.ppf(0.5 + CONFIDENCE / 2.0, len(at) - 1))
     change = student * scatter * math.sqrt(1.0 + 1.0 / len(at))
@@ -151,7 +150,7 @@ def design(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
     for index, name in enumerate(state.problem.names):
         moved = [run for run in runs if run.unknowns[index] != answer[index]]
         steps = np.array([run.unknowns[index] - answer[index] for run in moved])
-        rise = np.array([number[id(run)] for run in moved]) - at.mean()
+        rise = np.array([run.observation[0] for run in moved]) - at.mean()
         slope, bend = np.linalg.lstsq(np.stack([steps, steps**2], axis=1), rise, rcond=None)[0]
         roots = np.roots([max(float(bend), 1e-12), abs(float(slope)), -change])
         calibrations[name] = Calibration(

@@ -22,7 +22,7 @@ from inverse.gns_forward import GnsSource
 from inverse.observations import Observation
 from inverse.problem import Observable, Problem, read_problem
 from inverse.report import quantity, table
-from inverse.result import Purpose, Result
+from inverse.result import Result
 from inverse.target import Target, read_target
 from mpm.simulate import simulate_many
 from validation.loop import solve
@@ -67,7 +67,8 @@ def main(problem: str, /, *, out: Path, seeds: int = 10, noise: float = 0.0, mod
         result = solve(noisy, target, observation, folder, source, simulate_many).result
         result.write(folder)
         results.append(result)
-        print(f"{number + 1}/{seeds}: {result.verdict}, inside {inside(result)} of {len(result.unknowns)}", flush=True)
+        told = f"inside {len(result.inside)} of {len(result.unknowns)}"
+        print(f"{number + 1}/{seeds}: {result.verdict}, {told}", flush=True)
     lines = page(asked, results, noise)
     files.write_text(out / "coverage.md", "\n".join(lines) + "\n")
     print("\n".join(lines))
@@ -90,11 +91,6 @@ def hidden(
     return known, Target(values=values, edge=observation.edge(values), truth=target.truth)
 
 
-def inside(result: Result) -> int:
-    """Unknowns whose truth lies within the stated half-width."""
-    return sum(_holds(result, name) for name in result.unknowns)
-
-
 def page(problem: Problem, results: Sequence[Result], noise: float) -> list[str]:
     """The table and what it comes to, in Markdown."""
     rows = []
@@ -105,20 +101,19 @@ def page(problem: Problem, results: Sequence[Result], noise: float) -> list[str]
             + (f"± {quantity(name, widths[name])})" if widths else "no half-width)")
             for name, value in result.unknowns.items()
         ]
-        checks = sum(each.purpose is Purpose.CHECK for each in result.mpm_runs)
         rows.append(
             [
                 str(result.problem.target.seed),
                 "<br>".join(cells),
-                f"{inside(result)} of {len(result.unknowns)}",
-                f"{checks} (+ {len(result.mpm_runs) - checks})",
+                f"{len(result.inside)} of {len(result.unknowns)}",
+                f"{len(result.checks)} (+ {len(result.mpm_runs) - len(result.checks)})",
                 f"{result.total_seconds:.0f}",
                 str(result.verdict),
             ]
         )
     count = len(problem.unknowns)
-    every = [inside(result) for result in results]
-    by_name = [f"`{name}` {sum(_holds(result, name) for result in results)}" for name in problem.names if count > 1]
+    every = [name for result in results for name in result.inside]
+    by_name = [f"`{name}` {every.count(name)}" for name in problem.names if count > 1]
     return [
         f"# {problem.name}: does the half-width hold?",
         "",
@@ -128,14 +123,9 @@ def page(problem: Problem, results: Sequence[Result], noise: float) -> list[str]
         "",
         *table(["seed", "found", "truth inside", "MPM runs (and ensemble)", "seconds", "verdict"], rows),
         "",
-        f"The truth lies within the half-width {sum(every)} times of {count * len(results)}"
+        f"The truth lies within the half-width {len(every)} times of {count * len(results)}"
         + (f"; per unknown, of {len(results)}: {', '.join(by_name)}." if by_name else "."),
     ]
-
-
-def _holds(result: Result, name: str) -> bool:
-    truth, widths = result.target.truth, result.certainty
-    return bool(truth and widths and abs(result.unknowns[name] - truth[name]) <= widths[name])
 
 
 if __name__ == "__main__":

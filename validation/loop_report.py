@@ -75,7 +75,7 @@ def draw(solved: Solved, folder: Path) -> None:
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
     pictures.draw_deposits(folder / "deposit.png", problem, target, result.answer, deposits)
-    checked = checks(result)
+    checked = result.checks
     # The second run of a design is at its start: no round led there.
     marks = [
         Check(unknowns=run.unknowns, loss=run.loss)
@@ -195,7 +195,7 @@ def against(solved: Solved) -> list[str]:
 def way(result: Result) -> list[str]:
     """Every round of the surrogate and every MPM run."""
     names = told(result.problem)
-    checked = checks(result)
+    checked = result.checks
     members = [run for run in result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
     lines = [
         f"The surrogate proposes, the MPM answers: {len(checked)} of {result.problem.loop.mpm_runs} MPM runs were "
@@ -259,11 +259,6 @@ def shown(trajectory: Trajectory, folder: Path, *, vtk: bool, movie: bool) -> li
     return lines
 
 
-def checks(result: Result) -> list[RunRecord]:
-    """The MPM runs that count against the budget."""
-    return [run for run in result.mpm_runs if run.purpose is Purpose.CHECK]
-
-
 def alone_found(result: Result) -> dict[str, float]:
     """What the surrogate had found before any MPM run corrected it."""
     return named(result.problem, best(list(result.rounds[0].evaluations)).unknowns)
@@ -283,7 +278,7 @@ def summary(result: Result) -> str:
     off = "-" if result.loss_mpm is None else away(result.problem, result.loss_mpm)
     if "front" in result.error_pct:
         off += f", front {result.front_error_pct:+.2f} %,"
-    lines.append(f"  {'away':<{width}} {off} in the MPM, {len(checks(result))} MPM runs")
+    lines.append(f"  {'away':<{width}} {off} in the MPM, {len(result.checks)} MPM runs")
     seconds = result.seconds
     lines.append(f"  {'time':<{width}} {seconds['total']:.0f} s, {seconds['per_iteration']:.1f} s per gradient")
     return "\n".join(lines)

@@ -19,7 +19,7 @@ def words(result: Result, certainty: Certainty) -> list[str]:
         return [*lines, *of_design(result, certainty), ""]
     extra = len(certainty.runs)
     lines += [
-        f"{extra} more MPM runs at the answer and beside it, with {_seeds(certainty)} jitter seeds at it, say how "
+        f"{extra} more MPM runs at the answer and beside it, with {len(certainty.here)} jitter seeds at it, say how "
         f"much the MPM scatters by chance: {scatter(result, certainty)}. The target is one such flow as well. "
         "Each half-width is meant to hold the truth 95 times in 100.",
         "",
@@ -142,7 +142,3 @@ def _about(name: str, value: float) -> str:
 
 def _share(value: float) -> str:
     return f"{100.0 * value:.2g} %" if value < 1.0 else f"{value:.1f} times"
-
-
-def _seeds(certainty: Certainty) -> int:
-    return len(certainty.here)

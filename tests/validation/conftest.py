@@ -30,6 +30,18 @@ def length(friction_deg: float) -> float:
     return 1.0 - 0.02 * (friction_deg - 12.0) + 0.5 * 0.0003 * (friction_deg - 12.0) ** 2
 
 
+def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
+    """A flow of `scene` whose points lie at `x` [m], shape [N], all the time."""
+    positions = np.stack([np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2).astype(np.float32)
+    return Trajectory(
+        positions=positions,
+        time=np.array([0.0, scene.duration]),
+        velocity0=np.zeros((len(x), 2), np.float32),
+        friction=np.full(len(x), scene.material.friction, np.float32),
+        scene=scene,
+    )
+
+
 @dataclass
 class FakeMpm:
     """Deposits by the formula, with a scatter that depends on the jitter seed."""
@@ -50,14 +62,7 @@ class FakeMpm:
         angle = scene.material.friction_deg
         chance = np.random.default_rng([scene.seed, round(angle * 1e6)]).normal() * self.scatter
         x = (length(angle) + chance) * SHAPE
-        positions = np.stack([np.stack([x, 0.1 * np.ones(POINTS)], axis=1)] * 2).astype(np.float32)
-        return Trajectory(
-            positions=positions,
-            time=np.array([0.0, scene.duration]),
-            velocity0=np.zeros((POINTS, 2), np.float32),
-            friction=np.full(POINTS, scene.material.friction, np.float32),
-            scene=scene,
-        )
+        return at_rest(x, scene)
 
 
 @dataclass(kw_only=True)

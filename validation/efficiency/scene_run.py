@@ -1,4 +1,4 @@
-"""python -m validation.efficiency.scene_run METHOD TIMES: one gradient's work in a tall column, as JSON.
+"""`python -m validation.efficiency.scene_run WORK TIMES`: one gradient's work in a tall column, as JSON.
 
 A process of its own for each: memory that another one left behind would count otherwise.
 """
