@@ -14,7 +14,7 @@ from datasets.obstacle3d import (
     CELLS,
     GAP,
     HIGHEST_START,
-    POINTS_PER_AXIS,
+    PARTICLES_PER_AXIS,
     SIDE_SPEED,
     SPEED,
     TRIES,
@@ -63,7 +63,7 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
         wall_friction=0.43,
         baffle_friction=0.43,
         step_fraction=0.9,
-        points_per_axis=POINTS_PER_AXIS,
+        particles_per_axis=PARTICLES_PER_AXIS,
         seed=jitter_seed(stream),
     )
 

@@ -51,7 +51,7 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
             if "positions" not in file.keys or len(file.shape("positions")) != 3:
                 raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
             frames, points, _ = file.shape("positions")
-        spacing = scene.domain.cell / scene.points_per_axis
+        spacing = scene.domain.cell / scene.particles_per_axis
         this = (scene.domain.size, scene.frame_dt, frames, spacing)
         if shared is not None and this != shared:
             raise InputError(

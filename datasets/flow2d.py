@@ -41,7 +41,7 @@ def box_scene(*, friction_deg: float, masses: tuple[Mass, ...], seed: int) -> Sc
         wall_friction=0.385,
         damping=0.12,
         step_fraction=0.9,
-        points_per_axis=2,
+        particles_per_axis=2,
         seed=seed,
     )
 

@@ -92,7 +92,7 @@ def convert(part: Part, layout: Layout, out: Path, known: Known, up: str) -> flo
 
 def spacing_in(scene: Scene) -> float:
     """How far apart the points of a scene start [m]."""
-    return scene.domain.cell / scene.points_per_axis
+    return scene.domain.cell / scene.particles_per_axis
 
 
 def parts_of(source: Path, layout: Layout) -> list[Part]:

@@ -40,7 +40,7 @@ def metadata(
             "accelerations": statistics.acceleration.count,
         },
         "cell": scene.domain.cell,
-        "points_per_axis": scene.points_per_axis,
+        "particles_per_axis": scene.particles_per_axis,
         "step_fraction": scene.step_fraction,
         "material": material,
         "friction_deg": [min(angles), max(angles)],

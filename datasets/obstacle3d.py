@@ -23,7 +23,7 @@ CELLS = 32
 SIDE_CELLS = (8, 25)
 """Smallest and largest side of a mass in cells: the paper's 0.25 to 0.80 m."""
 MOST_POINTS = 17_000
-POINTS_PER_AXIS = 2
+PARTICLES_PER_AXIS = 2
 HIGHEST_START = 8
 """Largest height of a lifted mass above the floor in cells: below the top of the baffles, so that it meets them."""
 SPEED = 3.0
@@ -69,7 +69,7 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
         wall_friction=0.43,
         baffle_friction=0.43,
         step_fraction=0.9,
-        points_per_axis=POINTS_PER_AXIS,
+        particles_per_axis=PARTICLES_PER_AXIS,
         seed=jitter_seed(stream),
     )
 
@@ -89,7 +89,7 @@ def draw_sides(stream: np.random.Generator) -> NDArray[np.int64]:
     """Sides of a mass in cells, shape [3]: not too many points, and not too long for a baffle behind it."""
     while True:
         sides = stream.integers(*SIDE_CELLS, 3, endpoint=True)
-        if POINTS_PER_AXIS**3 * sides.prod() <= MOST_POINTS and sides[0] <= CELLS - ROOM_CELLS:
+        if PARTICLES_PER_AXIS**3 * sides.prod() <= MOST_POINTS and sides[0] <= CELLS - ROOM_CELLS:
             return sides
 
 

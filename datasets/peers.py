@@ -146,7 +146,7 @@ def known_keys(kind: type[M], data: Mapping[str, Any], where: Path) -> M:
 def particles_of(trajectory: Trajectory, name: str) -> Particles:
     """Sand and, after it, the lattices of points that stand for the baffles, at the spacing of the sand's cells."""
     scene, sand = trajectory.scene, trajectory.positions
-    share = scene.domain.cell / scene.points_per_axis
+    share = scene.domain.cell / scene.particles_per_axis
     obstacles = np.concatenate(
         [np.empty((0, scene.dimension)), *(obstacle_points(baffle, share) for baffle in scene.baffles)]
     ).astype(np.float32)

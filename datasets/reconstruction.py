@@ -3,7 +3,7 @@
 | of the scene | from |
 |---|---|
 | `domain.size` | the bounds, their lower corner moved to the origin |
-| `domain.cell`, `points_per_axis` | the spacing of the points, so that a domain is a whole number of cells |
+| `domain.cell`, `particles_per_axis` | the spacing of the points, so that a domain is a whole number of cells |
 | `frame_dt`, `duration` | the time between frames and their number |
 | `material.friction_deg` | the material property, or the angle that the user gives |
 | `masses` | the box around each cluster of sand in the first frame, with its mean velocity and friction |
@@ -82,8 +82,8 @@ def _reconstruct(particles: Particles, known: Known) -> Trajectory:
 
     spacing = point_spacing(start) if known.spacing is None else known.spacing
     lengths = tuple(round(high - low, 9) for low, high in known.bounds)
-    domain, points_per_axis = fitted_domain(lengths, spacing)
-    spacing = domain.cell / points_per_axis
+    domain, particles_per_axis = fitted_domain(lengths, spacing)
+    spacing = domain.cell / particles_per_axis
     baffles = baffles_in(fixed_points(positions[:, particles.stationary], spacing), spacing)
     boxes = mass_boxes(start, spacing, domain, baffles)
     shared, masses = masses_in(boxes, start, velocity0, friction)
@@ -94,7 +94,7 @@ def _reconstruct(particles: Particles, known: Known) -> Trajectory:
         baffles=baffles,
         duration=(len(sand) - 1) * known.frame_dt,
         frame_dt=known.frame_dt,
-        points_per_axis=points_per_axis,
+        particles_per_axis=particles_per_axis,
     )
     return Trajectory(
         positions=sand,
@@ -113,7 +113,7 @@ def _reconstruct(particles: Particles, known: Known) -> Trajectory:
                 "grown": [new - old for new, old in zip(domain.size, lengths, strict=True)],
                 "spacing": spacing,
                 "spacing_from": known.spacing_from,
-                "filled": len(sand[0]) * scene.point_volume / sum(math.prod(mass.size) for mass in scene.masses),
+                "filled": len(sand[0]) * scene.particle_volume / sum(math.prod(mass.size) for mass in scene.masses),
                 "outside": int(((sand < 0.0) | (sand > np.array(domain.size, np.float32))).any(axis=(0, 2)).sum()),
                 "obstacle_points": int(particles.stationary.sum()),
                 "assumed": list(ASSUMED),
@@ -175,9 +175,9 @@ def fitted_domain(lengths: tuple[float, ...], spacing: float) -> tuple[Domain, i
     ideal = lengths[0] / (2 * spacing)
     if ideal > MOST_CELLS:
         raise InputError(f"expected a box of at most {MOST_CELLS} cells a side, the points are {spacing:.3g} m apart")
-    for points_per_axis in (2, 3, 1):
-        if divides(points_per_axis * spacing):
-            return Domain(size=lengths, cell=round(points_per_axis * spacing, 12)), points_per_axis
+    for particles_per_axis in (2, 3, 1):
+        if divides(particles_per_axis * spacing):
+            return Domain(size=lengths, cell=round(particles_per_axis * spacing, 12)), particles_per_axis
     counts = range(max(1, math.floor(ideal * (1 - STRETCH))), math.ceil(ideal * (1 + STRETCH)) + 1)
     for count in sorted(counts, key=lambda count: abs(count - ideal)):
         if divides(lengths[0] / count):

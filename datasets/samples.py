@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from datasets.errors import InputError
 from datasets.mapped import open_trajectory
-from datasets.points import lattice_counts
+from datasets.particles import lattice_counts
 from datasets.scene import Scene
 from datasets.thinning import thin
 from datasets.trajectory import Floats, Trajectory
@@ -71,7 +71,7 @@ class Flow:
             friction=trajectory.friction,
             cohesion=point_cohesion(scene, len(trajectory.friction), name),
             baffles=corners(scene),
-            volume=scene.point_volume,
+            volume=scene.particle_volume,
             size=scene.domain.size,
             gravity=scene.gravity,
             step=step,
@@ -87,14 +87,14 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
 
 
 def point_cohesion(scene: Scene, points: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.points.material_points`, shape [points].
+    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.particles.initial_particles`, shape [points].
 
     Raises InputError where masses differ and the number of points is not theirs.
     """
     values = [scene.material_of(mass).cohesion for mass in scene.masses]
     if len(set(values)) == 1:
         return np.full(points, values[0], np.float32)
-    share = scene.domain.cell / scene.points_per_axis
+    share = scene.domain.cell / scene.particles_per_axis
     counts = [math.prod(lattice_counts(mass, share)) for mass in scene.masses]
     if sum(counts) != points:
         message = f"expected the {sum(counts)} points of masses that differ in cohesion, got {points}"

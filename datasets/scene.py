@@ -83,7 +83,7 @@ class Scene(Strict):
     """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
-    points_per_axis: int = 2
+    particles_per_axis: int = 2
     """Material points per cell along one axis: 2 gives 4 points per cell in 2D, 8 in 3D."""
     jitter: float = 0.8
     """Random displacement of a point at the start, as a fraction of its share of the cell, in [0, 1]."""
@@ -104,9 +104,9 @@ class Scene(Strict):
         return round(self.duration / self.frame_dt) + 1
 
     @property
-    def point_volume(self) -> float:
+    def particle_volume(self) -> float:
         """Initial volume of one material point [m^D]."""
-        return (self.domain.cell / self.points_per_axis) ** self.dimension
+        return (self.domain.cell / self.particles_per_axis) ** self.dimension
 
     @property
     def gravity_vector(self) -> Vector:
@@ -174,7 +174,7 @@ def check(scene: Scene) -> None:
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
     require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
-    require(scene.points_per_axis >= 1, "points_per_axis", "an integer of at least 1", scene.points_per_axis)
+    require(scene.particles_per_axis >= 1, "particles_per_axis", "an integer of at least 1", scene.particles_per_axis)
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
     groups: dict[str, tuple[Mass | Baffle, ...]] = {"masses": scene.masses, "baffles": scene.baffles}
     for kind, boxes in groups.items():

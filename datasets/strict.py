@@ -3,6 +3,7 @@
 import difflib
 import json
 import tomllib
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -12,6 +13,10 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from datasets.errors import InputError
 
 T = TypeVar("T")
+
+
+RENAMED = {"points_per_axis": "particles_per_axis"}
+"""Keys of older files, at any depth, and what they are called now."""
 
 
 class Strict:
@@ -27,7 +32,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """
     try:
         # JSON mode is the strict one that still takes an array for a tuple.
-        return TypeAdapter(kind).validate_json(json.dumps(data, default=str))
+        return TypeAdapter(kind).validate_json(json.dumps(with_new_names(data), default=str))
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
         # A misspelt key is also a missing one; "did you mean" helps more.
@@ -47,6 +52,17 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+
+
+def with_new_names(data: Any) -> Any:
+    """`data` with the keys of `RENAMED` under their new names; a FutureWarning says so."""
+    if isinstance(data, Mapping):
+        for old in RENAMED.keys() & data.keys():
+            warnings.warn(f"the key {old} is now called {RENAMED[old]}", FutureWarning, stacklevel=2)
+        return {RENAMED.get(key, key): with_new_names(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [with_new_names(value) for value in data]
+    return data
 
 
 def read_toml(path: Path) -> dict[str, Any]:

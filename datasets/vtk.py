@@ -34,7 +34,7 @@ class Meshes:
 
     @property
     def materials(self) -> list[Material]:
-        """The different materials of the scene, in the order of `datasets.points.material_points`."""
+        """The different materials of the scene, in the order of `datasets.particles.initial_particles`."""
         scene = self.trajectory.scene
         return list(dict.fromkeys(map(scene.material_of, scene.masses)))
 

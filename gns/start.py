@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.samples import corners, frames_per_step, point_cohesion
 from datasets.scene import Scene
 from datasets.thinning import thin
@@ -59,7 +59,7 @@ class InitialValueProblem:
 
 def at_rest(scene: Scene, settings: ModelSettings, rng: np.random.Generator) -> InitialValueProblem:
     """Begin with the scene itself: its points and their initial velocities. `rng` chooses the points that stay."""
-    points = material_points(scene)
+    points = initial_particles(scene)
     return _problem(
         scene,
         points.positions[None].astype(np.float32),
@@ -103,7 +103,7 @@ def _problem(
 ) -> InitialValueProblem:
     check(scene, settings)
     cohesion = point_cohesion(scene, len(friction), "")
-    thinned = thin(frames[0], scene.point_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
+    thinned = thin(frames[0], scene.particle_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
     known, velocity0 = frames[:, thinned.indices], velocity0[thinned.indices]
     return InitialValueProblem(
         state=State.observed(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Deposit, Observation, Profile, Values
@@ -79,7 +79,7 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
                 where=str(path),
             )
     deposit = trajectory.positions[-1]
-    points = point_count(problem.scene)
+    points = particle_count(problem.scene)
     if isinstance(observation, Deposit) and len(deposit) != points:
         raise InputError(
             f"expected the {points} points of the problem's scene for a target of kind deposit, got {len(deposit)}",

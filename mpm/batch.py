@@ -1,4 +1,4 @@
-"""The arrays that the kernels work on: several scenes in a row, points in blocks of lanes."""
+"""The arrays that the kernels work on: several scenes in a row, particles in blocks of lanes."""
 
 import math
 from collections.abc import Sequence
@@ -9,9 +9,21 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.points import MaterialPoints, material_points
+from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
-from mpm.layout import ALIGNMENT, PADDING, Energy, Field, Needs, Pace, Place, Precision, Property, Setting, Worker
+from mpm.layout import (
+    ALIGNMENT,
+    PADDING,
+    Energy,
+    Features,
+    Field,
+    Offset,
+    Precision,
+    Property,
+    Setting,
+    StepControl,
+    Worker,
+)
 
 Array = NDArray[Any]
 
@@ -20,7 +32,7 @@ class Batch:
     """The state of several scenes and what is recorded of it.
 
     `workers` threads share one scene; with several scenes each has one. `fields` records velocity, pressure and plastic
-    strain too; `until_rest` lets a scene end when its deposit has come to rest. Raises InputError for more points times
+    strain too; `until_rest` lets a scene end when its deposit has come to rest. Raises InputError for more particles times
     frames than can be counted.
     """
 
@@ -35,115 +47,116 @@ class Batch:
         gpu: bool = False,
     ) -> None:
         self.scenes = list(scenes)
-        self.points = [material_points(scene) for scene in scenes]
-        self.needs = needs_of(
-            scenes, self.points, precision, fields=fields, until_rest=until_rest, shared=workers > 1, gpu=gpu
+        self.particles = [initial_particles(scene) for scene in scenes]
+        self.features = features_of(
+            scenes, self.particles, precision, fields=fields, until_rest=until_rest, shared=workers > 1, gpu=gpu
         )
-        needs, lanes = self.needs, self.needs.lanes
+        features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
-        self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.points, strict=True)], real)
-        self.properties = np.array([properties_row(points.materials[0]) for points in self.points], real)
+        self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
+        self.properties = np.array([properties_row(particles.materials[0]) for particles in self.particles], real)
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
-        self.places = np.zeros((len(scenes), len(Place)), np.int32)
+        self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
-        block = node = impulse = line = baffle = recorded = taken = 0
-        for index, (scene, points, place) in enumerate(zip(scenes, self.points, self.places, strict=True)):
-            count = len(points.positions)
+        block = node = impulse = line = baffle = recorded = recorded_impulse = 0
+        for index, (scene, particles, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
+            count = len(particles.positions)
             blocks = -(-count // lanes)
             cells = [round(length / scene.domain.cell) for length in scene.domain.size]
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
-            place[Place.BLOCK], place[Place.POINTS], place[Place.RECORD] = block, count, recorded
-            place[Place.CELLS_X : Place.CELLS_X + len(cells)] = cells
-            place[Place.ENERGY], place[Place.BAFFLE], place[Place.BAFFLES] = line, baffle, len(scene.baffles)
-            place[Place.FRAMES], place[Place.TAKEN] = scene.frames, taken
-            solids = place[Place.SOLIDS] = len(scene.baffles) + int(fields)
-            place[Place.SUBSTEPS] = substeps_per_frame(scene, points.materials)
+            offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
+            offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
+            offset[Offset.ENERGY], offset[Offset.BAFFLE], offset[Offset.BAFFLES] = line, baffle, len(scene.baffles)
+            offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
+            solids = offset[Offset.SOLIDS] = len(scene.baffles) + int(fields)
+            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, particles.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
                 worker = self.workers[index * workers + number]
                 worker[Worker.SCENE], worker[Worker.NODE], worker[Worker.IMPULSE] = index, node, impulse
                 worker[Worker.FIRST], worker[Worker.LAST] = block + ends[number], block + ends[number + 1]
-                worker[Worker.SCRATCH] = (index * workers + number) * needs.scratch
+                worker[Worker.SCRATCH] = (index * workers + number) * features.scratch
                 # The first clearing covers everything, then the box closes around the material.
                 worker[Worker.HIGH_X : Worker.HIGH_X + 3] = nodes
                 node += math.prod(nodes)
-                impulse += solids * needs.dimension
+                impulse += solids * features.dimension
             block += blocks
             recorded += count * scene.frames
             line += scene.frames
             baffle += len(scene.baffles)
-            taken += scene.frames * solids
-        per_point = needs.dimension + (len(Field) if fields else 0)
-        longest = max(block * needs.block * lanes, node * needs.node, recorded * per_point)
+            recorded_impulse += scene.frames * solids
+        per_point = features.dimension + (len(Field) if fields else 0)
+        longest = max(block * features.block * lanes, node * features.node, recorded * per_point)
         if longest >= 2**31:
             raise InputError(f"expected a smaller run: {longest} numbers in a row, Taichi counts to 2^31")
-        self.state = aligned((block, needs.block, lanes), real)
+        self.state = aligned((block, features.block, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
-        self.grid = aligned((node, needs.node), real)
-        counts = [len(points.positions) for points in self.points]
+        self.grid = aligned((node, features.node), real)
+        counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
-        self.pace = np.zeros((len(scenes), len(Pace)), real)
-        self.scratch = aligned(((block if needs.gpu else len(self.workers)) * needs.scratch, lanes), real)
+        self.step_control = np.zeros((len(scenes), len(StepControl)), real)
+        self.scratch = aligned(((block if features.gpu else len(self.workers)) * features.scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
-        self.record = np.zeros(recorded * needs.dimension, np.float32)
-        self.fields = np.zeros(recorded * (needs.dimension + len(Field)) if fields else 1, np.float32)
+        self.record = np.zeros(recorded * features.dimension, np.float32)
+        self.fields = np.zeros(recorded * (features.dimension + len(Field)) if fields else 1, np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
-        self.taken = np.zeros((max(taken, 1), needs.dimension), np.float64)
-        self.gate = np.zeros(1, np.int32)
+        self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
+        self.barrier_count = np.zeros(1, np.int32)
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
 
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record."""
-        scene, points, needs = self.scenes[index], self.points[index], self.needs
-        state, count = self.state_of(index), len(points.positions)
-        # Lanes without a point of their own mirror the last one.
-        source = np.minimum(np.arange(state.shape[0] * needs.lanes), count - 1)
+        scene, particles, features = self.scenes[index], self.particles[index], self.features
+        state, count = self.state_of(index), len(particles.positions)
+        # Lanes without a particle of their own mirror the last one.
+        source = np.minimum(np.arange(state.shape[0] * features.lanes), count - 1)
 
         def put(first: int, values: Array) -> None:
-            columns = values[source].reshape(state.shape[0], needs.lanes, -1)
+            columns = values[source].reshape(state.shape[0], features.lanes, -1)
             state[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
 
-        put(0, points.positions)
-        put(needs.velocity, points.velocities)
-        if needs.several:
+        put(0, particles.positions)
+        put(features.velocity, particles.velocities)
+        if features.heterogeneous:
             put(
-                needs.properties, np.array([properties_row(material) for material in points.materials])[points.material]
+                features.properties,
+                np.array([properties_row(material) for material in particles.materials])[particles.material],
             )
-        state[:, needs.present] = (np.arange(len(source)) < count).reshape(-1, needs.lanes)
-        first = self.places[index, Place.BLOCK] * needs.lanes
+        state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
-        self.recorded(index)[0] = points.positions
-        if needs.fields:
-            self.recorded_fields(index)[0, :, : needs.dimension] = points.velocities
-        density = np.array([material.density for material in points.materials])[points.material]
-        mass = density * points.volume
+        self.recorded(index)[0] = particles.positions
+        if features.fields:
+            self.recorded_fields(index)[0, :, : features.dimension] = particles.velocities
+        density = np.array([material.density for material in particles.materials])[particles.material]
+        mass = density * particles.volume
         energies = self.energies(index)
-        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(points.velocities**2, axis=1))
-        energies[0, Energy.POTENTIAL] = -np.sum(mass * (points.positions @ scene.gravity_vector))
+        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
+        energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def sort(self, index: int) -> None:
-        """Put the points of one scene in the order of their cells, so that neighbours in space are so in memory."""
-        state, needs, scene = self.state_of(index), self.needs, self.scenes[index]
-        numbers = np.moveaxis(state, 1, 0).reshape(needs.block, -1)
-        cells = np.floor(numbers[: needs.dimension] / scene.domain.cell).astype(np.int64)
+        """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
+        state, features, scene = self.state_of(index), self.features, self.scenes[index]
+        numbers = np.moveaxis(state, 1, 0).reshape(features.block, -1)
+        cells = np.floor(numbers[: features.dimension] / scene.domain.cell).astype(np.int64)
         key = cells[0]
-        for axis in range(1, needs.dimension):
+        for axis in range(1, features.dimension):
             key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells[axis]
-        count = len(self.points[index].positions)
+        count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max
         order = np.argsort(key, kind="stable")
-        state[:] = np.moveaxis(numbers[:, order].reshape(needs.block, -1, needs.lanes), 0, 1)
-        first = self.places[index, Place.BLOCK] * needs.lanes
+        state[:] = np.moveaxis(numbers[:, order].reshape(features.block, -1, features.lanes), 0, 1)
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
 
     @property
     def arguments(self) -> dict[str, Array]:
         """The arrays by name, in the order of the kernel's parameters; memory that is seen in two ways comes twice."""
-        lanes = self.needs.lanes
+        lanes = self.features.lanes
         return {
             "state": self.state.reshape(-1, lanes),
             "lanes": self.state.reshape(-1),
@@ -155,17 +168,17 @@ class Batch:
             "settings": self.settings,
             "properties": self.properties,
             "baffles": self.baffles,
-            "places": self.places,
+            "offsets": self.offsets,
             "workers": self.workers,
             "order": self.order,
             "record": self.record,
             "fields": self.fields,
             "energy": self.energy.reshape(-1),
-            "taken": self.taken,
-            "gate": self.gate,
+            "recorded_impulse": self.recorded_impulse,
+            "barrier_count": self.barrier_count,
             "clamped": self.clamped,
             "owner": self.owner,
-            "pace": self.pace,
+            "step_control": self.step_control,
         }
 
     @property
@@ -175,26 +188,26 @@ class Batch:
 
     def state_of(self, index: int) -> Array:
         """Blocks of one scene, shape [blocks, vectors, lanes]; a view."""
-        first = self.places[index, Place.BLOCK]
-        return self.state[first : first - (-self.places[index, Place.POINTS] // self.needs.lanes)]
+        first = self.offsets[index, Offset.BLOCK]
+        return self.state[first : first - (-self.offsets[index, Offset.PARTICLES] // self.features.lanes)]
 
     def frames_of(self, array: Array, index: int, width: int) -> Array:
-        """The part of a flat record with `width` numbers a point that belongs to one scene, [T, N, width]; a view."""
-        first, count = self.places[index, Place.RECORD] * width, int(self.places[index, Place.POINTS])
+        """The part of a flat record with `width` numbers a particle that belongs to one scene, [T, N, width]; a view."""
+        first, count = self.offsets[index, Offset.RECORD] * width, int(self.offsets[index, Offset.PARTICLES])
         frames = self.scenes[index].frames
         return array[first : first + frames * count * width].reshape(frames, count, width)
 
     def recorded(self, index: int) -> NDArray[np.float32]:
         """Positions of one scene [m], shape [T, N, D]; a view."""
-        return self.frames_of(self.record, index, self.needs.dimension)
+        return self.frames_of(self.record, index, self.features.dimension)
 
     def recorded_fields(self, index: int) -> NDArray[np.float32]:
         """Velocity [m/s] and what `Field` lists of one scene, shape [T, N, D + len(Field)]; a view."""
-        return self.frames_of(self.fields, index, self.needs.dimension + len(Field))
+        return self.frames_of(self.fields, index, self.features.dimension + len(Field))
 
     def energies(self, index: int) -> NDArray[np.float64]:
         """Energies of one scene [J, per metre of width in 2D], shape [T, len(Energy)]; a view."""
-        first = self.places[index, Place.ENERGY]
+        first = self.offsets[index, Offset.ENERGY]
         return self.energy[first : first + self.scenes[index].frames]
 
     def impulses(self, index: int) -> NDArray[np.float64]:
@@ -204,33 +217,33 @@ class Batch:
         """
         scene, first, solids = (
             self.scenes[index],
-            self.places[index, Place.TAKEN],
-            int(self.places[index, Place.SOLIDS]),
+            self.offsets[index, Offset.IMPULSE],
+            int(self.offsets[index, Offset.SOLIDS]),
         )
-        taken = self.taken[first : first + scene.frames * solids]
-        return np.cumsum(taken.reshape(scene.frames, solids, self.needs.dimension), axis=0)
+        recorded_impulse = self.recorded_impulse[first : first + scene.frames * solids]
+        return np.cumsum(recorded_impulse.reshape(scene.frames, solids, self.features.dimension), axis=0)
 
 
-def needs_of(
+def features_of(
     scenes: Sequence[Scene],
-    points: Sequence[MaterialPoints],
+    particles: Sequence[Particles],
     precision: Precision,
     *,
     fields: bool = False,
     until_rest: bool = False,
     shared: bool = False,
     gpu: bool = False,
-) -> Needs:
+) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
-    materials = [material for each in points for material in each.materials]
-    return Needs(
+    materials = [material for each in particles for material in each.materials]
+    return Features(
         dimension=scenes[0].dimension,
         precision=precision,
         damped=any(scene.damping > 0.0 for scene in scenes),
         cohesive=any(material.cohesion > 0.0 for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
-        several=any(len(each.materials) > 1 for each in points),
+        heterogeneous=any(len(each.materials) > 1 for each in particles),
         baffles=any(scene.baffles for scene in scenes),
         fields=fields,
         rests=until_rest,
@@ -250,19 +263,19 @@ def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
     """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
 
-    Fixed for a scene, because APIC's dissipation is per step; the kernel takes more in a frame whose points move so
+    Fixed for a scene, because APIC's dissipation is per step; the kernel takes more in a frame whose particles move so
     fast that (wave speed + speed) dt would leave the cell.
     """
     fastest = max(material.wave_speed for material in materials)
     return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))
 
 
-def settings_row(scene: Scene, points: MaterialPoints) -> list[float]:
+def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: points.volume,
+        Setting.VOLUME: particles.volume,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
@@ -270,7 +283,7 @@ def settings_row(scene: Scene, points: MaterialPoints) -> list[float]:
         Setting.BAFFLE_FRICTION: scene.baffle_friction,
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.volume_correction),
-        Setting.WAVE_SPEED: max(material.wave_speed for material in points.materials),
+        Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
     }
     return [values[column] for column in Setting]
 

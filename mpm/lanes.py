@@ -1,13 +1,13 @@
 """Vectors of lanes: what makes Taichi's code run on vector registers.
 
-A value of a kernel here is either a number or a Taichi vector with one entry per point of a block; with
+A value of a kernel here is either a number or a Taichi vector with one entry per particle of a block; with
 `real_matrix_scalarize=False` LLVM sees the latter as one vector value and computes all lanes at once. Such code has no
 branches: both sides are computed, and `ti.select` takes one of them lane by lane.
 
 Taichi 1.7.4 cannot negate or cast such vectors, nor take their absolute value: write `0.0 - a` and `a = a - b`, not
 `-a` and `a -= b`, and leave casts to single lanes.
 
-On a GPU a block is one point and a vector of lanes is a number: the same code, without this file's vectors.
+On a GPU a block is one particle and a vector of lanes is a number: the same code, without this file's vectors.
 """
 
 import taichi as ti
@@ -38,45 +38,45 @@ def magnitude(a):
 
 
 @ti.func
-def least(a, of: ti.template()):
+def lane_minimum(a, arrays: ti.template()):
     """The smallest lane."""
-    if ti.static(of.needs.lanes == 1):
+    if ti.static(arrays.features.lanes == 1):
         return a
     else:
         value = a[0]
-        for lane in ti.static(range(1, of.needs.lanes)):
+        for lane in ti.static(range(1, arrays.features.lanes)):
             value = ti.min(value, a[lane])
         return value
 
 
 @ti.func
-def most(a, of: ti.template()):
+def lane_maximum(a, arrays: ti.template()):
     """The largest lane."""
-    if ti.static(of.needs.lanes == 1):
+    if ti.static(arrays.features.lanes == 1):
         return a
     else:
         value = a[0]
-        for lane in ti.static(range(1, of.needs.lanes)):
+        for lane in ti.static(range(1, arrays.features.lanes)):
             value = ti.max(value, a[lane])
         return value
 
 
 @ti.func
-def total(a, of: ti.template()):
+def lane_sum(a, arrays: ti.template()):
     """Sum over the lanes, in double precision."""
-    if ti.static(of.needs.lanes == 1):
+    if ti.static(arrays.features.lanes == 1):
         return ti.cast(a, ti.f64)
     else:
         value = ti.cast(a[0], ti.f64)
-        for lane in ti.static(range(1, of.needs.lanes)):
+        for lane in ti.static(range(1, arrays.features.lanes)):
             value += ti.cast(a[lane], ti.f64)
         return value
 
 
 @ti.func
-def add(array: ti.template(), at, value, of: ti.template()):
+def add(array: ti.template(), at, value, arrays: ti.template()):
     """array[at] += value. Atomic on a GPU alone: on a CPU Taichi makes that a compare-and-swap loop."""
-    if ti.static(of.needs.gpu):
+    if ti.static(arrays.features.gpu):
         ti.atomic_add(array[at], value)
     else:
         array[at] = array[at] + value

@@ -1,6 +1,6 @@
 """Where the kernels find things: what a batch needs compiled, and the columns of the arrays that describe it.
 
-Points live in blocks of `lanes` points, one vector register wide. A block holds one such vector per number of a point
+Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a particle
 (its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to and from
 the grid reach single lanes of the same memory through a second, scalar view of it.
 """
@@ -30,7 +30,7 @@ class Setting(Column):
 
     CELL = auto()  # [m]
     FRAME_DT = auto()  # [s]
-    VOLUME = auto()  # of a point [m^D]
+    VOLUME = auto()  # of a particle [m^D]
     GRAVITY_X = auto()  # [m/s^2]
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
@@ -42,7 +42,7 @@ class Setting(Column):
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [scenes, len(Property)]; of each point where a scene has several."""
+    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where a scene has heterogeneous."""
 
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
@@ -55,11 +55,11 @@ class Property(Column):
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
 
 
-class Place(Column):
-    """Columns of `places`, integers, shape [scenes, len(Place)]: where a scene lies in the flat arrays; counters."""
+class Offset(Column):
+    """Columns of `offsets`, integers, shape [scenes, len(Offset)]: where a scene lies in the flat arrays; counters."""
 
-    BLOCK = auto()  # its first block of points
-    POINTS = auto()  # how many
+    BLOCK = auto()  # its first block of particles
+    PARTICLES = auto()  # how many
     CELLS_X = auto()
     CELLS_Y = auto()
     CELLS_Z = auto()
@@ -68,10 +68,10 @@ class Place(Column):
     BAFFLE = auto()  # its first line in `baffles`
     BAFFLES = auto()  # how many
     SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where fields are recorded
-    TAKEN = auto()  # its first line in `taken`
+    IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
-    STEPS = auto()  # taken so far
+    STEPS = auto()  # recorded_impulse so far
     REST = auto()  # the frame in which it came to rest, 0 while it moves
 
 
@@ -92,11 +92,11 @@ class Worker(Column):
     HIGH_Z = auto()
 
 
-class Pace(Column):
-    """Columns of `pace`, real, shape [scenes, len(Pace)]: how a scene moves on, where each step is a launch."""
+class StepControl(Column):
+    """Columns of `step_control`, real, shape [scenes, len(StepControl)]: how a scene moves on, where each step is a launch."""
 
     DT = auto()  # of the next step [s]; 0 where the scene waits for others
-    SPEED = auto()  # of its fastest point [m/s]
+    SPEED = auto()  # of its fastest particle [m/s]
     STEPS = auto()  # of its next frame; 0 where it has ended
 
 
@@ -109,14 +109,14 @@ class Energy(Column):
 
 
 class Field(Column):
-    """What is recorded of every point in every frame, on request, in this order after its D velocities."""
+    """What is recorded of every particle in every frame, on request, in this order after its D velocities."""
 
     PRESSURE = auto()  # -tr(sigma) / 3 [Pa]
     PLASTIC_STRAIN = auto()  # accumulated equivalent deviatoric plastic strain [-]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Needs:
+class Features:
     """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
 
     dimension: int
@@ -126,8 +126,8 @@ class Needs:
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
     corrected: bool = False
-    """A point remembers the gap to its neighbours: volume correction."""
-    several: bool = False
+    """A particle remembers the gap to its neighbours: volume correction."""
+    heterogeneous: bool = False
     """Materials in one scene."""
     baffles: bool = False
     fields: bool = False
@@ -135,7 +135,7 @@ class Needs:
     shared: bool = False
     """One scene, on several threads."""
     gpu: bool = False
-    """A thread per point and atomic sums, for many threads; else a thread per scene or per part of it."""
+    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
     rests: bool = False
     """A scene ends when its deposit has come to rest."""
 
@@ -144,7 +144,7 @@ class Needs:
 
     @property
     def lanes(self) -> int:
-        """Points in a block: what a register of 64 bytes holds; one on a GPU."""
+        """Particles in a block: what a register of 64 bytes holds; one on a GPU."""
         if self.gpu:
             return 1
         return 16 if self.precision == "f32" else 8
@@ -183,13 +183,13 @@ class Needs:
 
     @property
     def properties(self) -> int:
-        """First vector of the material properties, where `several`."""
+        """First vector of the material properties, where `heterogeneous`."""
         return self.gap + int(self.corrected)
 
     @property
     def present(self) -> int:
-        """Vector of ones, and of zeros in the lanes that only mirror a scene's last point."""
-        return self.properties + (len(Property) if self.several else 0)
+        """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
+        return self.properties + (len(Property) if self.heterogeneous else 0)
 
     @property
     def block(self) -> int:
@@ -216,14 +216,14 @@ class Needs:
     # The scratch vectors of a worker: weights, then what a block gives to its nodes, then its lowest nodes.
 
     @property
-    def reach(self) -> int:
-        """Nodes that a point reaches."""
+    def stencil(self) -> int:
+        """Nodes that a particle reaches."""
         return 9 if self.dimension == 2 else 27
 
     @property
     def lowest(self) -> int:
-        """First of the D scratch vectors that hold each point's lowest node."""
-        return self.reach + self.node * (1 + self.dimension)
+        """First of the D scratch vectors that hold each particle's lowest node."""
+        return self.stencil + self.node * (1 + self.dimension)
 
     @property
     def scratch(self) -> int:

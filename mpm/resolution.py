@@ -1,7 +1,7 @@
 """How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
 
 The error is that of one run at a resolution against a run on a quarter of the scene's cell: of the front (the x that
-99.5 % of the points are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
+99.5 % of the particles are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
 whichever is larger, over the reach: from the rear of the masses at the start to the front, which is the runout
 distance of a column at the left wall. It is a root mean square over jitter seeds and over the scenes that were
 measured, so what to expect, not a bound. It covers the grid, the step and the chance of a jitter, not whether the
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.errors import InputError
-from datasets.points import lattice_counts
+from datasets.particles import lattice_counts
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
 from datasets.strict import Strict, from_mapping, read_toml
 from mpm.batch import substeps_per_frame
@@ -35,8 +35,8 @@ class Resolution(Strict):
 
     cells: float
     """Grid cells across the characteristic length of the scene [-]."""
-    points_per_axis: int
-    """Material points per cell along one axis."""
+    particles_per_axis: int
+    """Particles per cell along one axis."""
     step_fraction: float
     """Time step as a fraction of cell / (pressure-wave speed)."""
     precision: Precision
@@ -83,9 +83,9 @@ class Resolved:
         scene = self.scene
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
-            f"{scene.points_per_axis} points per axis, step {scene.step_fraction:g}, {self.precision}: "
+            f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, {self.precision}: "
             f"an error of {100 * self.error:.2g} % expected ({100 * self.worst:.2g} % in the worst scene measured), "
-            f"{self.cost:.3g} times the scene's own point-steps"
+            f"{self.cost:.3g} times the scene's own particle-steps"
         )
 
 
@@ -131,7 +131,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
         error=best_fit.error,
         worst=best_fit.worst,
         cells=characteristic_length(scene) / finer.domain.cell,
-        cost=point_steps(finer) / point_steps(scene),
+        cost=particle_steps(finer) / particle_steps(scene),
     )
 
 
@@ -156,7 +156,7 @@ def at(scene: Scene, resolution: Resolution) -> Scene:
     return dataclasses.replace(
         scene,
         domain=dataclasses.replace(scene.domain, cell=cell),
-        points_per_axis=resolution.points_per_axis,
+        particles_per_axis=resolution.particles_per_axis,
         step_fraction=resolution.step_fraction,
     )
 
@@ -205,9 +205,9 @@ def touch(a: Mass, b: Mass) -> bool:
     )
 
 
-def point_steps(scene: Scene) -> int:
-    """Points times steps of a run of `scene`, where no flow is so fast that it needs more steps."""
-    share = scene.domain.cell / scene.points_per_axis
-    points = sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
+def particle_steps(scene: Scene) -> int:
+    """Particles times steps of a run of `scene`, where no flow is so fast that it needs more steps."""
+    share = scene.domain.cell / scene.particles_per_axis
+    particles = sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
-    return points * substeps * (scene.frames - 1)
+    return particles * substeps * (scene.frames - 1)

@@ -40,7 +40,7 @@ def command(
     tolerance
         Run at the cheapest resolution that was measured to keep front and profile within this, such as 2%.
     fields
-        Record velocity, pressure and plastic strain of every point too.
+        Record velocity, pressure and plastic strain of every particle too.
     until_rest
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk
@@ -67,8 +67,8 @@ def command(
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] else ""
     print(
-        f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m: {rest}{summary['particles']} points, "
-        f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million point-steps a second), "
+        f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m: {rest}{summary['particles']} particles, "
+        f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "
         f"{summary['compile_s']:.2f} s to compile"
     )
 

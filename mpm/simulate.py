@@ -10,26 +10,26 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.advance import Phase, kernel
 from mpm.batch import Batch
 from mpm.device import run_on_device
-from mpm.layout import Field, Place, Precision, Worker
+from mpm.kernel import Phase, kernel
+from mpm.layout import Field, Offset, Precision, Worker
 from mpm.processors import processors
 from mpm.runtime import Arch
 from mpm.summary import summarise
 
 FRAMES_PER_LAUNCH = 20
 """Between two launches the progress bar moves and Ctrl-C is heard."""
-POINTS_PER_WORKER = 10_000
+PARTICLES_PER_WORKER = 10_000
 """Fewer than that are not worth a thread of their own."""
-LARGE = 2 * POINTS_PER_WORKER
-"""Points from which one scene takes several threads."""
+LARGE = 2 * PARTICLES_PER_WORKER
+"""Particles from which one scene takes several threads."""
 SORTED = 50_000
-"""Points from which they are sorted by cell at every launch."""
+"""Particles from which they are sorted by cell at every launch."""
 
 
 class Options(TypedDict, total=False):
@@ -67,7 +67,7 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     runtime.start(precision, threads, arch)
     workers = 1
     if len(scenes) == 1 and arch == "cpu":
-        workers = max(1, min(threads, point_count(scenes[0]) // POINTS_PER_WORKER))
+        workers = max(1, min(threads, particle_count(scenes[0]) // PARTICLES_PER_WORKER))
     batch = Batch(
         scenes,
         precision=precision,
@@ -76,7 +76,7 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
         until_rest=options.get("until_rest", False),
         gpu=arch != "cpu",
     )
-    run = kernel(batch.needs)
+    run = kernel(batch.features)
     begin = time.perf_counter()
     # No frames: this only compiles. On a GPU the first frame does.
     if arch == "cpu":
@@ -99,23 +99,23 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]") ->
     frames = max(scene.frames for scene in batch.scenes)
     for first in range(1, frames, FRAMES_PER_LAUNCH):
         last = min(first + FRAMES_PER_LAUNCH, frames)
-        for index, points in enumerate(batch.points):
-            if len(points.positions) >= SORTED:
+        for index, particles in enumerate(batch.particles):
+            if len(particles.positions) >= SORTED:
                 batch.sort(index)
-        batch.gate[:] = 0
+        batch.barrier_count[:] = 0
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         bar.update(last - first)
 
 
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory:
     """What scene `index` did. Raises WorkFailed where it blew up."""
-    scene, points, place = batch.scenes[index], batch.points[index], batch.places[index]
+    scene, particles, offset = batch.scenes[index], batch.particles[index], batch.offsets[index]
     positions, energies, impulses = batch.recorded(index), batch.energies(index), batch.impulses(index)
-    fields = batch.recorded_fields(index) if batch.needs.fields else None
+    fields = batch.recorded_fields(index) if batch.features.fields else None
     if len(batch.scenes) > 1:
         # What one trajectory holds must not keep the record of all others in memory.
         positions, fields = positions.copy(), None if fields is None else fields.copy()
-    rest, reached = int(place[Place.REST]), int(place[Place.FRAMES])
+    rest, reached = int(offset[Offset.REST]), int(offset[Offset.FRAMES])
     if rest:
         recorded: list[NDArray[Any]] = [positions, energies, impulses]
         for series in recorded if fields is None else [*recorded, fields]:
@@ -129,8 +129,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     return Trajectory(
         positions=positions,
         time=np.arange(scene.frames, dtype=np.float64) * scene.frame_dt,
-        velocity0=points.velocities.astype(np.float32),
-        friction=points.friction,
+        velocity0=particles.velocities.astype(np.float32),
+        friction=particles.friction,
         scene=scene,
         velocities=None if fields is None else fields[:, :, :dimension],
         pressure=None if fields is None else fields[:, :, dimension + Field.PRESSURE],
@@ -139,13 +139,13 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         summary=summarise(
             positions[-1],
             energy=energies,
-            steps=int(place[Place.STEPS]),
+            steps=int(offset[Offset.STEPS]),
             clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
             rest_time=rest * scene.frame_dt if rest else None,
             wall_impulse=None if fields is None else impulses[:, -1],
             wall_s=wall_s,
             compile_s=compile_s,
             arch=arch,
-            precision=batch.needs.precision,
+            precision=batch.features.precision,
         ),
     )

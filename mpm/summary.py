@@ -25,7 +25,7 @@ def summarise(
 ) -> dict[str, Any]:
     """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
 
-    Lengths in metres; `energy` is a series per frame; `clamped` counts how often a point was put back into the box;
+    Lengths in metres; `energy` is a series per frame; `clamped` counts how often a particle was put back into the box;
     `rest_time` [s] is when the deposit came to rest, where the run was to end there; `wall_impulse` [N s] the momentum
     that floor and walls have taken up to each frame, where fields are recorded; `wall_s` is the batch's, compilation
     apart.

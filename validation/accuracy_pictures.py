@@ -41,7 +41,7 @@ def draw_front(path: Path, findings: Sequence[Findings]) -> None:
                 some = [
                     outcome
                     for outcome in each.outcomes
-                    if (outcome.resolution.points_per_axis, outcome.resolution.step_fraction) == (points, step)
+                    if (outcome.resolution.particles_per_axis, outcome.resolution.step_fraction) == (points, step)
                     and outcome.resolution.precision == "f32"
                 ]
                 marks = axis.scatter(
@@ -131,7 +131,7 @@ def draw_scenes(path: Path, findings: Sequence[Findings]) -> None:
                     (
                         outcome
                         for outcome in each.outcomes
-                        if (outcome.resolution.points_per_axis, outcome.resolution.step_fraction) == (points, step)
+                        if (outcome.resolution.particles_per_axis, outcome.resolution.step_fraction) == (points, step)
                         and outcome.resolution.precision == "f32"
                     ),
                     key=lambda outcome: outcome.resolution.cells,

@@ -150,7 +150,7 @@ def cheapest(findings: Findings, measured: Sequence[Measured]) -> list[str]:
                 f"{100 * tolerance:g} %",
                 f"{found.cells:g}",
                 f"{found.scene.domain.cell:.4g} m",
-                f"{found.scene.points_per_axis}",
+                f"{found.scene.particles_per_axis}",
                 f"{found.scene.step_fraction:g}",
                 found.precision,
                 percent(found.error),
@@ -179,11 +179,11 @@ def outcome_table(outcomes: Sequence[Outcome]) -> list[str]:
         rows.append(
             [
                 f"{what.cells:g}",
-                f"{what.points_per_axis}",
+                f"{what.particles_per_axis}",
                 f"{what.step_fraction:g}",
                 what.precision,
                 f"{each.seconds:.3g}",
-                f"{each.point_steps / 1e6:.3g}",
+                f"{each.particle_steps / 1e6:.3g}",
                 percent(each.error),
                 percent(each.worst),
                 percent(max(score.profile_error for score in scores)),
@@ -201,7 +201,7 @@ def everything(findings: Findings) -> list[str]:
 
     def order(each: Outcome) -> tuple[str, int, float, float]:
         what = each.resolution
-        return what.precision, what.points_per_axis, -what.step_fraction, what.cells
+        return what.precision, what.particles_per_axis, -what.step_fraction, what.cells
 
     return outcome_table(sorted(findings.outcomes, key=order))
 
@@ -272,7 +272,7 @@ def toml(measured: Sequence[Measured]) -> str:
         blocks.append(
             f"[[measured]]\ndimension = {each.dimension}\n"
             f"error = {each.error}\nworst = {each.worst}\nseconds = {each.seconds}\n"
-            f"resolution = {{ cells = {what.cells}, points_per_axis = {what.points_per_axis}, "
+            f"resolution = {{ cells = {what.cells}, particles_per_axis = {what.particles_per_axis}, "
             f"step_fraction = {what.step_fraction}, precision = {json.dumps(what.precision)} }}\n"
         )
     return "\n".join(blocks)

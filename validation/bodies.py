@@ -68,7 +68,7 @@ def bodies() -> dict[str, Scene]:
 
 def runs(scene: Scene, cells: float) -> list[Run]:
     """Of a column at a resolution, one per seed."""
-    what = Resolution(cells=cells, points_per_axis=2, step_fraction=0.9, precision="f32")
+    what = Resolution(cells=cells, particles_per_axis=2, step_fraction=0.9, precision="f32")
     return [
         Run(scene=dataclasses.replace(at(scene, what), seed=seed), precision="f32", way=Way.TOGETHER) for seed in SEEDS
     ]

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from datasets.scene import Scene
 from datasets.trajectory import FIELDS, Trajectory
 from mpm.layout import Precision
-from mpm.resolution import point_steps
+from mpm.resolution import particle_steps
 from mpm.simulate import simulate, simulate_many
 
 
@@ -59,7 +59,7 @@ def compute(runs: Sequence[Run], folder: Path) -> None:
     missing = [run for run in dict.fromkeys(runs) if not run.path(folder).exists()]
     # Taichi starts anew for another precision or another number of threads: few changes, cheap runs first.
     missing.sort(key=lambda run: (run.way, run.precision))
-    total = sum(point_steps(run.scene) for run in missing)
+    total = sum(particle_steps(run.scene) for run in missing)
     with tqdm(total=total, unit="point-step", unit_scale=True, disable=total == 0) as bar:
         for (way, precision), group in groupby(missing, key=lambda run: (run.way, run.precision)):
             alike = list(group)
@@ -73,7 +73,7 @@ def compute(runs: Sequence[Run], folder: Path) -> None:
                     flows = [simulate(scenes[0], precision=precision, threads=1 if way is Way.ALONE else None)]
                 for run, flow in zip(batch, flows, strict=True):
                     last_frame(flow).save(run.path(folder))
-                    bar.update(point_steps(run.scene))
+                    bar.update(particle_steps(run.scene))
 
 
 def read_all(runs: Sequence[Run], folder: Path) -> list[Trajectory]:

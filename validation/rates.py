@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.strict import Strict, from_mapping, read_toml
 from inverse.report import table
@@ -37,7 +37,7 @@ class Case:
     @property
     def large(self) -> bool:
         """Whether it is one scene that runs on all threads."""
-        return self.scenes == 1 and point_count(column(self.dimension, self.cells, 1)) >= LARGE
+        return self.scenes == 1 and particle_count(column(self.dimension, self.cells, 1)) >= LARGE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ def rates_table(took: Mapping[tuple[Case, Way], Sequence[Took]]) -> list[str]:
         rows.append(
             [
                 f"{case.dimension}D",
-                f"{point_count(column(case.dimension, case.cells, 1)):,}",
+                f"{particle_count(column(case.dimension, case.cells, 1)):,}",
                 str(case.scenes),
                 alone.written(1) if alone else "-",
                 best.written(1) if most > 1 else "-",

@@ -24,7 +24,7 @@ OTHER_ANGLES = (25.0, 35.0)
 
 def collapse(scenes: Sequence[Scene], aspects: Sequence[float]) -> tuple[Deposit, ...]:
     """Let columns go until they rest: small ones side by side, large ones one after the other."""
-    sizes = [sum(math.prod(mass.size) for mass in scene.masses) / scene.point_volume for scene in scenes]
+    sizes = [sum(math.prod(mass.size) for mass in scene.masses) / scene.particle_volume for scene in scenes]
     small = [index for index, size in enumerate(sizes) if size < LARGE]
     flows: dict[int, Trajectory] = {}
     if small:

@@ -49,7 +49,7 @@ class Score:
     """The same of the transport distance between the deposits, the rms distance of equal shares."""
     seconds: float
     """Of a run alone on one thread [s]."""
-    point_steps: float
+    particle_steps: float
     fronts: tuple[float, ...]
     """[m], one per seed."""
 
@@ -87,9 +87,9 @@ class Outcome:
         return float(np.mean([score.seconds for score in self.scores.values()]))
 
     @property
-    def point_steps(self) -> float:
+    def particle_steps(self) -> float:
         """Mean over the scenes."""
-        return float(np.mean([score.point_steps for score in self.scores.values()]))
+        return float(np.mean([score.particle_steps for score in self.scores.values()]))
 
 
 def truth(flows: Sequence[Trajectory]) -> Truth:
@@ -122,7 +122,7 @@ def score(flows: Sequence[Trajectory], reference: Truth) -> Score:
         front_error=float(np.sqrt(np.mean(off**2))),
         profile_error=float(np.sqrt(np.mean(np.square(distances)))),
         seconds=first["wall_s"],
-        point_steps=first["steps"] * first["particles"],
+        particle_steps=first["steps"] * first["particles"],
         fronts=tuple(fronts.tolist()),
     )
 

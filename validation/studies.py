@@ -9,7 +9,7 @@ from pathlib import Path
 from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm.layout import Precision
-from mpm.resolution import Measured, Resolution, at, point_steps
+from mpm.resolution import Measured, Resolution, at, particle_steps
 from validation import deposits, pareto
 from validation.deposits import Run, Way
 from validation.scores import Outcome, Truth, score, truth
@@ -50,10 +50,10 @@ class Study:
 
     def tried(self, scene: Scene) -> Iterator[Resolution]:
         """Every resolution that is compared with the reference."""
-        most = self.dearest * point_steps(at(scene, own(self.reference, "f64")))
+        most = self.dearest * particle_steps(at(scene, own(self.reference, "f64")))
         for cells, points, step in product(self.cells, POINTS, STEPS):
-            each = Resolution(cells=cells, points_per_axis=points, step_fraction=step, precision="f32")
-            if point_steps(at(scene, each)) <= most:
+            each = Resolution(cells=cells, particles_per_axis=points, step_fraction=step, precision="f32")
+            if particle_steps(at(scene, each)) <= most:
                 yield each
         for cells in self.cells:
             yield own(cells, "f64")
@@ -110,7 +110,7 @@ class Findings:
 
 def own(cells: float, precision: Precision, step_fraction: float = OWN_STEP) -> Resolution:
     """A resolution with the reference's points per axis and, unless told, its step."""
-    return Resolution(cells=cells, points_per_axis=OWN_POINTS, step_fraction=step_fraction, precision=precision)
+    return Resolution(cells=cells, particles_per_axis=OWN_POINTS, step_fraction=step_fraction, precision=precision)
 
 
 def trials(scene: Scene, each: Resolution, seeds: int) -> list[Run]:
@@ -179,5 +179,5 @@ def measured(findings: Sequence[Findings]) -> tuple[Measured, ...]:
         )
         for each in findings
         for outcome in each.outcomes
-        if outcome.resolution.points_per_axis >= FEWEST_POINTS
+        if outcome.resolution.particles_per_axis >= FEWEST_POINTS
     )

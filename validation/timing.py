@@ -33,7 +33,7 @@ class Took:
 
     seconds: float
     """Without compilation."""
-    point_steps: int
+    particle_steps: int
     """Material points times steps, over all scenes."""
     front: float
     """Of the first scene's deposit [m]."""
@@ -43,7 +43,7 @@ class Took:
     @property
     def rate(self) -> float:
         """Million point-steps a second."""
-        return self.point_steps / self.seconds / 1.0e6
+        return self.particle_steps / self.seconds / 1.0e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def timed(run: Run) -> Took:
     summaries = [flow.summary for flow in flows]
     return Took(
         seconds=summaries[0]["wall_s"],
-        point_steps=sum(summary["particles"] * summary["steps"] for summary in summaries),
+        particle_steps=sum(summary["particles"] * summary["steps"] for summary in summaries),
         front=summaries[0]["front"],
         rest_time=summaries[0]["rest_time"],
     )

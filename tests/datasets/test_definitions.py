@@ -14,7 +14,7 @@ from datasets.flow2d import FLOW2D, FRICTION_DEG
 from datasets.layers2d import LAYERS2D
 from datasets.library import read_scene
 from datasets.obstacle3d import OBSTACLE3D
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.releases2d import RELEASES2D, held_out
 from datasets.scene import Baffle, Mass
 
@@ -101,7 +101,7 @@ def test_flow2d_is_the_paper_s() -> None:
     assert np.all(lower.min(axis=0) < 0.05)
     assert np.all((lower + sides).max(axis=0) > 0.95)
     largest = entries[int(sides[:, 0].argmax())].scene
-    assert len(material_points(largest).positions) == 6400
+    assert len(initial_particles(largest).positions) == 6400
 
 
 def test_a_small_flow2d_has_every_angle_and_every_split() -> None:
@@ -228,7 +228,7 @@ def test_obstacle3d_is_the_paper_s() -> None:
     assert 0.5 < np.mean(heights == 0.0) < 0.6
     assert heights.max() == 0.25
     largest = max(entries, key=lambda entry: float(np.prod(entry.scene.masses[0].size)))
-    assert 16_000 < len(material_points(largest.scene).positions) <= 17_000
+    assert 16_000 < len(initial_particles(largest.scene).positions) <= 17_000
 
 
 def test_baffles_stand_in_the_way_and_apart() -> None:
@@ -285,7 +285,7 @@ def test_the_paper_s_baffle_scenes(name: str, points: int, baffles: int) -> None
     scene = read_scene(name)
     # The paper counts the points of the baffles, too: 13,371 with these two.
     volume = scene.domain.cell**3 / 8
-    assert len(material_points(scene).positions) == pytest.approx(points, rel=0.01)
+    assert len(initial_particles(scene).positions) == pytest.approx(points, rel=0.01)
     assert len(scene.baffles) == baffles
     if baffles == 2:
         solid = sum(float(np.prod(baffle.size)) for baffle in scene.baffles)

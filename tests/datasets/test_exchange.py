@@ -64,7 +64,7 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
     for split in SPLITS:
         assert (theirs / f"{split}{suffix}").read_bytes() == (again / f"{split}{suffix}").read_bytes()
     before, after = (json.loads((folder / "metadata.json").read_text()) for folder in (ours, back))
-    for key in ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt", "cell", "points_per_axis"):
+    for key in ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt", "cell", "particles_per_axis"):
         assert before[key] == after[key]
     for key in ("vel_mean", "vel_std", "acc_mean", "acc_std"):
         np.testing.assert_allclose(before[key], after[key], rtol=1e-12)
@@ -188,7 +188,7 @@ def test_a_set_of_the_peers_own_making(tmp_path: Path, dimension: int) -> None:
     first, second = (Trajectory.load(tmp_path / "back" / "train" / f"{name}.npz") for name in ("00000", "00001"))
     assert first.scene.domain.size == (0.8,) * dimension
     assert first.scene.domain == second.scene.domain
-    assert first.scene.point_volume == pytest.approx((0.01 if dimension == 2 else 0.025) ** dimension, rel=0.2)
+    assert first.scene.particle_volume == pytest.approx((0.01 if dimension == 2 else 0.025) ** dimension, rel=0.2)
     (baffle,) = first.scene.baffles
     np.testing.assert_allclose(baffle.lower, [0.4, 0.0, 0.1][:dimension], atol=0.01)
     assert second.scene.baffles == ()

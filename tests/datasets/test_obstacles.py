@@ -12,7 +12,7 @@ from tests.datasets.toys import strewn, toy_scene
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_baffles_survive_single_precision(dimension: int) -> None:
     scene = toy_scene(dimension, seed=0)
-    share = scene.domain.cell / scene.points_per_axis
+    share = scene.domain.cell / scene.particles_per_axis
     points = np.concatenate([obstacle_points(baffle, share) for baffle in scene.baffles])
     again = baffles_in(points.astype(np.float32).astype(np.float64), share)
     assert sorted(again, key=lambda baffle: baffle.lower) == sorted(scene.baffles, key=lambda baffle: baffle.lower)

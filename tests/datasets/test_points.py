@@ -7,14 +7,14 @@ import pytest
 
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.points import material_points, point_count
+from datasets.particles import initial_particles, particle_count
 from datasets.scene import Mass, Scene
 
 
 @pytest.mark.parametrize("name", ["column-tall-21", "layers-10"])
 def test_points_lie_inside_their_masses(name: str) -> None:
     scene = read_scene(name)
-    points = material_points(scene)
+    points = initial_particles(scene)
     inside = np.zeros(len(points.positions), int)
     for mass in scene.masses:
         lower = np.array(mass.lower)
@@ -25,7 +25,7 @@ def test_points_lie_inside_their_masses(name: str) -> None:
 @pytest.mark.parametrize("size", [(0.04, 0.02), (0.043, 0.028), (0.1, 0.0024)])
 def test_points_stand_for_the_volume_of_the_mass(scene: Scene, size: tuple[float, float]) -> None:
     scene = dataclasses.replace(scene, masses=(Mass(lower=(0.05, 0.0), size=size),))
-    points = material_points(scene)
+    points = initial_particles(scene)
     # To the nearest row of points across the longest axis.
     row = points.volume * max(1, round(min(size) / 0.005))
     assert abs(points.volume * len(points.positions) - size[0] * size[1]) <= 0.51 * row
@@ -33,8 +33,8 @@ def test_points_stand_for_the_volume_of_the_mass(scene: Scene, size: tuple[float
 
 def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
     second = Mass(lower=(0.1, 0.0), size=(0.02, 0.02), material=Material(friction_deg=20.0))
-    alone = material_points(scene)
-    together = material_points(dataclasses.replace(scene, masses=(*scene.masses, second)))
+    alone = initial_particles(scene)
+    together = initial_particles(dataclasses.replace(scene, masses=(*scene.masses, second)))
     count = len(alone.positions)
     np.testing.assert_array_equal(together.positions[:count], alone.positions)
     np.testing.assert_array_equal(together.velocities[count:], 0.0)
@@ -44,20 +44,20 @@ def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
 
 def test_masses_of_the_same_shape_are_jittered_differently(scene: Scene) -> None:
     twin = dataclasses.replace(scene.masses[0], lower=(0.1, 0.0))
-    points = material_points(dataclasses.replace(scene, masses=(scene.masses[0], twin))).positions
+    points = initial_particles(dataclasses.replace(scene, masses=(scene.masses[0], twin))).positions
     first, second = np.split(points, 2)
     assert np.abs(second - first - [0.05, 0.0]).max() > 1e-4
 
 
 def test_the_seed_decides_the_jitter(scene: Scene) -> None:
-    again = material_points(scene).positions
-    np.testing.assert_array_equal(material_points(scene).positions, again)
-    other = material_points(dataclasses.replace(scene, seed=1)).positions
+    again = initial_particles(scene).positions
+    np.testing.assert_array_equal(initial_particles(scene).positions, again)
+    other = initial_particles(dataclasses.replace(scene, seed=1)).positions
     assert 0.0 < np.abs(other - again).max() <= 0.8 * 0.005
 
 
 def test_without_jitter_points_form_a_lattice(scene: Scene) -> None:
-    points = material_points(dataclasses.replace(scene, jitter=0.0))
+    points = initial_particles(dataclasses.replace(scene, jitter=0.0))
     np.testing.assert_allclose(np.unique(points.positions[:, 1].round(9)), [0.0025, 0.0075, 0.0125, 0.0175])
     assert points.velocities.shape == points.positions.shape == (32, 2)
     np.testing.assert_array_equal(points.velocities[0], [0.1, -0.2])
@@ -66,4 +66,4 @@ def test_without_jitter_points_form_a_lattice(scene: Scene) -> None:
 def test_the_count_is_known_beforehand() -> None:
     for name in ("column-tall-42", "layers-10", "baffles-2"):
         scene = read_scene(name)
-        assert point_count(scene) == len(material_points(scene).positions)
+        assert particle_count(scene) == len(initial_particles(scene).positions)

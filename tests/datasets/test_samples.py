@@ -8,7 +8,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.samples import Flow, Sample, corners, cut, exchanged, load_flows, mirrored, point_cohesion
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
@@ -53,7 +53,7 @@ def test_cohesion_goes_with_the_points_of_the_masses(scene: Scene) -> None:
     stiff = dataclasses.replace(scene.material, cohesion=500.0)
     masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
     two = dataclasses.replace(scene, masses=masses)
-    points = material_points(two)
+    points = initial_particles(two)
     found = point_cohesion(two, len(points.positions), "a")
     assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
     assert set(found) == {0.0, 500.0}

@@ -7,7 +7,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.library import SCENES, read_scene
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Scene
 
 GOOD = """
@@ -126,7 +126,7 @@ def test_the_paper_s_columns(kind: str, size: tuple[float, float], phi: int) -> 
     (mass,) = scene.masses
     assert (mass.lower, mass.size, mass.velocity) == ((0.0, 0.0), size, None)
     assert scene.material.friction == pytest.approx(math.tan(math.radians(phi)))
-    assert len(material_points(scene).positions) == 3200
+    assert len(initial_particles(scene).positions) == 3200
 
 
 def test_the_layers_slow_down_from_the_lowest_to_the_highest() -> None:

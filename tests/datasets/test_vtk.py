@@ -17,7 +17,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 from datasets import vtk
 from datasets.command_line import WorkFailed
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from datasets.vtk import write_vtk
@@ -175,7 +175,7 @@ def test_the_reader_that_paraview_has(tmp_path: Path, flow: Trajectory) -> None:
 
 
 def test_materials_are_those_of_the_points(flow: Trajectory) -> None:
-    points = material_points(flow.scene)
+    points = initial_particles(flow.scene)
     part = np.random.default_rng(4).permutation(len(points.positions))[:100]
     for chosen in (slice(None), part):
         meshes = vtk.Meshes(dataclasses.replace(flow, positions=points.positions[None, chosen].astype(np.float32)))

@@ -10,7 +10,7 @@ from datasets.definition import Definition, Entry, Split
 from datasets.files import write_json
 from datasets.material import Material
 from datasets.metadata import metadata
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.statistics import motion_statistics
 from datasets.trajectory import Trajectory
@@ -48,7 +48,7 @@ def toy_scene(dimension: int, seed: int) -> Scene:
 def toy(dimension: int, seed: int = 0) -> Trajectory:
     """The block's trajectory; each point wanders a little."""
     scene = toy_scene(dimension, seed)
-    points = material_points(scene)
+    points = initial_particles(scene)
     time = np.arange(FRAMES) * scene.frame_dt
     wander = np.random.default_rng(seed).normal(0.0, 1.0e-5, (FRAMES, *points.positions.shape))
     wander[0] = 0.0

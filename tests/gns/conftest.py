@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from gns.settings import ModelSettings
@@ -78,7 +78,7 @@ def spreading(
         duration=duration,
         seed=seed,
     )
-    points = material_points(scene)
+    points = initial_particles(scene)
     time = np.arange(scene.frames) * scene.frame_dt
     stretch = 1.0 + (1.2 - points.friction[0]) * (1.0 - np.cos(np.pi * time / duration))
     factors = np.stack((stretch, 1.0 / stretch), axis=1)

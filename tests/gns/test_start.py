@@ -8,7 +8,7 @@ import torch
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from gns.settings import ModelSettings
 from gns.start import after_frames, at_rest
@@ -30,7 +30,7 @@ SCENE = Scene(
 
 def test_the_conditions_are_those_of_the_scene() -> None:
     problem = at_rest(SCENE, SETTINGS, np.random.default_rng(0))
-    conditions, points = problem.conditions, material_points(SCENE)
+    conditions, points = problem.conditions, initial_particles(SCENE)
     assert conditions.size == (0.6, 0.4)
     upper = points.positions[problem.indices, 1] > 0.1
     assert 0 < upper.sum() < len(upper)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from gns.score import START
@@ -35,7 +35,7 @@ def problem() -> Problem:
 def beginning(problem: Problem) -> Trajectory:
     """Frames of a free fall, longer than a surrogate needs."""
     scene = problem.scene.with_friction_deg(30.0)
-    points = material_points(scene)
+    points = initial_particles(scene)
     time = np.arange(scene.frames) * scene.frame_dt
     positions = np.broadcast_to(points.positions, (len(time), *points.positions.shape)).copy()
     positions[:, :, 0] *= 1.0 + time[:, None]

@@ -9,7 +9,7 @@ import torch
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.samples import corners
 from inverse import observations
 from inverse.checks import check_unknowns
@@ -80,12 +80,12 @@ def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: An
 
 def test_each_point_knows_its_mass(make_problem: Any) -> None:
     problem = make_problem(2, "friction_deg")
-    points = material_points(problem.scene)
+    points = initial_particles(problem.scene)
     first = problem.scene.masses[0]
     inside = (points.positions[:, 1] < first.size[1]).sum()
     scene = with_unknowns(problem.scene, ["masses[1].friction_deg"], [15.0])
-    assert (material_points(scene).friction[inside:] < 0.27).all()
-    assert (material_points(scene).friction[:inside] > 0.5).all()
+    assert (initial_particles(scene).friction[inside:] < 0.27).all()
+    assert (initial_particles(scene).friction[:inside] > 0.5).all()
 
 
 def test_a_cohesion_takes_its_cutoff_along(make_problem: Any) -> None:

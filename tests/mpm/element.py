@@ -12,7 +12,7 @@ from scipy.optimize import root
 from datasets.material import Material
 from mpm import runtime
 from mpm.batch import aligned, properties_row
-from mpm.layout import Needs, Precision, Property
+from mpm.layout import Features, Precision, Property
 from mpm.mohr_coulomb import return_principal
 from mpm.stress import plastic_return, trial_stress
 
@@ -22,7 +22,7 @@ XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 
 @cache
-def path_kernel(needs: Needs) -> Callable[..., None]:
+def path_kernel(needs: Features) -> Callable[..., None]:
     """(stress, gradients, history, properties): one element along a path of displacement-gradient increments."""
     real = ti.f32 if needs.precision == "f32" else ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
@@ -86,7 +86,7 @@ def follow_whole(
 ) -> tuple[Vector, Vector]:
     """Stress [Pa], shape [S, 4 or 6], and plastic strain increment [-], shape [S], along increments [S, D, D] [-]."""
     runtime.start(precision)
-    needs = Needs(dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, fields=True)
+    needs = Features(dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, fields=True)
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
     stress = aligned((needs.stresses, needs.lanes), real)
     if start is not None:

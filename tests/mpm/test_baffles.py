@@ -51,7 +51,7 @@ def test_momentum_goes_into_walls_and_baffles_alone() -> None:
         trajectory = simulate(scene, fields=True, precision=precision)  # type: ignore[arg-type]
         assert trajectory.velocities is not None
         assert trajectory.baffle_impulse is not None
-        mass = SAND.density * scene.point_volume
+        mass = SAND.density * scene.particle_volume
         momentum = mass * trajectory.velocities.sum(axis=1)
         weight = np.outer(trajectory.time, scene.gravity_vector) * mass * trajectory.positions.shape[1]
         given = np.array(trajectory.summary["wall_impulse"]) + trajectory.baffle_impulse.sum(axis=1)

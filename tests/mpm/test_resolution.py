@@ -16,7 +16,7 @@ from mpm.resolution import (
     bodies,
     characteristic_length,
     fitted_cell,
-    point_steps,
+    particle_steps,
     read_measured,
     read_tolerance,
     resolved,
@@ -37,7 +37,7 @@ COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))
 
 
 def measured(cells: float, error: float, seconds: float, *, dimension: int = 2, points: int = 2) -> Measured:
-    what = Resolution(cells=cells, points_per_axis=points, step_fraction=0.9, precision="f32")
+    what = Resolution(cells=cells, particles_per_axis=points, step_fraction=0.9, precision="f32")
     return Measured(dimension=dimension, resolution=what, error=error, worst=2.0 * error, seconds=seconds)
 
 
@@ -61,7 +61,7 @@ def test_the_cheapest_within_the_tolerance_is_picked() -> None:
         measured(15, 0.028, 9.0, points=3),
     ]
     assert resolved(COLUMN, 0.05, known).cells == 20.0
-    assert resolved(COLUMN, 0.029, known).scene.points_per_axis == 3
+    assert resolved(COLUMN, 0.029, known).scene.particles_per_axis == 3
     assert resolved(COLUMN, 0.015, known).cells == 40.0
 
 
@@ -90,10 +90,10 @@ def test_what_to_expect_is_said() -> None:
 
 
 def test_everything_else_of_a_scene_stays() -> None:
-    what = Resolution(cells=10.0, points_per_axis=3, step_fraction=0.2, precision="f64")
+    what = Resolution(cells=10.0, particles_per_axis=3, step_fraction=0.2, precision="f64")
     coarse = at(COLUMN, what)
-    assert (coarse.domain.cell, coarse.points_per_axis, coarse.step_fraction) == (0.02, 3, 0.2)
-    assert at(coarse, dataclasses.replace(what, cells=20.0, points_per_axis=2, step_fraction=0.4)) == COLUMN
+    assert (coarse.domain.cell, coarse.particles_per_axis, coarse.step_fraction) == (0.02, 3, 0.2)
+    assert at(coarse, dataclasses.replace(what, cells=20.0, particles_per_axis=2, step_fraction=0.4)) == COLUMN
 
 
 @pytest.mark.parametrize("sides", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
@@ -133,10 +133,10 @@ def test_a_side_from_wall_to_wall_does_not_count() -> None:
 
 def test_point_steps_are_those_of_a_run() -> None:
     short = dataclasses.replace(
-        at(COLUMN, Resolution(cells=5.0, points_per_axis=3, step_fraction=0.4, precision="f32")), duration=0.05
+        at(COLUMN, Resolution(cells=5.0, particles_per_axis=3, step_fraction=0.4, precision="f32")), duration=0.05
     )
     summary = simulate(short, threads=1).summary
-    assert point_steps(short) == summary["particles"] * summary["steps"]
+    assert particle_steps(short) == summary["particles"] * summary["steps"]
     assert len(Batch([short], precision="f32").points[0].positions) == summary["particles"]
 
 

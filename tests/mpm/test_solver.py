@@ -157,7 +157,7 @@ def test_the_deposit_keeps_its_volume() -> None:
             core &= np.roll(count, shift, axis) > 0
     core &= count > 0
     core[:, 0] = core[0] = False
-    per_cell = (0.02 / scene.domain.cell * scene.points_per_axis) ** 2
+    per_cell = (0.02 / scene.domain.cell * scene.particles_per_axis) ** 2
     assert core.sum() > 20
     assert count[core].mean() == pytest.approx(per_cell, rel=0.06)
 
@@ -233,15 +233,15 @@ def test_a_run_too_large_to_count_is_refused() -> None:
 
 def test_a_run_that_blows_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
-    monkeypatch.setattr("mpm.batch.material_points", with_a_broken_point)
+    monkeypatch.setattr("mpm.batch.initial_particles", with_a_broken_point)
     with pytest.raises(WorkFailed, match="blew up at t = "):
         simulate(scene)
 
 
 def with_a_broken_point(scene: Scene) -> object:
-    from datasets.points import material_points
+    from datasets.particles import initial_particles
 
-    points = material_points(scene)
+    points = initial_particles(scene)
     velocities = points.velocities.copy()
     velocities[0] = np.nan
     return dataclasses.replace(points, velocities=velocities)

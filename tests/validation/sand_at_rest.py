@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 
@@ -26,7 +26,7 @@ def scene_of(*masses: Mass, **changes: Any) -> Scene:
 def at_rest(scene: Scene | None = None, **changes: Any) -> Trajectory:
     """Nothing moves: the floor takes the weight, energies stay; `changes` spoil it."""
     scene = scene or scene_of()
-    points = material_points(scene)
+    points = initial_particles(scene)
     count, dimension = points.positions.shape
     density = np.array([material.density for material in points.materials])[points.material]
     time = np.arange(scene.frames) * scene.frame_dt
@@ -64,7 +64,7 @@ def shaped(height: Any, scene: Scene | None = None) -> Trajectory:
     """The bed's points as a heap of `height(x)` [m] at the end; as dense as before where it has the bed's area."""
     flow = at_rest(scene)
     positions = flow.positions.copy()
-    spacing = flow.scene.domain.cell / flow.scene.points_per_axis
+    spacing = flow.scene.domain.cell / flow.scene.particles_per_axis
     x = np.arange(0.5 * spacing, flow.scene.domain.size[0], spacing)
     columns = [np.arange(0.5 * spacing, height(place), spacing) for place in x]
     heap = np.concatenate([np.stack([np.full(len(y), place), y], axis=1) for place, y in zip(x, columns, strict=True)])

@@ -12,7 +12,7 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.strict import from_mapping, read_toml
 from datasets.trajectory import Trajectory
-from mpm.resolution import Measurements, Resolution, at, point_steps, resolved
+from mpm.resolution import Measurements, Resolution, at, particle_steps, resolved
 from validation import accuracy, accuracy_report, bodies, deposits, pareto, studies
 from validation.bodies import Trial
 from validation.deposits import Run, Way
@@ -55,7 +55,7 @@ def test_a_deposit_that_is_further_by_a_hundredth_is_off_by_it() -> None:
     assert found.bias == pytest.approx(0.01 / reference.reach, rel=1e-3)
     assert found.front_error == pytest.approx(found.bias)
     assert found.profile_error == pytest.approx(0.01 / reference.reach, rel=0.05)
-    assert (found.seconds, found.point_steps) == (3.0, 7000)
+    assert (found.seconds, found.particle_steps) == (3.0, 7000)
 
 
 def test_scatter_counts_as_error_but_not_as_bias() -> None:
@@ -82,7 +82,7 @@ def test_the_reference_is_a_quarter_of_the_scenes_own_cell() -> None:
             finest = studies.references(scene, study.reference, studies.OWN_STEP, 1)[0].scene
             assert finest.domain.cell == pytest.approx(scene.domain.cell / 4.0)
             assert finest.step_fraction == scene.step_fraction == studies.OWN_STEP
-            assert finest.points_per_axis == scene.points_per_axis == studies.OWN_POINTS
+            assert finest.particles_per_axis == scene.particles_per_axis == studies.OWN_POINTS
             assert finest.duration == scene.duration
 
 
@@ -90,8 +90,8 @@ def test_nothing_that_is_tried_is_dearer_than_allowed() -> None:
     study = studies.STUDIES[1]
     scene = read_scene(study.names[0])
     tried = list(study.tried(scene))
-    most = study.dearest * point_steps(at(scene, studies.own(study.reference, "f64")))
-    assert max(point_steps(at(scene, each)) for each in tried) <= most
+    most = study.dearest * particle_steps(at(scene, studies.own(study.reference, "f64")))
+    assert max(particle_steps(at(scene, each)) for each in tried) <= most
     assert len(tried) == len(set(tried)) > 30
     # Each fits the box without becoming another.
     assert len({at(scene, each).domain.cell for each in tried}) == len(study.cells)
@@ -159,10 +159,10 @@ def test_the_command_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     assert (tmp_path / "accuracy-scenes.png").exists()
     found = from_mapping(Measurements, read_toml(tmp_path / "resolution.toml")).measured
-    assert Resolution(cells=5.0, points_per_axis=2, step_fraction=0.9, precision="f64") in [
+    assert Resolution(cells=5.0, particles_per_axis=2, step_fraction=0.9, precision="f64") in [
         each.resolution for each in found
     ]
-    assert min(each.resolution.points_per_axis for each in found) == studies.FEWEST_POINTS
+    assert min(each.resolution.particles_per_axis for each in found) == studies.FEWEST_POINTS
     # Coarser is worse, and the file is what a tolerance reads.
     errors = {
         each.resolution.cells: each.error

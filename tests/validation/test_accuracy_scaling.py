@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from validation import scaling
 from validation.collapse import LENGTH, half_column, measured, quarter_cylinder, volume_error
 from validation.power_law import fit, prefactor
@@ -79,8 +79,8 @@ def test_a_quarter_cylinder_has_the_volume_of_one(aspect: float) -> None:
     scene = quarter_cylinder(aspect, 8)
     assert abs(volume_error(scene)) < 0.012
     assert abs(volume_error(quarter_cylinder(aspect, 32))) < 0.004
-    points = material_points(scene).positions
-    assert len(points) * scene.point_volume == pytest.approx(0.25 * math.pi * LENGTH**3 * aspect, rel=0.012)
+    points = initial_particles(scene).positions
+    assert len(points) * scene.particle_volume == pytest.approx(0.25 * math.pi * LENGTH**3 * aspect, rel=0.012)
     assert np.hypot(points[:, 0], points[:, 2]).max() < LENGTH * (1.0 + 1.0 / 8.0)
 
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.points import point_count
+from datasets.particles import particle_count
 from inverse.problem import Problem, read_problem
 from inverse.target import Target
 from validation.efficiency import cuts, sizes
@@ -147,7 +147,7 @@ def test_what_got_better_is_kept_and_numbers_that_are_none_are_not() -> None:
 @pytest.mark.parametrize("cut", cuts.CUTS)
 def test_a_heap_is_of_the_same_points_however_it_is_cut(cut: tuple[int, int]) -> None:
     scene = cuts.heap(*cut)
-    assert point_count(scene) == 3_920
+    assert particle_count(scene) == 3_920
     assert len(scene.masses) == cut[0] * cut[1]
     assert max(mass.lower[0] + mass.size[0] for mass in scene.masses) == pytest.approx(0.35)
     assert max(mass.lower[1] + mass.size[1] for mass in scene.masses) == pytest.approx(0.28)
@@ -242,5 +242,5 @@ def test_costs_are_multiplied_from_what_was_run() -> None:
 
 
 def test_columns_grow_on_the_same_cells() -> None:
-    assert [point_count(column(size.times)) for size in sizes.SIZES] == [3_200, 12_800, 100_352]
+    assert [particle_count(column(size.times)) for size in sizes.SIZES] == [3_200, 12_800, 100_352]
     assert dataclasses.replace(column(1.0)).domain.cell == column(5.6).domain.cell

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse import observations
@@ -172,7 +172,7 @@ def case(
         loop=loop or LoopSettings(),
     )
     observation = observations.build(problem.observation, scene)
-    flow = Flow(count=count, points=point_count(scene), scatter=scatter, bend=bend)
+    flow = Flow(count=count, points=particle_count(scene), scatter=scatter, bend=bend)
     source = Distorted(flow=flow, observation=observation, mixing=mixing, strength=strength, shift=shift)
     return Case(problem=problem, observation=observation, flow=flow, source=source)
 

@@ -7,16 +7,16 @@ import pytest
 
 from datasets.command_line import run
 from datasets.library import read_scene
-from datasets.points import material_points, point_count
-from mpm.batch import needs_of
+from datasets.particles import initial_particles, particle_count
+from mpm.batch import features_of
 from validation import gains, machine, rates, speed, timing
 from validation.rates import Case, Way
 from validation.speed_page import page
 from validation.timing import Run, Spread, Took, in_turn, ratio
 
 
-def took(seconds: float, point_steps: int = 1_000_000, front: float = 0.5, rest_time: float | None = None) -> Took:
-    return Took(seconds=seconds, point_steps=point_steps, front=front, rest_time=rest_time)
+def took(seconds: float, particle_steps: int = 1_000_000, front: float = 0.5, rest_time: float | None = None) -> Took:
+    return Took(seconds=seconds, particle_steps=particle_steps, front=front, rest_time=rest_time)
 
 
 def cells_of(line: str) -> list[str]:
@@ -61,10 +61,10 @@ def test_runs_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_is_timed_and_its_points_and_steps_counted() -> None:
     scene = rates.column(2, 20, 2)
     once, twice = timing.timed(Run(scenes=(scene,))), timing.timed(Run(scenes=(scene, scene)))
-    assert once.point_steps % point_count(scene) == 0
-    assert twice.point_steps == 2 * once.point_steps > 0
+    assert once.particle_steps % particle_count(scene) == 0
+    assert twice.particle_steps == 2 * once.particle_steps > 0
     assert once.seconds > 0.0
-    assert once.rate == pytest.approx(once.point_steps / once.seconds / 1e6)
+    assert once.rate == pytest.approx(once.particle_steps / once.seconds / 1e6)
     assert 0.15 < once.front < 0.25
 
 
@@ -73,11 +73,11 @@ def test_a_case_is_the_same_column_on_its_grid(case: Case) -> None:
     scene = rates.column(case.dimension, case.cells, case.frames)
     assert scene.frames == case.frames + 1
     volume = 0.08 if case.dimension == 2 else rates.CUBE**3
-    assert point_count(scene) * scene.point_volume == pytest.approx(volume, rel=0.03)
+    assert particle_count(scene) * scene.particle_volume == pytest.approx(volume, rel=0.03)
 
 
 def test_sizes_are_those_that_others_were_measured_at() -> None:
-    sizes = [(case.dimension, point_count(rates.column(case.dimension, case.cells, 1))) for case in rates.CASES]
+    sizes = [(case.dimension, particle_count(rates.column(case.dimension, case.cells, 1))) for case in rates.CASES]
     for dimension, points in ((2, 3_200), (2, 25_000), (2, 100_000), (2, 1_000_000), (3, 13_400), (3, 500_000)):
         assert any(own == dimension and abs(size / points - 1.0) < 0.05 for own, size in sizes)
 
@@ -122,14 +122,14 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
 
     def needs(name: str) -> dict[str, object]:
         scenes = runs[name].scenes
-        found = needs_of(scenes, [material_points(scene) for scene in scenes], "f32", fields=runs[name].fields)
+        found = features_of(scenes, [initial_particles(scene) for scene in scenes], "f32", fields=runs[name].fields)
         return dataclasses.asdict(found)
 
     plain = needs(gains.PLAIN)
     changed = {name: {key for key in plain if needs(name)[key] != plain[key]} for name in runs}
     assert changed.pop(gains.PLAIN) == set()
     assert list(changed.values()) == [{"damped"}, {"cohesive"}, {"dilates"}, {"several"}, {"baffles"}, {"fields"}]
-    counts = {point_count(run.scenes[0]) for run in runs.values()}
+    counts = {particle_count(run.scenes[0]) for run in runs.values()}
     assert len(counts) == 1
 
 
@@ -137,8 +137,8 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
 def test_one_cell_of_material_spans_the_grid(dimension: int) -> None:
     scene = gains.plain(dimension)
     wide = gains.spanned(scene)
-    points = material_points(wide).positions
-    assert len(points) - point_count(scene) == 2**dimension
+    points = initial_particles(wide).positions
+    assert len(points) - particle_count(scene) == 2**dimension
     assert points.max(axis=0) == pytest.approx(scene.domain.size, abs=scene.domain.cell)
 
 

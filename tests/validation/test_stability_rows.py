@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, at_rest, scene_of
@@ -64,12 +64,12 @@ def test_the_scenes_are_what_their_rows_say() -> None:
         assert velocity[0] == 10.0
     width, height = scene["tall-column"].masses[0].size
     assert height == pytest.approx(8.0 * width)
-    assert len(np.unique(material_points(dataclasses.replace(scene["thin-layer"], jitter=0.0)).positions[:, 1])) == 3
+    assert len(np.unique(initial_particles(dataclasses.replace(scene["thin-layer"], jitter=0.0)).positions[:, 1])) == 3
     assert scene["rest"].duration >= 12.0
     assert scene["long-step"] == dataclasses.replace(scene["column"], step_fraction=0.9)
     filled = scene["filled-domain"]
     assert filled.masses[0].size == filled.domain.size
-    assert len(material_points(scene["one-point"]).positions) == 1
+    assert len(initial_particles(scene["one-point"]).positions) == 1
     for name in ("layers-settle", "layers-collapse"):
         soft, stiff = (scene[name].material_of(mass) for mass in scene[name].masses)
         assert stiff.young == 100.0 * soft.young

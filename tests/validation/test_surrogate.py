@@ -11,7 +11,7 @@ import torch
 from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.releases2d import held_out
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
@@ -40,7 +40,7 @@ BLOCK = Scene(
 
 def sliding(scene: Scene, speed: float) -> Trajectory:
     """The masses of `scene` slide along x at `speed` [m/s], as one."""
-    points = material_points(scene)
+    points = initial_particles(scene)
     time = np.arange(scene.frames) * scene.frame_dt
     moved = points.positions + np.array([1.0, 0.0])[: scene.dimension] * speed * time[:, None, None]
     return Trajectory(
@@ -60,7 +60,7 @@ def rolled(flow: Trajectory, every: int = 1) -> Rollout:
         positions=flow.positions[::stride, indices],
         step=STEP,
         velocity0=flow.velocity0[indices],
-        volume=np.full(len(indices), every * flow.scene.point_volume, np.float32),
+        volume=np.full(len(indices), every * flow.scene.particle_volume, np.float32),
         indices=indices,
         seconds=1.0,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.library import read_scene
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from gns.simulator import Simulator
 from inverse import observations
@@ -65,7 +65,7 @@ def heap(columns: int, layers: int) -> Scene:
     However it is cut, it is of the same points: no cut goes through a point's share of a cell.
     """
     whole = read_scene(SCENE)
-    share = whole.domain.cell / whole.points_per_axis
+    share = whole.domain.cell / whole.particles_per_axis
     across = round(whole.masses[0].size[0] / share)
     up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / share)
     x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
@@ -211,4 +211,4 @@ def over_unknowns(
             bar.set_postfix_str(f"{len(asked.unknowns)} unknowns")
             found += gradients(asked, models(asked, simulator))
             steps[str(len(asked.unknowns))] = float(asked.steps[0])
-    return point_count(asked.scene), steps, tuple(found)
+    return particle_count(asked.scene), steps, tuple(found)

@@ -15,7 +15,7 @@ import torch
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from gns import checkpoint
 from gns.rollout import SHIPPED
@@ -111,7 +111,7 @@ def took(work: Work, scene: Scene, *, model: Path = SHIPPED, runs: int = 2, memo
     if work is Work.MPM:
         mpm = MpmForward(problem, observations.build(problem.observation, scene), simulate_many)
         MpmForward(asked(short), mpm.observation, simulate_many).observe([start])
-        points, followed, steps, state = point_count(scene), point_count(scene), 0, 0
+        points, followed, steps, state = particle_count(scene), particle_count(scene), 0, 0
         forgotten()
         before = resident() or peak()
         began = time.perf_counter()
@@ -124,7 +124,7 @@ def took(work: Work, scene: Scene, *, model: Path = SHIPPED, runs: int = 2, memo
         target = start * 0.0
         automatic(surrogate(short, simulator, memory_gib), target)(start)
         gns = surrogate(scene, simulator, memory_gib)
-        points, followed, steps = point_count(scene), len(gns.indices), gns.steps
+        points, followed, steps = particle_count(scene), len(gns.indices), gns.steps
         state = gns.launch.state.positions.nbytes + gns.launch.state.displacements.nbytes
         forgotten()
         before = resident() or peak()

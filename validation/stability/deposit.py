@@ -59,7 +59,7 @@ def volume(flow: Trajectory) -> Finding | None:
     counts, core = core_counts(flow)
     if core.sum() < FEWEST_CUBES:
         return None
-    full = (CUBE * flow.scene.points_per_axis) ** flow.scene.dimension
+    full = (CUBE * flow.scene.particles_per_axis) ** flow.scene.dimension
     return Finding(
         check="volume", value=float(full * core.sum() / max(1.0, counts[core].sum()) - 1.0), least=-VOLUME, most=VOLUME
     )

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
-from datasets.points import material_points
+from datasets.particles import initial_particles
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.batch import needs_of
-from mpm.layout import Needs, Precision
+from mpm.batch import features_of
+from mpm.layout import Features, Precision
 from mpm.simulate import simulate, simulate_many
 
 Flow = Trajectory | WorkFailed
@@ -22,9 +22,9 @@ def simulate_scenes(scenes: Mapping[str, Scene], precision: Precision, bar: "tqd
     A batch compiles what any of its scenes needs, and a scene without cohesion would not run in the code that it is
     meant to test. So scenes with the same needs run together.
     """
-    groups: dict[Needs, dict[str, Scene]] = {}
+    groups: dict[Features, dict[str, Scene]] = {}
     for name, scene in scenes.items():
-        needs = needs_of([scene], [material_points(scene)], precision, fields=True)
+        needs = features_of([scene], [initial_particles(scene)], precision, fields=True)
         groups.setdefault(needs, {})[name] = scene
     flows: dict[str, Flow] = {}
     for group in groups.values():

@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from datasets import measures
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.simulate import LARGE, simulate, simulate_many
@@ -29,7 +29,7 @@ Way = tuple[str, Start]
 def truth(scene: Scene, seeds: int) -> Truth:
     """Run a scene and, with other jitters, its likes: small ones side by side, large ones one after the other."""
     scenes = [dataclasses.replace(scene, seed=scene.seed + number) for number in range(seeds)]
-    if point_count(scene) < LARGE:
+    if particle_count(scene) < LARGE:
         flows = simulate_many(scenes)
         flow, deposits = flows[0], [each.positions[-1] for each in flows]
     else:
@@ -49,7 +49,7 @@ def coarsely(scene: Scene) -> Scene:
     A frame is a whole number of steps, so that the step is a few per cent longer then, and the flow another one: what
     fits stays as it is.
     """
-    size = 4.0 * scene.dimension * point_count(scene) * scene.frames
+    size = 4.0 * scene.dimension * particle_count(scene) * scene.frames
     frame_dt = FEWER * scene.frame_dt
     frames = scene.duration / frame_dt
     if size <= RECORD or abs(frames - round(frames)) > 1e-6:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from datasets import measures
 from datasets.library import read_scene
-from datasets.points import point_count
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from gns.unroll import step_activation_bytes, unroll
 from inverse import observations
@@ -171,7 +171,7 @@ def race(series: str, scene: Scene, laps: Mapping[str, Lap]) -> Race:
     took = timing.timed(Run(scenes=(scene,)))
     return Race(
         series=series,
-        points=point_count(scene),
+        points=particle_count(scene),
         cell=scene.domain.cell,
         seconds=took.seconds,
         front=took.front,

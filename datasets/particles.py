@@ -11,7 +11,7 @@ from datasets.scene import Mass, Scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaterialPoints:
+class Particles:
     """The points of a scene at time 0."""
 
     positions: NDArray[np.float64]
@@ -36,14 +36,14 @@ class MaterialPoints:
         return np.array([material.cohesion for material in self.materials], np.float32)[self.material]
 
 
-def material_points(scene: Scene) -> MaterialPoints:
+def initial_particles(scene: Scene) -> Particles:
     """Fill every mass of `scene` with points.
 
-    A mass gets a lattice of about `cell / points_per_axis`, fitted to its size (`lattice_counts`); each point is moved
+    A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size (`lattice_counts`); each point is moved
     at random inside the share `jitter` of its own lattice cell. A mass draws from its own stream, so that adding one
     leaves the others.
     """
-    share = scene.domain.cell / scene.points_per_axis
+    share = scene.domain.cell / scene.particles_per_axis
     materials: list[Material] = []
     positions, velocities, indices = [], [], []
     for number, mass in enumerate(scene.masses):
@@ -57,12 +57,12 @@ def material_points(scene: Scene) -> MaterialPoints:
         if material not in materials:
             materials.append(material)
         indices.append(np.full(len(lattice), materials.index(material), np.int32))
-    return MaterialPoints(
+    return Particles(
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
         material=np.concatenate(indices),
         materials=tuple(materials),
-        volume=scene.point_volume,
+        volume=scene.particle_volume,
     )
 
 
@@ -79,7 +79,7 @@ def lattice_counts(mass: Mass, share: float) -> list[int]:
     return counts
 
 
-def point_count(scene: Scene) -> int:
-    """How many points `material_points` makes."""
-    share = scene.domain.cell / scene.points_per_axis
+def particle_count(scene: Scene) -> int:
+    """How many points `initial_particles` makes."""
+    share = scene.domain.cell / scene.particles_per_axis
     return sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)

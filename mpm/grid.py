@@ -1,0 +1,163 @@
+"""The grid between the transfers: cleared, then momentum becomes velocity under gravity, damping and the walls.
+
+    v_i = (m v)_i / m_i + dt (g + f_i / m_i - alpha |g + f_i / m_i| sign v_i)
+
+The last term is local damping (Cundall 1987) as CB-Geo MPM applies it at a node: |f| is the length of the whole force,
+the sign is each component's (Cundall's own form takes each component's force too). A scene without damping neither
+stores nor sums f_i apart. Only the bounding box of the material is cleared and updated.
+"""
+
+import taichi as ti
+
+from mpm.boundary import against_walls
+from mpm.lanes import add
+from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
+
+
+@ti.func
+def cells_of(scene, arrays: ti.template()):
+    """Cells of the box along each axis, shape [D]."""
+    features = arrays.features
+    return ti.Vector([arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def rows_of(scene, arrays: ti.template()):
+    """Nodes from one to its neighbour along each axis, shape [3]; the last axis is the innermost."""
+    features = arrays.features
+    across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
+    if ti.static(features.dimension == 2):
+        return ti.Vector([across, 1, 0])
+    else:
+        deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
+        return ti.Vector([across * deep, deep, 1])
+
+
+@ti.func
+def clear(worker, rows, arrays: ti.template()):
+    """Set the nodes around the material of `worker` to zero."""
+    features = arrays.features
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                arrays.grid[first + k] = zero
+
+
+@ti.func
+def update_nodes(worker, scene, dt, rows, arrays: ti.template()):
+    """Momentum to velocity, on the grid of a worker that has the scene to itself, or on a share of all their grids."""
+    if ti.static(arrays.features.shared):
+        share_nodes(worker, scene, dt, rows, arrays)
+    else:
+        update_own_nodes(worker, scene, dt, rows, arrays)
+
+
+@ti.func
+def update_own_nodes(worker, scene, dt, rows, arrays: ti.template()):
+    """Momentum to velocity, where one worker has the scene to itself."""
+    features = arrays.features
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                node = arrays.grid[first + k]
+                if node[features.dimension] > 0.0:
+                    put_velocity(first + k, velocity_of(node, i, j, k, worker, scene, dt, arrays), arrays)
+
+
+@ti.func
+def share_nodes(worker, scene, dt, rows, arrays: ti.template()):
+    """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
+    features = arrays.features
+    count = arrays.workers.shape[0]
+    low = ti.Vector([arrays.workers[0, Worker.LOW_X + k] for k in ti.static(range(3))])
+    high = ti.Vector([arrays.workers[0, Worker.HIGH_X + k] for k in ti.static(range(3))])
+    for other in range(1, count):
+        for k in ti.static(range(3)):
+            low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
+            high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    for i in range(low[0], high[0]):
+        if i % count == worker:
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    at = i * rows[0] + j * rows[1] + k
+                    node = zero
+                    for other in range(count):
+                        if covers(other, i, j, k, arrays):
+                            node += arrays.grid[arrays.workers[other, Worker.NODE] + at]
+                    if node[features.dimension] > 0.0:
+                        v = velocity_of(node, i, j, k, worker, scene, dt, arrays)
+                        for other in range(count):
+                            if covers(other, i, j, k, arrays):
+                                put_velocity(arrays.workers[other, Worker.NODE] + at, v, arrays)
+
+
+@ti.func
+def update_node(n, scene, arrays: ti.template()):
+    """Momentum to velocity on the n-th node of a scene, where every node has a thread."""
+    rows = rows_of(scene, arrays)
+    i, j, k = n // rows[0], 0, 0
+    if ti.static(arrays.features.dimension == 2):
+        j = n - i * rows[0]
+    else:
+        j = (n - i * rows[0]) // rows[1]
+        k = n - i * rows[0] - j * rows[1]
+    dt = arrays.step_control[scene, StepControl.DT]
+    if i < arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING + 1 and dt > 0.0:
+        at = arrays.workers[scene, Worker.NODE] + n
+        node = arrays.grid[at]
+        if node[arrays.features.dimension] > 0.0:
+            put_velocity(at, velocity_of(node, i, j, k, scene, scene, dt, arrays), arrays)
+
+
+@ti.func
+def covers(worker, i, j, k, arrays: ti.template()):
+    """Whether the material of a worker reaches node (i, j, k)."""
+    return (
+        arrays.workers[worker, Worker.LOW_X] <= i < arrays.workers[worker, Worker.HIGH_X]
+        and arrays.workers[worker, Worker.LOW_Y] <= j < arrays.workers[worker, Worker.HIGH_Y]
+        and arrays.workers[worker, Worker.LOW_Z] <= k < arrays.workers[worker, Worker.HIGH_Z]
+    )
+
+
+@ti.func
+def put_velocity(n, v, arrays: ti.template()):
+    """Store the velocity of node n in place of its momentum."""
+    for axis in ti.static(range(arrays.features.dimension)):
+        arrays.grid[n][axis] = v[axis]
+
+
+@ti.func
+def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D]."""
+    features = arrays.features
+    mass = node[features.dimension]
+    v = ti.Vector([node[axis] / mass for axis in ti.static(range(features.dimension))])
+    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
+    a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
+    if ti.static(features.damped):
+        a = a + ti.Vector([node[features.force + axis] / mass for axis in ti.static(range(features.dimension))])
+        drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
+        a = a - drag * ti.Vector([ti.math.sign(v[axis]) for axis in ti.static(range(features.dimension))])
+    free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
+    index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
+    held = against_walls(
+        free,
+        index,
+        cells_of(scene, arrays),
+        arrays.settings[scene, Setting.FLOOR_FRICTION],
+        arrays.settings[scene, Setting.WALL_FRICTION],
+    )
+    if ti.static(features.fields):
+        # What the walls take is counted behind the baffles.
+        for axis in ti.static(range(features.dimension)):
+            recorded_impulse = (
+                arrays.workers[worker, Worker.IMPULSE]
+                + arrays.offsets[scene, Offset.BAFFLES] * features.dimension
+                + axis
+            )
+            add(arrays.impulse_lanes, recorded_impulse * features.lanes, mass * (free[axis] - held[axis]), arrays)
+    return held

@@ -1,0 +1,211 @@
+"""The kernel: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
+
+Many scenes: a scene runs on one thread from the first step of a launch to the last: no atomics, no barriers, and the
+result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles and
+its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A launch
+costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other inside it.
+"""
+
+from collections.abc import Callable
+from enum import Enum, auto
+from functools import cache
+from typing import Any
+
+import taichi as ti
+
+from mpm.grid import clear, rows_of, update_node, update_nodes
+from mpm.layout import Features, Offset, Setting, StepControl, Worker
+from mpm.output import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
+from mpm.particles import move_block, move_particles
+from mpm.transfer import block_to_grid, particles_to_grid
+
+TURNS = 512
+"""Taichi hands a thread no fewer turns of a loop than these."""
+
+
+class Phase(Enum):
+    """What a launch does."""
+
+    FRAMES = auto()
+    """Frames from `first` to before `last`, a thread per worker."""
+    SPEED = auto()
+    """The number of steps that each scene needs for its next frame."""
+    STEP = auto()
+    """One step of every scene whose dt is not zero; `last` is the largest number of nodes of a scene."""
+    RECORD = auto()
+    """Record frame `first` of every scene that still moves."""
+
+
+@ti.data_oriented
+class Arrays:
+    """The arrays of a batch by name, as the kernel hands them on; `mpm.batch` says what each holds."""
+
+    def __init__(self, features: Features, **arrays: Any) -> None:
+        self.features = features
+        vars(self).update(arrays)
+
+
+@ti.func
+def barrier(arrays: ti.template()):
+    """Wait until all workers of a shared scene have come here; nothing where scenes are not shared.
+
+    Each has a thread of its own, because Taichi has as many threads as there are workers. Reading by adding zero keeps
+    the compiler from reading once.
+    """
+    if ti.static(arrays.features.shared):
+        count = arrays.workers.shape[0]
+        goal = (ti.atomic_add(arrays.barrier_count[0], 1) // count + 1) * count
+        while ti.atomic_add(arrays.barrier_count[0], 0) < goal:
+            pass
+
+
+@ti.func
+def advance_worker(worker, first, last, arrays: ti.template()):
+    """Compute the frames [first, last) of a worker's part of its scene; record them if it is the scene's first."""
+    scene = arrays.workers[worker, Worker.SCENE]
+    rows = rows_of(scene, arrays)
+    for frame in range(first, ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
+        if arrays.offsets[scene, Offset.REST] > 0:
+            break
+        substeps = steps_of_frame(scene, arrays)
+        barrier(arrays)
+        if substeps == 0:
+            arrays.offsets[scene, Offset.FRAMES] = frame
+            break
+        dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
+        for _ in range(substeps):
+            clear(worker, rows, arrays)
+            particles_to_grid(worker, scene, dt, rows, arrays)
+            barrier(arrays)
+            update_nodes(worker, scene, dt, rows, arrays)
+            barrier(arrays)
+            move_particles(worker, scene, dt, rows, arrays)
+        barrier(arrays)
+        if worker == 0 or not ti.static(arrays.features.shared):
+            arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
+            record_frame(scene, frame, arrays)
+        barrier(arrays)
+
+
+@cache
+def kernel(features: Features) -> Callable[..., None]:
+    """The kernel for scenes with `features`; nothing else is compiled into it.
+
+    It takes the arrays of `mpm.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
+    record the frames [first, last). The others are parts of a frame, each on as many threads as there are particles, for a
+    GPU: see `mpm.device`.
+    """
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    numbers = ti.types.ndarray(dtype=real, ndim=1)
+    blocks = numbers if features.gpu else ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+    nodes = ti.types.ndarray(dtype=ti.types.vector(features.node, real), ndim=1)
+    table = ti.types.ndarray(dtype=real, ndim=2)
+    integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
+    integer_table = ti.types.ndarray(dtype=ti.i32, ndim=2)
+    singles = ti.types.ndarray(dtype=ti.f32, ndim=1)
+    doubles = ti.types.ndarray(dtype=ti.f64, ndim=1)
+    double_table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+
+    @ti.kernel
+    def advance(
+        state: blocks,
+        lanes: numbers,
+        grid: nodes,
+        scratch: blocks,
+        scratch_lanes: numbers,
+        impulse: blocks,
+        impulse_lanes: numbers,
+        settings: table,
+        properties: table,
+        baffles: table,
+        offsets: integer_table,
+        workers: integer_table,
+        order: integers,
+        recorded_positions: singles,
+        fields: singles,
+        energy: doubles,
+        recorded_impulse: double_table,
+        barrier_count: integers,
+        clamped: integers,
+        owner: integers,
+        step_control: table,
+        first: ti.i32,
+        last: ti.i32,
+        phase: ti.template(),
+    ):
+        # `ti.static` makes the object while the kernel is compiled.
+        arrays = ti.static(
+            [
+                Arrays(
+                    features,
+                    state=state,
+                    lanes=lanes,
+                    grid=grid,
+                    scratch=scratch,
+                    scratch_lanes=scratch_lanes,
+                    impulse=impulse,
+                    impulse_lanes=impulse_lanes,
+                    settings=settings,
+                    properties=properties,
+                    baffles=baffles,
+                    offsets=offsets,
+                    workers=workers,
+                    order=order,
+                    recorded_positions=recorded_positions,
+                    fields=fields,
+                    energy=energy,
+                    recorded_impulse=recorded_impulse,
+                    barrier_count=barrier_count,
+                    clamped=clamped,
+                    owner=owner,
+                    step_control=step_control,
+                )
+            ]
+        )[0]
+        if ti.static(phase == Phase.FRAMES):
+            ti.loop_config(block_dim=TURNS)
+            for turn in range(workers.shape[0] * TURNS):
+                if turn % TURNS == 0:
+                    advance_worker(turn // TURNS, first, last, arrays)
+        if ti.static(phase == Phase.SPEED):
+            for scene in range(offsets.shape[0]):
+                step_control[scene, StepControl.SPEED] = 0.0
+            for block in range(owner.shape[0]):
+                ti.atomic_max(step_control[owner[block], StepControl.SPEED], ti.sqrt(squared_speed(block, arrays)))
+            for scene in range(offsets.shape[0]):
+                step_control[scene, StepControl.STEPS] = steps_at_speed(
+                    scene, step_control[scene, StepControl.SPEED], arrays
+                )
+        if ti.static(phase == Phase.STEP):
+            for n in range(grid.shape[0]):
+                grid[n] = 0.0 * grid[n]
+            for block in range(owner.shape[0]):
+                scene = owner[block]
+                if step_control[scene, StepControl.DT] > 0.0:
+                    at = workers[scene, Worker.NODE]
+                    block_to_grid(
+                        at,
+                        scene,
+                        block,
+                        block * features.scratch,
+                        step_control[scene, StepControl.DT],
+                        rows_of(scene, arrays),
+                        arrays,
+                    )
+            for q in range(last * offsets.shape[0]):
+                update_node(q % last, q // last, arrays)
+            for block in range(owner.shape[0]):
+                scene = owner[block]
+                dt = step_control[scene, StepControl.DT]
+                if dt > 0.0:
+                    at = workers[scene, Worker.NODE]
+                    move_block(scene, at, scene, block, block * features.scratch, dt, rows_of(scene, arrays), arrays)
+        if ti.static(phase == Phase.RECORD):
+            for block in range(owner.shape[0]):
+                if step_control[owner[block], StepControl.STEPS] > 0.0:
+                    record_block(owner[block], first, block, arrays)
+            for scene in range(offsets.shape[0]):
+                if step_control[scene, StepControl.STEPS] > 0.0:
+                    record_scene(scene, first, arrays)
+
+    return advance

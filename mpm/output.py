@@ -1,0 +1,157 @@
+"""What is recorded of a scene at the end of a frame, and what the next frame asks about: steps, rest."""
+
+import taichi as ti
+
+from mpm.lanes import add, lane_maximum, lane_sum, larger
+from mpm.layout import Energy, Field, Offset, Property, Setting, Worker
+from mpm.transfer import particles_in, property_of
+
+STABILITY = 1.0
+"""Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
+RUNAWAY = 10.0
+"""Point speed over wave speed at which a run has blown up."""
+REST = 1.0e-3
+"""Kinetic energy at which a deposit has come to rest, as a fraction of the largest so far."""
+
+
+@ti.func
+def last_block(scene, arrays: ti.template()):
+    """One past the last block of a scene."""
+    features = arrays.features
+    return (
+        arrays.offsets[scene, Offset.BLOCK]
+        + (arrays.offsets[scene, Offset.PARTICLES] + features.lanes - 1) // features.lanes
+    )
+
+
+@ti.func
+def steps_of_frame(scene, arrays: ti.template()):
+    """The scene's usual number of steps, more where particles move so fast that a step would leave the stable range.
+
+    0 where a particle outruns the elastic wave many times over: that is no longer physics, and the scene ends.
+    """
+    fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
+    for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
+        fastest = larger(fastest, squared_speed(block, arrays))
+    return steps_at_speed(scene, ti.sqrt(lane_maximum(fastest, arrays)), arrays)
+
+
+@ti.func
+def squared_speed(block, arrays: ti.template()):
+    """|v|^2 [m^2/s^2] of each lane, huge where it is not a number: a comparison with NaN is false."""
+    v = block * arrays.features.block + arrays.features.velocity
+    square = arrays.state[v] * arrays.state[v]
+    for k in ti.static(range(1, arrays.features.dimension)):
+        square = square + arrays.state[v + k] * arrays.state[v + k]
+    return ti.select(square < 1.0e30, square, 1.0e30)
+
+
+@ti.func
+def steps_at_speed(scene, speed, arrays: ti.template()):
+    """Steps of a frame whose fastest particle has `speed` [m/s]; 0 for a runaway."""
+    wave_speed = arrays.settings[scene, Setting.WAVE_SPEED]
+    steps = 0
+    if speed <= RUNAWAY * wave_speed:
+        crossings = (
+            arrays.settings[scene, Setting.FRAME_DT] * (wave_speed + speed) / arrays.settings[scene, Setting.CELL]
+        )
+        steps = ti.max(arrays.offsets[scene, Offset.SUBSTEPS], ti.cast(ti.ceil(crossings / STABILITY), ti.i32))
+    return steps
+
+
+@ti.func
+def record_frame(scene, frame, arrays: ti.template()):
+    """Record a frame of a scene: what its particles carry, its energies, what its solids have taken, whether it rests."""
+    for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
+        record_block(scene, frame, block, arrays)
+    record_scene(scene, frame, arrays)
+
+
+@ti.func
+def record_scene(scene, frame, arrays: ti.template()):
+    """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
+    if ti.static(arrays.features.impulses):
+        record_impulses(scene, frame, arrays)
+    if ti.static(arrays.features.rests):
+        detect_rest(scene, frame, arrays)
+
+
+@ti.func
+def record_block(scene, frame, block, arrays: ti.template()):
+    """Record positions and energies of the particles of a block, and the fields where asked for.
+
+    Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries too;
+    elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E).
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    volume, dx = arrays.settings[scene, Setting.VOLUME], arrays.settings[scene, Setting.CELL]
+    first = block * features.block
+    present = arrays.state[first + features.present]
+    mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
+    vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
+    for k in ti.static(range(features.dimension)):
+        vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
+    for k in ti.static(range(features.dimension * features.dimension)):
+        cc = cc + arrays.state[first + features.affine + k] * arrays.state[first + features.affine + k]
+    for k in ti.static(range(features.stresses)):
+        s = arrays.state[first + features.stress + k]
+        ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s
+        trace = trace + ti.static(1.0 if k < 3 else 0.0) * s
+    height = (
+        arrays.settings[scene, Setting.GRAVITY_X] * arrays.state[first]
+        + arrays.settings[scene, Setting.GRAVITY_Y] * arrays.state[first + 1]
+    )
+    deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
+    spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
+    line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
+    add(arrays.energy, line + Energy.KINETIC, lane_sum(0.5 * mass * (vv + 0.25 * dx * dx * cc), arrays), arrays)
+    add(arrays.energy, line + Energy.POTENTIAL, lane_sum(0.0 - mass * height, arrays), arrays)
+    elastic = volume * present * (deviator * ss - spherical * trace * trace)
+    add(arrays.energy, line + Energy.ELASTIC, lane_sum(elastic, arrays), arrays)
+    for lane in range(particles_in(scene, block, arrays)):
+        particle = (
+            arrays.offsets[scene, Offset.RECORD]
+            + frame * arrays.offsets[scene, Offset.PARTICLES]
+            + arrays.order[block * lanes + lane]
+        )
+        for k in ti.static(range(features.dimension)):
+            arrays.recorded_positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
+        if ti.static(features.fields):
+            at = particle * ti.static(features.dimension + len(Field))
+            for k in ti.static(range(features.dimension)):
+                arrays.fields[at + k] = arrays.lanes[(first + features.velocity + k) * lanes + lane]
+            pressure = 0.0
+            for k in ti.static(range(3)):
+                pressure -= arrays.lanes[(first + features.stress + k) * lanes + lane] / 3.0
+            arrays.fields[at + ti.static(features.dimension + Field.PRESSURE)] = pressure
+            arrays.fields[at + ti.static(features.dimension + Field.PLASTIC_STRAIN)] = arrays.lanes[
+                (first + features.plastic_strain) * lanes + lane
+            ]
+
+
+@ti.func
+def record_impulses(scene, frame, arrays: ti.template()):
+    """Record the momentum that each solid took in this frame, and count from zero again."""
+    features = arrays.features
+    count = arrays.offsets[scene, Offset.SOLIDS]
+    line = arrays.offsets[scene, Offset.IMPULSE] + frame * count
+    each = arrays.workers.shape[0] // arrays.offsets.shape[0]
+    for worker in range(scene * each, (scene + 1) * each):
+        for number in range(count):
+            for k in ti.static(range(features.dimension)):
+                at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension + k
+                arrays.recorded_impulse[line + number, k] = arrays.recorded_impulse[line + number, k] + lane_sum(
+                    arrays.impulse[at], arrays
+                )
+                arrays.impulse[at] = 0.0 * arrays.impulse[at]
+
+
+@ti.func
+def detect_rest(scene, frame, arrays: ti.template()):
+    """Note where the kinetic energy of a frame has fallen to nothing beside the largest so far."""
+    line = arrays.offsets[scene, Offset.ENERGY]
+    peak = arrays.energy[line * ti.static(len(Energy)) + Energy.KINETIC]
+    for earlier in range(frame):
+        peak = ti.max(peak, arrays.energy[(line + earlier) * ti.static(len(Energy)) + Energy.KINETIC])
+    if arrays.energy[(line + frame) * ti.static(len(Energy)) + Energy.KINETIC] < REST * peak:
+        arrays.offsets[scene, Offset.REST] = frame

@@ -1,0 +1,97 @@
+"""What a block of particles does between grid and next step: it moves, keeps out of solids, and its stress follows."""
+
+import taichi as ti
+
+from mpm.baffles import particles_against_baffles
+from mpm.lanes import add, between, lane_maximum, lane_minimum, lane_sum, larger, smaller
+from mpm.layout import PADDING, Offset, Property, Setting, Worker
+from mpm.stress import plastic_return, trial_stress
+from mpm.transfer import grid_to_block, property_of
+
+
+@ti.func
+def move_particles(worker, scene, dt, rows: ti.template(), arrays: ti.template()):
+    """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
+    features = arrays.features
+    first = arrays.workers[worker, Worker.FIRST]
+    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
+    # The lowest and highest place of each lane, then of all: the box of nodes that the next step touches.
+    low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
+    high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
+    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
+    for block in range(first, arrays.workers[worker, Worker.LAST]):
+        move_block(worker, grid, scene, block, scratch, dt, rows, arrays)
+        for k in ti.static(range(features.dimension)):
+            low[k] = smaller(low[k], arrays.state[block * features.block + k])
+            high[k] = larger(high[k], arrays.state[block * features.block + k])
+    for k in ti.static(range(features.dimension)):
+        lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
+        highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
+        arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
+        arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
+
+
+@ti.func
+def move_block(worker, grid, scene, block, scratch, dt, rows: ti.template(), arrays: ti.template()):
+    """Bring the particles of a block from the velocities of the nodes from `grid` on to their new places and stresses."""
+    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
+    step_particles(worker, scene, block, dt, arrays)
+    update_stress(scene, block, dt, arrays)
+
+
+@ti.func
+def step_particles(worker, scene, block, dt, arrays: ti.template()):
+    """Move a block by its velocity; no particle leaves the box or comes into a baffle."""
+    features = arrays.features
+    x, v = block * features.block, block * features.block + features.velocity
+    for k in ti.static(range(features.dimension)):
+        arrays.state[x + k] = arrays.state[x + k] + dt * arrays.state[v + k]
+    if ti.static(features.baffles):
+        density = property_of(scene, block, Property.DENSITY, arrays)
+        present = arrays.state[block * features.block + features.present]
+        mass = arrays.settings[scene, Setting.VOLUME] * density * present
+        particles_against_baffles(block, mass, worker, scene, arrays)
+    for k in ti.static(range(features.dimension)):
+        free = arrays.state[x + k]
+        length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
+        held = between(free, 0.0, length)
+        arrays.state[x + k] = held
+        put_back = lane_sum(
+            ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
+        )
+        if put_back > 0.0:
+            add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
+
+
+@ti.func
+def update_stress(scene, block, dt, arrays: ti.template()):
+    """Stress, and plastic strain where it is recorded, of a block after its new velocity gradient."""
+    features = arrays.features
+    first = block * features.block
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
+    # Zeros known to the compiler where the scene has no dilation and no cohesion.
+    sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
+    if ti.static(features.dilates):
+        sin_psi = property_of(scene, block, Property.SIN_PSI, arrays)
+    if ti.static(features.cohesive):
+        strength = property_of(scene, block, Property.STRENGTH, arrays)
+        limit = property_of(scene, block, Property.LIMIT, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    gradient = [
+        dt * arrays.state[first + features.affine + k]
+        for k in ti.static(range(features.dimension * features.dimension))
+    ]
+    if ti.static(features.corrected):
+        # Volume correction (Tampubolon et al. 2017): what opened a gap must be recorded_impulse back before anything bears again.
+        for k in ti.static(range(3)):
+            stress[k] = stress[k] + arrays.state[first + features.gap]
+    trial = trial_stress(stress, gradient, lame, shear, features.dimension)
+    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    for k in ti.static(range(features.stresses)):
+        arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.corrected):
+        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
+    if ti.static(features.fields):
+        at = first + features.plastic_strain
+        arrays.state[at] = arrays.state[at] + new[features.stresses]
