@@ -79,6 +79,8 @@ class Scene(Strict):
     """Coulomb coefficient of every face of the baffles [-]."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
+    relaxation_time: float | None = None
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays; 0: lost in every step."""
     volume_correction: bool = False
     """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
@@ -97,6 +99,13 @@ class Scene(Strict):
     def dimension(self) -> int:
         """2 or 3."""
         return len(self.domain.size)
+
+    @property
+    def relaxation(self) -> float:
+        """The relaxation time [s]."""
+        if self.relaxation_time is not None:
+            return self.relaxation_time
+        return 2.0 * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
 
     @property
     def frames(self) -> int:

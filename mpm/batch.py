@@ -120,6 +120,8 @@ class Batch:
             state[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
 
         put(0, particles.positions)
+        if features.compensated:
+            put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         if features.heterogeneous:
             put(
@@ -239,6 +241,7 @@ def features_of(
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
+        relaxed=any(scene.relaxation > 0.0 for scene in scenes),
         damped=any(scene.damping > 0.0 for scene in scenes),
         cohesive=any(material.cohesion > 0.0 for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
@@ -284,6 +287,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.volume_correction),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
+        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else 0.0,
     }
     return [values[column] for column in Setting]
 

@@ -46,16 +46,16 @@ def clear(worker, rows, arrays: ti.template()):
 
 
 @ti.func
-def update_nodes(worker, scene, dt, rows, arrays: ti.template()):
+def update_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
     """Momentum to velocity, on the grid of a worker that has the scene to itself, or on a share of all their grids."""
     if ti.static(arrays.features.shared):
-        share_nodes(worker, scene, dt, rows, arrays)
+        share_nodes(worker, scene, dt, kept, rows, arrays)
     else:
-        update_own_nodes(worker, scene, dt, rows, arrays)
+        update_own_nodes(worker, scene, dt, kept, rows, arrays)
 
 
 @ti.func
-def update_own_nodes(worker, scene, dt, rows, arrays: ti.template()):
+def update_own_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
     """Momentum to velocity, where one worker has the scene to itself."""
     features = arrays.features
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
@@ -64,11 +64,11 @@ def update_own_nodes(worker, scene, dt, rows, arrays: ti.template()):
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.grid[first + k]
                 if node[features.dimension] > 0.0:
-                    put_velocity(first + k, velocity_of(node, i, j, k, worker, scene, dt, arrays), arrays)
+                    put_velocity(first + k, node, velocity_of(node, i, j, k, worker, scene, dt, arrays), kept, arrays)
 
 
 @ti.func
-def share_nodes(worker, scene, dt, rows, arrays: ti.template()):
+def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
     """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
     features = arrays.features
     count = arrays.workers.shape[0]
@@ -92,7 +92,7 @@ def share_nodes(worker, scene, dt, rows, arrays: ti.template()):
                         v = velocity_of(node, i, j, k, worker, scene, dt, arrays)
                         for other in range(count):
                             if covers(other, i, j, k, arrays):
-                                put_velocity(arrays.workers[other, Worker.NODE] + at, v, arrays)
+                                put_velocity(arrays.workers[other, Worker.NODE] + at, node, v, kept, arrays)
 
 
 @ti.func
@@ -110,7 +110,7 @@ def update_node(n, scene, arrays: ti.template()):
         at = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
-            put_velocity(at, velocity_of(node, i, j, k, scene, scene, dt, arrays), arrays)
+            put_velocity(at, node, velocity_of(node, i, j, k, scene, scene, dt, arrays), kept_of(scene, dt, arrays), arrays)
 
 
 @ti.func
@@ -124,10 +124,19 @@ def covers(worker, i, j, k, arrays: ti.template()):
 
 
 @ti.func
-def put_velocity(n, v, arrays: ti.template()):
-    """Store the velocity of node n in place of its momentum."""
-    for axis in ti.static(range(arrays.features.dimension)):
+def put_velocity(n, node, v, kept, arrays: ti.template()):
+    """Store the velocity of node n in place of its momentum and, where relaxed, its change v - kept v_old."""
+    features = arrays.features
+    for axis in ti.static(range(features.dimension)):
         arrays.grid[n][axis] = v[axis]
+        if ti.static(features.relaxed):
+            arrays.grid[n][features.change + axis] = v[axis] - kept * node[axis] / node[features.dimension]
+
+
+@ti.func
+def kept_of(scene, dt, arrays: ti.template()):
+    """The part of the velocity beyond the grid's that a particle keeps over a step, exp(-dt / tau) [-]."""
+    return ti.exp(0.0 - dt * arrays.settings[scene, Setting.RELAXATION_RATE])
 
 
 @ti.func
@@ -138,8 +147,9 @@ def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
     v = ti.Vector([node[axis] / mass for axis in ti.static(range(features.dimension))])
     gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
     a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
-    if ti.static(features.damped):
+    if ti.static(features.forces):
         a = a + ti.Vector([node[features.force + axis] / mass for axis in ti.static(range(features.dimension))])
+    if ti.static(features.damped):
         drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
         a = a - drag * ti.Vector([ti.math.sign(v[axis]) for axis in ti.static(range(features.dimension))])
     free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])

@@ -13,7 +13,7 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.grid import clear, rows_of, update_node, update_nodes
+from mpm.grid import clear, kept_of, rows_of, update_node, update_nodes
 from mpm.layout import Features, Offset, Setting, StepControl, Worker
 from mpm.output import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
 from mpm.particles import move_block, move_particles
@@ -73,13 +73,14 @@ def advance_worker(worker, first, last, arrays: ti.template()):
             arrays.offsets[scene, Offset.FRAMES] = frame
             break
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
+        kept = kept_of(scene, dt, arrays)
         for _ in range(substeps):
             clear(worker, rows, arrays)
             particles_to_grid(worker, scene, dt, rows, arrays)
             barrier(arrays)
-            update_nodes(worker, scene, dt, rows, arrays)
+            update_nodes(worker, scene, dt, kept, rows, arrays)
             barrier(arrays)
-            move_particles(worker, scene, dt, rows, arrays)
+            move_particles(worker, scene, dt, kept, rows, arrays)
         barrier(arrays)
         if worker == 0 or not ti.static(arrays.features.shared):
             arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
@@ -199,7 +200,7 @@ def kernel(features: Features) -> Callable[..., None]:
                 dt = step_control[scene, StepControl.DT]
                 if dt > 0.0:
                     at = workers[scene, Worker.NODE]
-                    move_block(scene, at, scene, block, block * features.scratch, dt, rows_of(scene, arrays), arrays)
+                    move_block(scene, at, scene, block, block * features.scratch, dt, kept_of(scene, dt, arrays), rows_of(scene, arrays), arrays)
         if ti.static(phase == Phase.RECORD):
             for block in range(owner.shape[0]):
                 if step_control[owner[block], StepControl.STEPS] > 0.0:

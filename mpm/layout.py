@@ -39,6 +39,7 @@ class Setting(Column):
     DAMPING = auto()  # [-]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
+    RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
 
 
 class Property(Column):
@@ -121,6 +122,8 @@ class Features:
 
     dimension: int
     precision: Precision
+    relaxed: bool = True
+    """Particles keep the velocity that the grid cannot represent for a while (AFLIP); else it is lost each step (APIC)."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
@@ -187,14 +190,24 @@ class Features:
         return self.gap + int(self.corrected)
 
     @property
+    def remainder(self) -> int:
+        """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
+        return self.properties + (len(Property) if self.heterogeneous else 0)
+
+    @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.properties + (len(Property) if self.heterogeneous else 0)
+        return self.remainder + (self.dimension if self.compensated else 0)
 
     @property
     def block(self) -> int:
         """Vectors in a block."""
         return self.present + 1
+
+    @property
+    def compensated(self) -> bool:
+        """Positions are summed with compensation (Kahan 1965): in f32 a slow particle far from the origin would freeze."""
+        return self.precision == "f32"
 
     @property
     def impulses(self) -> bool:
@@ -204,14 +217,24 @@ class Features:
     # A node: momentum, mass and, where forces stay apart, force.
 
     @property
+    def forces(self) -> bool:
+        """Nodes hold forces apart from momentum: local damping and AFLIP both need them."""
+        return self.damped or self.relaxed
+
+    @property
     def node(self) -> int:
         """Numbers in a node: a short vector, a power of two long."""
-        return 8 if self.damped else 4
+        return 8 if self.forces else 4
 
     @property
     def force(self) -> int:
-        """First number of a node that holds force, where `damped`."""
+        """First number of a node that holds force, where `forces`."""
         return self.dimension + 1
+
+    @property
+    def change(self) -> int:
+        """First number of a node that holds its change of velocity, where `relaxed`; mass and force are done with."""
+        return self.force
 
     # The scratch vectors of a worker: weights, then what a block gives to its nodes, then its lowest nodes.
 
@@ -227,5 +250,5 @@ class Features:
 
     @property
     def scratch(self) -> int:
-        """Scratch vectors of a worker."""
-        return self.lowest + self.dimension
+        """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
+        return self.lowest + self.dimension * (3 if self.relaxed else 1)

@@ -10,7 +10,7 @@ from mpm.transfer import grid_to_block, property_of
 
 
 @ti.func
-def move_particles(worker, scene, dt, rows: ti.template(), arrays: ti.template()):
+def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.template()):
     """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
@@ -20,7 +20,7 @@ def move_particles(worker, scene, dt, rows: ti.template(), arrays: ti.template()
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
-        move_block(worker, grid, scene, block, scratch, dt, rows, arrays)
+        move_block(worker, grid, scene, block, scratch, dt, kept, rows, arrays)
         for k in ti.static(range(features.dimension)):
             low[k] = smaller(low[k], arrays.state[block * features.block + k])
             high[k] = larger(high[k], arrays.state[block * features.block + k])
@@ -32,20 +32,32 @@ def move_particles(worker, scene, dt, rows: ti.template(), arrays: ti.template()
 
 
 @ti.func
-def move_block(worker, grid, scene, block, scratch, dt, rows: ti.template(), arrays: ti.template()):
+def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
     """Bring the particles of a block from the velocities of the nodes from `grid` on to their new places and stresses."""
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
-    step_particles(worker, scene, block, dt, arrays)
+    step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, dt, arrays)
 
 
 @ti.func
-def step_particles(worker, scene, block, dt, arrays: ti.template()):
+def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
     """Move a block by its velocity; no particle leaves the box or comes into a baffle."""
     features = arrays.features
     x, v = block * features.block, block * features.block + features.velocity
+    remainder = block * features.block + features.remainder
     for k in ti.static(range(features.dimension)):
-        arrays.state[x + k] = arrays.state[x + k] + dt * arrays.state[v + k]
+        speed = arrays.state[v + k]
+        if ti.static(features.relaxed):
+            at = scratch + features.lowest + features.dimension + k
+            speed = arrays.scratch[at]
+            arrays.state[v + k] = kept * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        if ti.static(features.compensated):
+            old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
+            new = old + part
+            arrays.state[remainder + k] = part - (new - old)
+            arrays.state[x + k] = new
+        else:
+            arrays.state[x + k] = arrays.state[x + k] + dt * speed
     if ti.static(features.baffles):
         density = property_of(scene, block, Property.DENSITY, arrays)
         present = arrays.state[block * features.block + features.present]

@@ -140,7 +140,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
         for j in ti.static(range(features.dimension)):
             slope = mass * dx * arrays.state[first + features.affine + i * features.dimension + j]
             force = force_scale * arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
-            if ti.static(features.damped):
+            if ti.static(features.forces):
                 pull = pull - force * f[j]
                 arrays.scratch[values + (1 + j) * features.node + features.force + i] = force
             else:
@@ -148,7 +148,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
             momentum = momentum - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + i] = slope
         arrays.scratch[values + i] = momentum
-        if ti.static(features.damped):
+        if ti.static(features.forces):
             arrays.scratch[values + features.force + i] = pull
     arrays.scratch[values + features.dimension] = mass
 
@@ -202,8 +202,8 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
                 v = v + arrays.scratch_lanes[weight + a * lanes] * u
                 x_slope = x_slope + arrays.scratch_lanes[lever + a * lanes] * u
                 y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
+            put_velocity_of(v, scratch, first, lane, arrays)
             for i in ti.static(range(2)):
-                arrays.lanes[target + (features.velocity + i) * lanes] = v[i]
                 arrays.lanes[target + (features.affine + 2 * i) * lanes] = x_slope[i]
                 arrays.lanes[target + (features.affine + 2 * i + 1) * lanes] = y_slope[i]
         else:
@@ -223,11 +223,24 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
                 x_slope = x_slope + arrays.scratch_lanes[lever + a * lanes] * u
                 y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
                 z_slope = z_slope + arrays.scratch_lanes[weight + a * lanes] * t
+            put_velocity_of(v, scratch, first, lane, arrays)
             for i in ti.static(range(3)):
-                arrays.lanes[target + (features.velocity + i) * lanes] = v[i]
                 arrays.lanes[target + (features.affine + 3 * i) * lanes] = x_slope[i]
                 arrays.lanes[target + (features.affine + 3 * i + 1) * lanes] = y_slope[i]
                 arrays.lanes[target + (features.affine + 3 * i + 2) * lanes] = z_slope[i]
+
+
+@ti.func
+def put_velocity_of(v, scratch, first, lane, arrays: ti.template()):
+    """Leave the grid's velocity at a particle, and its change where relaxed, for the block's next step."""
+    features, lanes = arrays.features, arrays.features.lanes
+    for i in ti.static(range(features.dimension)):
+        if ti.static(features.relaxed):
+            at = (scratch + features.lowest + features.dimension + i) * lanes + lane
+            arrays.scratch_lanes[at] = v[i]
+            arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
+        else:
+            arrays.lanes[(first + features.velocity + i) * lanes + lane] = v[i]
 
 
 @ti.func
