@@ -287,7 +287,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.volume_correction),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
-        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else 0.0,
+        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
     }
     return [values[column] for column in Setting]
 

@@ -227,6 +227,11 @@ class Features:
         return 8 if self.forces else 4
 
     @property
+    def used(self) -> int:
+        """Numbers of a node that mean something; the others stay zero."""
+        return self.dimension + 1 + (self.dimension if self.forces else 0)
+
+    @property
     def force(self) -> int:
         """First number of a node that holds force, where `forces`."""
         return self.dimension + 1
