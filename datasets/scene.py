@@ -18,6 +18,8 @@ Vector = tuple[float, ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
+RELAXATION = 0.5
+"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +82,10 @@ class Scene(Strict):
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays; 0: lost in every step."""
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays (`mpm.transfer`).
+
+    Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
+    """
     volume_correction: bool = False
     """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
@@ -102,10 +107,10 @@ class Scene(Strict):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]."""
+        """The relaxation time [s]: as given, or in proportion to the time of a fall through a cell; inf in free space."""
         if self.relaxation_time is not None:
             return self.relaxation_time
-        return 2.0 * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
+        return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
 
     @property
     def frames(self) -> int:
@@ -180,6 +185,8 @@ def check(scene: Scene) -> None:
     require(scene.wall_friction >= 0.0, "wall_friction", "a coefficient of at least 0", scene.wall_friction)
     require(scene.baffle_friction >= 0.0, "baffle_friction", "a coefficient of at least 0", scene.baffle_friction)
     require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
+    relaxation = scene.relaxation_time
+    require(relaxation is None or relaxation >= 0.0, "relaxation_time", "a time of at least 0 s", relaxation)
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
     require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
