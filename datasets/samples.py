@@ -87,7 +87,7 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
 
 
 def point_cohesion(scene: Scene, points: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.particles.initial_particles`, shape [points].
+    """Cohesion [Pa] of each of a scene's particles, in the order of `initial_particles`, shape [points].
 
     Raises InputError where masses differ and the number of points is not theirs.
     """

@@ -119,7 +119,8 @@ def update_node(n, scene, arrays: ti.template()):
         at = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
-            put_velocity(at, node, velocity_of(node, i, j, k, scene, scene, dt, arrays), kept_of(scene, dt, arrays), arrays)
+            v = velocity_of(node, i, j, k, scene, scene, dt, arrays)
+            put_velocity(at, node, v, kept_of(scene, dt, arrays), arrays)
 
 
 @ti.func

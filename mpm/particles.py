@@ -33,7 +33,7 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 
 @ti.func
 def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
-    """Bring the particles of a block from the velocities of the nodes from `grid` on to their new places and stresses."""
+    """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, dt, arrays)
@@ -95,7 +95,7 @@ def update_stress(scene, block, dt, arrays: ti.template()):
         for k in ti.static(range(features.dimension * features.dimension))
     ]
     if ti.static(features.corrected):
-        # Volume correction (Tampubolon et al. 2017): what opened a gap must be recorded_impulse back before anything bears again.
+        # Volume correction (Tampubolon et al. 2017): what opened a gap must be taken back before anything bears again.
         for k in ti.static(range(3)):
             stress[k] = stress[k] + arrays.state[first + features.gap]
     trial = trial_stress(stress, gradient, lame, shear, features.dimension)
