@@ -5,7 +5,8 @@ import taichi as ti
 from mpm.baffles import points_against_baffles
 from mpm.lanes import add, between, larger, least, most, smaller, total
 from mpm.layout import PADDING, Place, Property, Setting, Worker
-from mpm.stress import plastic_return, trial_stress
+from mpm.mohr_coulomb import apex_limit
+from mpm.stress import crack_stress, plastic_return, trial_stress
 from mpm.transfer import grid_to_block, property_of
 
 
@@ -63,7 +64,10 @@ def step_points(worker, scene, block, dt, of: ti.template()):
 
 @ti.func
 def update_stress(scene, block, dt, of: ti.template()):
-    """Stress, and plastic strain where it is recorded, of a block after its new velocity gradient."""
+    """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
+
+    Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
+    """
     needs = of.needs
     first = block * needs.block
     lame, shear = property_of(scene, block, Property.LAME, of), property_of(scene, block, Property.SHEAR, of)
@@ -75,18 +79,29 @@ def update_stress(scene, block, dt, of: ti.template()):
     if ti.static(needs.cohesive):
         strength = property_of(scene, block, Property.STRENGTH, of)
         limit = property_of(scene, block, Property.LIMIT, of)
+    if ti.static(needs.softens):
+        per_strain = property_of(scene, block, Property.SOFTENING, of) * of.settings[scene, Setting.CELL]
+        peak = larger(1.0 - per_strain * of.state[first + needs.plastic_strain], 0.0)
+        sin_psi = peak * sin_psi
+        residual = property_of(scene, block, Property.RESIDUAL_SIN_PHI, of)
+        sin_phi = residual + peak * (sin_phi - residual)
+        if ti.static(needs.cohesive):
+            residual_strength = property_of(scene, block, Property.RESIDUAL_STRENGTH, of)
+            residual_limit = property_of(scene, block, Property.RESIDUAL_LIMIT, of)
+            strength = residual_strength + peak * (strength - residual_strength)
+            limit = apex_limit(residual_limit + peak * (limit - residual_limit), sin_phi, strength)
     stress = [of.state[first + needs.stress + k] for k in ti.static(range(needs.stresses))]
     gradient = [dt * of.state[first + needs.affine + k] for k in ti.static(range(needs.dimension * needs.dimension))]
+    crack = (0.0, 0.0, 0.0)
     if ti.static(needs.corrected):
         # Volume correction (Tampubolon et al. 2017): what opened a gap must be taken back before anything bears again.
-        for k in ti.static(range(3)):
-            stress[k] = stress[k] + of.state[first + needs.gap]
+        crack = crack_stress(stress, of.state[first + needs.gap], limit, lame, shear, needs)
     trial = trial_stress(stress, gradient, lame, shear, needs.dimension)
-    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, needs)
+    new = plastic_return(trial, crack, sin_phi, sin_psi, strength, limit, lame, shear, needs)
     for k in ti.static(range(needs.stresses)):
         of.state[first + needs.stress + k] = new[k]
     if ti.static(needs.corrected):
         of.state[first + needs.gap] = of.settings[scene, Setting.CORRECTED] * new[needs.stresses + 1]
-    if ti.static(needs.fields):
+    if ti.static(needs.strained):
         at = first + needs.plastic_strain
         of.state[at] = of.state[at] + new[needs.stresses]

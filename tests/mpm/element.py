@@ -40,6 +40,7 @@ def path_kernel(needs: Needs) -> Callable[..., None]:
                 )
                 new = plastic_return(
                     trial,
+                    (0.0, 0.0, 0.0),
                     m[Property.SIN_PHI],
                     m[Property.SIN_PSI],
                     m[Property.STRENGTH],
@@ -57,26 +58,30 @@ def path_kernel(needs: Needs) -> Callable[..., None]:
 
 
 @cache
-def return_kernel(dilates: bool) -> Callable[..., None]:
-    """(stresses, properties): principal stresses, three blocks of eight lanes after another, returned in place."""
-    blocks = ti.types.ndarray(dtype=ti.types.vector(8, ti.f64), ndim=1)
+def return_kernel(needs: Needs) -> Callable[..., None]:
+    """(stresses, properties): principal stresses, four blocks of lanes after another, returned in place.
+
+    The fourth of each is overwritten with what opening cost.
+    """
+    real = ti.f32 if needs.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
 
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
-        for e in range(s.shape[0] // 3):
-            t1, t2, t3, _ = return_principal(
-                s[3 * e],
-                s[3 * e + 1],
-                s[3 * e + 2],
+        for e in range(s.shape[0] // 4):
+            t1, t2, t3, opened = return_principal(
+                s[4 * e],
+                s[4 * e + 1],
+                s[4 * e + 2],
                 m[Property.SIN_PHI],
                 m[Property.SIN_PSI],
                 m[Property.STRENGTH],
                 m[Property.LIMIT],
                 m[Property.LAME],
                 m[Property.SHEAR],
-                dilates,
+                needs,
             )
-            s[3 * e], s[3 * e + 1], s[3 * e + 2] = t1, t2, t3
+            s[4 * e], s[4 * e + 1], s[4 * e + 2], s[4 * e + 3] = t1, t2, t3, opened
 
     return return_all
 
@@ -124,16 +129,34 @@ def follow_controlled(
     return np.array(history)
 
 
-def returned(material: Material, stresses: Vector, *, limit: float = np.inf) -> Vector:
-    """Sorted principal stresses [Pa], shape [E, 3], returned to the hexagon; tension stops at `limit` [Pa]."""
-    runtime.start("f64")
-    blocks = aligned((-(-len(stresses) // 8), 3, 8), np.dtype(np.float64))
-    padded = np.concatenate([stresses, np.zeros((8 * len(blocks) - len(stresses), 3))])
-    blocks[:] = np.moveaxis(padded.reshape(-1, 8, 3), 1, 2)
-    properties = np.array(properties_row(material))
-    properties[Property.LIMIT] = limit
-    return_kernel(material.dilation_deg > 0.0)(blocks.reshape(-1, 8), properties)
-    return np.moveaxis(blocks, 1, 2).reshape(-1, 3)[: len(stresses)].copy()
+def returned(material: Material, stresses: Vector, *, limit: float | None = None) -> Vector:
+    """Sorted principal stresses [Pa], shape [E, 3], returned; `limit` [Pa] replaces the material's tension limit."""
+    return returned_whole(material, stresses, limit=limit)[0]
+
+
+def returned_whole(
+    material: Material,
+    stresses: Vector,
+    *,
+    limit: float | None = None,
+    precision: Precision = "f64",
+    cohesive: bool = True,
+) -> tuple[Vector, Vector]:
+    """What `returned` does, and the mean stress that opening cost [Pa], shape [E]."""
+    runtime.start(precision)
+    needs = Needs(dimension=2, precision=precision, dilates=material.dilation_deg > 0.0, cohesive=cohesive)
+    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    count, lanes = len(stresses), needs.lanes
+    blocks = aligned((-(-count // lanes), 4, lanes), real)
+    padded = np.zeros((len(blocks) * lanes, 4))
+    padded[:count, :3] = stresses
+    blocks[:] = np.moveaxis(padded.reshape(-1, lanes, 4), 1, 2)
+    properties = np.array(properties_row(material), real)
+    if limit is not None:
+        properties[Property.LIMIT] = limit
+    return_kernel(needs)(blocks.reshape(-1, lanes), properties)
+    result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count].astype(np.float64)
+    return result[:, :3], result[:, 3]
 
 
 def yield_function(material: Material, stresses: Vector) -> Vector:

@@ -85,12 +85,16 @@ def test_pure_tension_stops_at_the_cutoff() -> None:
     assert np.all(np.diff(history[:, YY]) > -1e-6)
 
 
-def test_the_apex_carries_the_cutoff_in_all_directions() -> None:
+def test_where_all_directions_open_all_carry_the_limit() -> None:
+    """In plane strain only two open: the third keeps nu (s1 + s2), for nothing has strained it."""
     history = follow(SAND, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
-    np.testing.assert_allclose(history[-1], [5e3, 5e3, 5e3, 0.0], rtol=1e-9)
+    np.testing.assert_allclose(history[-1], [5e3, 5e3, 2 * SAND.poisson * 5e3, 0.0], rtol=1e-9)
+    history = follow(SAND, np.tile(np.eye(3) * 1e-3, (20, 1, 1)))
+    np.testing.assert_allclose(history[-1], [5e3, 5e3, 5e3, 0.0, 0.0, 0.0], rtol=1e-9)
     weak = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=1e9)
-    history = follow(weak, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
-    np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
+    for dimension in (2, 3):
+        history = follow(weak, np.tile(np.eye(dimension) * 1e-3, (20, 1, 1)))
+        np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
 
 
 def test_cohesionless_sand_bears_no_tension() -> None:
