@@ -47,6 +47,23 @@ def apex_limit(cutoff, sin_phi, strength):
 
 
 @ti.func
+def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), features: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] after the accumulated plastic strain `strain` [-].
+
+    Linear in w = max(0, 1 - `per_strain` * `strain`) between `residual`, which is (sin phi, 2 c cos phi, T), and
+    `peak`, with sin psi, which falls to 0; `per_strain` = sqrt(3) * cell / softening length (`datasets.material`).
+    """
+    w = larger(1.0 - per_strain * strain, 0.0)
+    sin_phi = residual[0] + w * (peak[0] - residual[0])
+    strength, limit = peak[2], peak[3]
+    if ti.static(features.cohesive):
+        strength = residual[1] + w * (strength - residual[1])
+        # c cot phi is not linear in w: between its ends it may lie below the straight line.
+        limit = apex_limit(residual[2] + w * (limit - residual[2]), sin_phi, strength)
+    return sin_phi, w * peak[1], strength, limit
+
+
+@ti.func
 def on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.template()):
     """Return along the flow of the plane F(s1, s3), which is violated by `excess` >= 0."""
     if ti.static(dilates):

@@ -5,8 +5,8 @@ import taichi as ti
 from mpm.baffles import points_against_baffles
 from mpm.lanes import add, between, larger, least, most, smaller, total
 from mpm.layout import PADDING, Place, Property, Setting, Worker
-from mpm.mohr_coulomb import apex_limit
-from mpm.stress import crack_stress, plastic_return, trial_stress
+from mpm.mohr_coulomb import softened
+from mpm.stress import stress_step
 from mpm.transfer import grid_to_block, property_of
 
 
@@ -80,24 +80,20 @@ def update_stress(scene, block, dt, of: ti.template()):
         strength = property_of(scene, block, Property.STRENGTH, of)
         limit = property_of(scene, block, Property.LIMIT, of)
     if ti.static(needs.softens):
+        residual = (
+            property_of(scene, block, Property.RESIDUAL_SIN_PHI, of),
+            property_of(scene, block, Property.RESIDUAL_STRENGTH, of),
+            property_of(scene, block, Property.RESIDUAL_LIMIT, of),
+        )
         per_strain = property_of(scene, block, Property.SOFTENING, of) * of.settings[scene, Setting.CELL]
-        peak = larger(1.0 - per_strain * of.state[first + needs.plastic_strain], 0.0)
-        sin_psi = peak * sin_psi
-        residual = property_of(scene, block, Property.RESIDUAL_SIN_PHI, of)
-        sin_phi = residual + peak * (sin_phi - residual)
-        if ti.static(needs.cohesive):
-            residual_strength = property_of(scene, block, Property.RESIDUAL_STRENGTH, of)
-            residual_limit = property_of(scene, block, Property.RESIDUAL_LIMIT, of)
-            strength = residual_strength + peak * (strength - residual_strength)
-            limit = apex_limit(residual_limit + peak * (limit - residual_limit), sin_phi, strength)
+        strain, peak = of.state[first + needs.plastic_strain], (sin_phi, sin_psi, strength, limit)
+        sin_phi, sin_psi, strength, limit = softened(strain, per_strain, peak, residual, needs)
     stress = [of.state[first + needs.stress + k] for k in ti.static(range(needs.stresses))]
     gradient = [dt * of.state[first + needs.affine + k] for k in ti.static(range(needs.dimension * needs.dimension))]
-    crack = (0.0, 0.0, 0.0)
+    opened = 0.0
     if ti.static(needs.corrected):
-        # Volume correction (Tampubolon et al. 2017): what opened a gap must be taken back before anything bears again.
-        crack = crack_stress(stress, of.state[first + needs.gap], limit, lame, shear, needs)
-    trial = trial_stress(stress, gradient, lame, shear, needs.dimension)
-    new = plastic_return(trial, crack, sin_phi, sin_psi, strength, limit, lame, shear, needs)
+        opened = of.state[first + needs.gap]
+    new = stress_step(stress, gradient, opened, sin_phi, sin_psi, strength, limit, lame, shear, needs)
     for k in ti.static(range(needs.stresses)):
         of.state[first + needs.stress + k] = new[k]
     if ti.static(needs.corrected):

@@ -15,9 +15,6 @@ interpolation polynomial carries the change over to the tensor:
 
 Because a return never widens a gap, with elastic coupling neither, g12 and g23 lie in [-1, 0]: clamped to that they are
 right where stresses meet, too. In plane strain this is a scaled deviator around a moved centre.
-
-Volume correction remembers what opened (`crack_stress`). A crack that closes moves the stress across it alone and may widen a gap;
-the clamp is then [-1, 1], which where two stresses meet costs no more than what closed in this step.
 """
 
 import taichi as ti
@@ -90,44 +87,97 @@ def turned(stress: ti.template(), qx, qy, qz):
 
 
 @ti.func
-def crack_stress(stress: ti.template(), opened, limit, lame, shear, features: ti.template()):
-    """What the strain of opened cracks, elastic, would add to the principal stresses s1, s2 and s3 [Pa].
+def stress_step(
+    old: ti.template(),
+    gradient: ti.template(),
+    opened,
+    sin_phi,
+    sin_psi,
+    strength,
+    limit,
+    lame,
+    shear,
+    features: ti.template(),
+):
+    """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
 
-    `opened` is their volume e, as the mean stress K e that it would have made [Pa]; `stress` that before the step. Of
-    the m principal stresses that stand at T, each axis has opened by e / m: in all directions in a loose fragment, as
-    cohesionless material does wherever it opens (Tampubolon et al. 2017), in one in a crack beside compression. The
-    return takes the stress lambda e + 2 mu e_i away again, unless strain closes the crack: alone it changes nothing.
+    `opened` is what the last step's return gave as such [Pa], read where `features.corrected`: volume correction
+    (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
     """
-    if ti.static(features.cohesive):
-        # P = T I - sigma, all of whose principal values are >= 0: m = 3 where its trace is 0, m >= 2 where its second
-        # invariant is; to a ten-thousandth of the opening, for rounding in single precision.
-        xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
-        trace = xx + yy + zz
-        second = xx * yy + yy * zz + zz * xx - stress[3] * stress[3]
-        if ti.static(features.dimension == 3):
-            second = second - stress[4] * stress[4] - stress[5] * stress[5]
-        least = 1.0e-4 * opened
-        two, three = second <= least * trace, trace <= least
-        bulk3 = 3.0 * lame + 2.0 * shear
-        all_around = 3.0 * lame / bulk3 * opened
-        along = 6.0 * shear / bulk3 * opened
-        return (
-            all_around + ti.select(three, 1.0 / 3.0, ti.select(two, 0.5, 1.0)) * along,
-            all_around + ti.select(three, 1.0 / 3.0, ti.select(two, 0.5, 0.0)) * along,
-            all_around + ti.select(three, 1.0 / 3.0, 0.0) * along,
-        )
+    cracked = with_cracks(old, opened, limit, lame, shear, features)
+    trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
+    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    if ti.static(features.corrected and features.cohesive and features.strained):
+        # The strain of open cracks was plastic once, when they opened.
+        bare = trial_stress(old, gradient, lame, shear, features.dimension)
+        d = [bare[k] - new[k] for k in ti.static(range(features.stresses))]
+        mean = (d[0] + d[1] + d[2]) / 3.0
+        xx, yy, zz = d[0] - mean, d[1] - mean, d[2] - mean
+        square = xx * xx + yy * yy + zz * zz
+        for k in ti.static(range(3, features.stresses)):
+            square = square + 2.0 * d[k] * d[k]
+        strain = ti.sqrt(square / 6.0) / shear
+        if ti.static(features.dimension == 2):
+            return new[0], new[1], new[2], new[3], strain, new[5]
+        else:
+            return new[0], new[1], new[2], new[3], new[4], new[5], strain, new[7]
     else:
-        return opened, opened, opened
+        return new
 
 
 @ti.func
-def plastic_return(
-    stress: ti.template(), crack: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()
-):
+def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.template()):
+    """Stress [Pa]; with volume correction plus what the strain of the opened cracks would make of it elastically: lambda e I + 2 mu e N.
+
+    `opened` is their volume e, as the mean stress K e that it would have made [Pa]. N = sum n n^T / m of the m principal
+    axes n whose stress stands at T: all directions in a loose fragment, as wherever cohesionless material opens, one in
+    a crack beside compression. The return takes that stress away again, unless strain closes the crack: alone it
+    changes nothing. With P = T I - sigma, whose principal values are >= 0 and 0 along such axes, and its invariants,
+    N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3, without axes.
+    """
+    if ti.static(features.corrected and features.cohesive):
+        xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
+        xy, yz, zx = 0.0 - stress[3], 0.0 * stress[3], 0.0 * stress[3]
+        if ti.static(features.dimension == 3):
+            yz, zx = 0.0 - stress[4], 0.0 - stress[5]
+        first = xx + yy + zz
+        cxx, cyy, czz = yy * zz - yz * yz, zz * xx - zx * zx, xx * yy - xy * xy
+        second = cxx + cyy + czz
+        # What counts as 0: a ten-thousandth of the opening, for rounding in single precision.
+        least = 1.0e-4 * opened
+        two, three = second <= least * first, first <= least
+        bulk3 = 3.0 * lame + 2.0 * shear
+        around, along = 3.0 * lame / bulk3 * opened, 6.0 * shear / bulk3 * opened
+        third = around + along / 3.0
+        one = along / larger(second, TINY)
+        pair = 0.5 * along / larger(first, TINY)
+        rxx = stress[0] + ti.select(three, third, around + ti.select(two, pair * (yy + zz), one * cxx))
+        ryy = stress[1] + ti.select(three, third, around + ti.select(two, pair * (zz + xx), one * cyy))
+        rzz = stress[2] + ti.select(three, third, around + ti.select(two, pair * (xx + yy), one * czz))
+        rxy = stress[3] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
+        if ti.static(features.dimension == 2):
+            return rxx, ryy, rzz, rxy
+        else:
+            ryz = stress[4] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
+            rzx = stress[5] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
+            return rxx, ryy, rzz, rxy, ryz, rzx
+    elif ti.static(not features.corrected):
+        if ti.static(features.dimension == 2):
+            return stress[0], stress[1], stress[2], stress[3]
+        else:
+            return stress[0], stress[1], stress[2], stress[3], stress[4], stress[5]
+    else:
+        if ti.static(features.dimension == 2):
+            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3]
+        else:
+            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3], stress[4], stress[5]
+
+
+@ti.func
+def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
     """The stress [Pa] that Mohr-Coulomb with tension cutoff admits in place of a trial stress.
 
-    `crack` is what `crack_stress` gives, read where `features.corrected`. Returns the stress's components; the
-    increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with e = dev(sigma_trial - sigma) / (2 mu);
+    Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with e = dev(sigma_trial - sigma) / (2 mu);
     and the mean stress that opening cost [Pa].
     """
     if ti.static(features.dimension == 2):
@@ -137,15 +187,13 @@ def plastic_return(
         radius = ti.sqrt(half * half + xy * xy)
         a, b = centre + radius, centre - radius
         s1, s2, s3 = larger(a, z), larger(b, smaller(a, z)), smaller(b, z)
-        t1, t2, t3, opened = returned(s1, s2, s3, crack, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
         above, below = z > a, z < b
         top = ti.select(above, t2, t1)
         bottom = ti.select(below, t2, t3)
         out = ti.select(above, t1, ti.select(below, t3, t2))
         scale = 0.5 * (top - bottom) / larger(radius, TINY)
-        if ti.static(features.corrected and features.cohesive):
-            scale = smaller(scale, 2.0)
         middle = 0.5 * (top + bottom)
         return (
             ti.select(yielded, middle + scale * half, xx),
@@ -161,12 +209,12 @@ def plastic_return(
         dxx, dyy, dzz = xx - p, yy - p, zz - p
         a1, a2, a3 = principal_deviator(dxx, dyy, dzz, xy, yz, zx, features.precision)
         s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3, opened = returned(s1, s2, s3, crack, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
-        widest = ti.static(1.0 if features.corrected and features.cohesive else 0.0)
-        g12 = between((g1 - g2) / larger(s1 - s2, TINY), -1.0, widest)
-        g23 = between((g2 - g3) / larger(s2 - s3, TINY), -1.0, widest)
-        g123 = (g12 - g23) / larger(s1 - s3, TINY)
+        # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
+        g12 = between((g1 - g2) / larger(a1 - a2, TINY), -1.0, 0.0)
+        g23 = between((g2 - g3) / larger(a2 - a3, TINY), -1.0, 0.0)
+        g123 = (g12 - g23) / larger(a1 - a3, TINY)
         # In powers of the deviator d, with a1 + a2 + a3 = 0.
         constant = g1 - g12 * a1 + g123 * a1 * a2
         linear = g12 + g123 * a3
@@ -180,16 +228,6 @@ def plastic_return(
             equivalent_strain(g1, g2, g3, shear),
             opened,
         )
-
-
-@ti.func
-def returned(
-    s1, s2, s3, crack: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()
-):
-    """The return of principal stresses [Pa] together with what a remembered crack adds to them."""
-    if ti.static(features.corrected):
-        s1, s2, s3 = s1 + crack[0], s2 + crack[1], s3 + crack[2]
-    return return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
 
 
 @ti.func
