@@ -124,10 +124,8 @@ class Batch:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         if features.heterogeneous:
-            put(
-                features.properties,
-                np.array([properties_row(material) for material in particles.materials])[particles.material],
-            )
+            rows = np.array([properties_row(material)[: features.columns] for material in particles.materials])
+            put(features.properties, rows[particles.material])
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
@@ -243,8 +241,9 @@ def features_of(
         precision=precision,
         relaxed=any(scene.relaxation > 0.0 for scene in scenes),
         damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(material.cohesion > 0.0 for material in materials),
+        cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
+        softens=any(material.softening_length is not None for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
         heterogeneous=any(len(each.materials) > 1 for each in particles),
         baffles=any(scene.baffles for scene in scenes),
@@ -293,8 +292,9 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
 
 
 def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`."""
+    """One line of `properties`, in the order of `Property`; of a material whose strength grows with depth, at its top."""
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
+    residual = material.residual
     values = {
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
@@ -305,5 +305,23 @@ def properties_row(material: Material) -> list[float]:
         Property.LIMIT: material.tension_limit,
         Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
         Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_LIMIT: residual.tension_limit,
+        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
     }
     return [values[column] for column in Property]
+
+
+def properties_at(material: Material, depth: Array) -> Array:
+    """Lines of `properties` of points `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
+    rows = np.tile(properties_row(material), (len(depth), 1))
+    for state, strength, limit in (
+        (material, Property.STRENGTH, Property.LIMIT),
+        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
+    ):
+        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
+        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
+        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
+        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
+    return rows

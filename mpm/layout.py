@@ -54,6 +54,10 @@ class Property(Column):
     LIMIT = auto()  # largest tensile stress [Pa]
     ELASTIC_DEVIATOR = auto()  # (1 + nu) / (2 E) [1/Pa]
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
+    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
+    RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
+    RESIDUAL_LIMIT = auto()  # [Pa]
+    SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
 
 
 class Offset(Column):
@@ -128,6 +132,8 @@ class Features:
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
+    softens: bool = False
+    """Strength and dilation fall with plastic strain, which is then part of the state."""
     corrected: bool = False
     """A particle remembers the gap to its neighbours: volume correction."""
     heterogeneous: bool = False
@@ -176,13 +182,18 @@ class Features:
 
     @property
     def plastic_strain(self) -> int:
-        """Vector of the plastic strain, where `fields`."""
+        """Vector of the plastic strain, where `strained`."""
         return self.stress + self.stresses
 
     @property
+    def strained(self) -> bool:
+        """Plastic strain is accumulated."""
+        return self.fields or self.softens
+
+    @property
     def gap(self) -> int:
-        """Vector of the mean stress that the strain beyond the apex would have made [Pa], where `corrected`."""
-        return self.plastic_strain + int(self.fields)
+        """Vector of the mean stress that what opened would have made [Pa], where `corrected`."""
+        return self.plastic_strain + int(self.strained)
 
     @property
     def properties(self) -> int:
@@ -192,12 +203,17 @@ class Features:
     @property
     def remainder(self) -> int:
         """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
-        return self.properties + (len(Property) if self.heterogeneous else 0)
+        return self.properties + (self.columns if self.heterogeneous else 0)
 
     @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
         return self.remainder + (self.dimension if self.compensated else 0)
+
+    @property
+    def columns(self) -> int:
+        """How many of the columns of `Property` a particle of its own material carries."""
+        return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
 
     @property
     def block(self) -> int:
