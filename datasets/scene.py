@@ -80,7 +80,7 @@ class Scene(Strict):
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays; 0: lost in every step."""
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays; 0: lost at once."""
     volume_correction: bool = False
     """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
@@ -114,7 +114,7 @@ class Scene(Strict):
 
     @property
     def particle_volume(self) -> float:
-        """Initial volume of one material point [m^D]."""
+        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
         return (self.domain.cell / self.particles_per_axis) ** self.dimension
 
     @property

@@ -55,7 +55,7 @@ class Batch:
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
-        self.properties = np.array([properties_row(particles.materials[0]) for particles in self.particles], real)
+        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
@@ -124,18 +124,16 @@ class Batch:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         if features.heterogeneous:
-            put(
-                features.properties,
-                np.array([properties_row(material) for material in particles.materials])[particles.material],
-            )
+            properties = np.array([properties_row(m, 0.0) for m in particles.materials])[particles.material]
+            properties[:, Property.VOLUME] = particles.volume
+            put(features.properties, properties)
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
         self.recorded(index)[0] = particles.positions
         if features.fields:
             self.recorded_fields(index)[0, :, : features.dimension] = particles.velocities
-        density = np.array([material.density for material in particles.materials])[particles.material]
-        mass = density * particles.volume
+        mass = particles.density * particles.volume
         energies = self.energies(index)
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
@@ -246,7 +244,7 @@ def features_of(
         cohesive=any(material.cohesion > 0.0 for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
-        heterogeneous=any(len(each.materials) > 1 for each in particles),
+        heterogeneous=any(len(each.materials) > 1 or each.common_volume is None for each in particles),
         baffles=any(scene.baffles for scene in scenes),
         fields=fields,
         rests=until_rest,
@@ -278,7 +276,6 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: particles.volume,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
@@ -292,10 +289,11 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
     return [values[column] for column in Setting]
 
 
-def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`."""
+def properties_row(material: Material, volume: float) -> list[float]:
+    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D]."""
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
     values = {
+        Property.VOLUME: volume,
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
         Property.SHEAR: material.shear_modulus,

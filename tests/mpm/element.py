@@ -93,7 +93,7 @@ def follow_whole(
         stress[:] = np.asarray(start)[:, None]
     history = aligned((len(gradients) * (needs.stresses + 1), needs.lanes), real)
     increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
-    path_kernel(needs)(stress, increments, history, np.array(properties_row(material), real))
+    path_kernel(needs)(stress, increments, history, np.array(properties_row(material, 1.0), real))
     assert np.all(history == history[:, :1])
     series = history[:, 0].reshape(len(gradients), needs.stresses + 1).astype(np.float64)
     return series[:, :-1], series[:, -1]
@@ -130,7 +130,7 @@ def returned(material: Material, stresses: Vector, *, limit: float = np.inf) -> 
     blocks = aligned((-(-len(stresses) // 8), 3, 8), np.dtype(np.float64))
     padded = np.concatenate([stresses, np.zeros((8 * len(blocks) - len(stresses), 3))])
     blocks[:] = np.moveaxis(padded.reshape(-1, 8, 3), 1, 2)
-    properties = np.array(properties_row(material))
+    properties = np.array(properties_row(material, 1.0))
     properties[Property.LIMIT] = limit
     return_kernel(material.dilation_deg > 0.0)(blocks.reshape(-1, 8), properties)
     return np.moveaxis(blocks, 1, 2).reshape(-1, 3)[: len(stresses)].copy()
