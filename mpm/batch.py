@@ -55,7 +55,7 @@ class Batch:
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
-        self.properties = np.array([properties_row(particles.materials[0]) for particles in self.particles], real)
+        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
@@ -124,16 +124,15 @@ class Batch:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         if features.heterogeneous:
-            rows = np.array([properties_row(material)[: features.columns] for material in particles.materials])
-            put(features.properties, rows[particles.material])
+            properties = properties_of(particles)
+            put(features.properties, properties[:, : features.columns])
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
         self.recorded(index)[0] = particles.positions
         if features.fields:
             self.recorded_fields(index)[0, :, : features.dimension] = particles.velocities
-        density = np.array([material.density for material in particles.materials])[particles.material]
-        mass = density * particles.volume
+        mass = particles.density * particles.volume
         energies = self.energies(index)
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
@@ -245,7 +244,12 @@ def features_of(
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
-        heterogeneous=any(len(each.materials) > 1 for each in particles),
+        heterogeneous=any(
+            len(each.materials) > 1
+            or each.common_volume is None
+            or any(material.strength_gradient > 0.0 for material in each.materials)
+            for each in particles
+        ),
         baffles=any(scene.baffles for scene in scenes),
         fields=fields,
         rests=until_rest,
@@ -277,7 +281,6 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: particles.volume,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
@@ -291,11 +294,15 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
     return [values[column] for column in Setting]
 
 
-def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`; of a material whose strength grows with depth, at its top."""
+def properties_row(material: Material, volume: float) -> list[float]:
+    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
+
+    Of a material whose strength grows with depth, that at its top.
+    """
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
     residual = material.residual
     values = {
+        Property.VOLUME: volume,
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
         Property.SHEAR: material.shear_modulus,
@@ -313,15 +320,19 @@ def properties_row(material: Material) -> list[float]:
     return [values[column] for column in Property]
 
 
-def properties_at(material: Material, depth: Array) -> Array:
-    """Lines of `properties` of points `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
-    rows = np.tile(properties_row(material), (len(depth), 1))
-    for state, strength, limit in (
-        (material, Property.STRENGTH, Property.LIMIT),
-        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
-    ):
-        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
-        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
-        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
-        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
+def properties_of(particles: Particles) -> Array:
+    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
+    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
+    rows[:, Property.VOLUME] = particles.volume
+    for index, material in enumerate(particles.materials):
+        if material.strength_gradient > 0.0:
+            here = particles.material == index
+            for state, strength, limit in (
+                (material, Property.STRENGTH, Property.LIMIT),
+                (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
+            ):
+                cohesion, friction = state.cohesion_at(particles.depth[here]), math.radians(state.friction_deg)
+                rows[here, strength] = 2.0 * cohesion * math.cos(friction)
+                apex = cohesion / state.friction if state.friction > 0.0 else np.inf
+                rows[here, limit] = np.minimum(state.tension_cutoff, apex)
     return rows

@@ -30,7 +30,6 @@ class Setting(Column):
 
     CELL = auto()  # [m]
     FRAME_DT = auto()  # [s]
-    VOLUME = auto()  # of a particle [m^D]
     GRAVITY_X = auto()  # [m/s^2]
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
@@ -43,8 +42,9 @@ class Setting(Column):
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where a scene has heterogeneous."""
+    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where scenes are heterogeneous."""
 
+    VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
     SHEAR = auto()  # [Pa]
@@ -137,7 +137,7 @@ class Features:
     corrected: bool = False
     """A particle remembers the gap to its neighbours: volume correction."""
     heterogeneous: bool = False
-    """Materials in one scene."""
+    """A scene has several materials, or particles of several volumes."""
     baffles: bool = False
     fields: bool = False
     """Velocity, pressure and plastic strain are recorded."""

@@ -84,7 +84,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
     elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E).
     """
     features, lanes = arrays.features, arrays.features.lanes
-    volume, dx = arrays.settings[scene, Setting.VOLUME], arrays.settings[scene, Setting.CELL]
+    volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present

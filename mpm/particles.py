@@ -63,7 +63,7 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
     if ti.static(features.baffles):
         density = property_of(scene, block, Property.DENSITY, arrays)
         present = arrays.state[block * features.block + features.present]
-        mass = arrays.settings[scene, Setting.VOLUME] * density * present
+        mass = property_of(scene, block, Property.VOLUME, arrays) * density * present
         particles_against_baffles(block, mass, worker, scene, arrays)
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.errors import InputError
-from datasets.particles import lattice_counts
+from datasets.particles import particle_count
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
 from datasets.strict import Strict, from_mapping, read_toml
 from mpm.batch import substeps_per_frame
@@ -207,7 +207,5 @@ def touch(a: Mass, b: Mass) -> bool:
 
 def particle_steps(scene: Scene) -> int:
     """Particles times steps of a run of `scene`, where no flow is so fast that it needs more steps."""
-    share = scene.domain.cell / scene.particles_per_axis
-    particles = sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
-    return particles * substeps * (scene.frames - 1)
+    return particle_count(scene) * substeps * (scene.frames - 1)

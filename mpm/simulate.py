@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.particles import particle_count
+from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
@@ -62,6 +62,8 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     """
     if len({scene.dimension for scene in scenes}) > 1:
         raise InputError("expected scenes of one dimension, got 2D and 3D", key="domain.size")
+    for scene in scenes:
+        warn_if_unresolved(scene)
     precision, arch = options.get("precision", "f32"), options.get("arch", "cpu")
     threads = options.get("threads") or processors()
     runtime.start(precision, threads, arch)
