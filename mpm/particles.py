@@ -104,6 +104,6 @@ def update_stress(scene, block, dt, arrays: ti.template()):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.corrected):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
-    if ti.static(features.fields):
+    if ti.static(features.strain_recorded):
         at = first + features.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]

@@ -86,7 +86,9 @@ def follow_whole(
 ) -> tuple[Vector, Vector]:
     """Stress [Pa], shape [S, 4 or 6], and plastic strain increment [-], shape [S], along increments [S, D, D] [-]."""
     runtime.start(precision)
-    needs = Features(dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, fields=True)
+    needs = Features(
+        dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, strain_recorded=True
+    )
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
     stress = aligned((needs.stresses, needs.lanes), real)
     if start is not None:
