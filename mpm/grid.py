@@ -173,7 +173,7 @@ def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
         arrays.settings[scene, Setting.FLOOR_FRICTION],
         arrays.settings[scene, Setting.WALL_FRICTION],
     )
-    if ti.static(features.fields):
+    if ti.static(features.walls_recorded):
         # What the walls take is counted behind the baffles.
         for axis in ti.static(range(features.dimension)):
             recorded_impulse = (

@@ -39,6 +39,8 @@ class Setting(Column):
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
+    WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
+    REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
 
 
 class Property(Column):
@@ -68,16 +70,20 @@ class Offset(Column):
     CELLS_X = auto()
     CELLS_Y = auto()
     CELLS_Z = auto()
-    RECORD = auto()  # its first number in `record`
+    RECORD = auto()  # the first of its particles in `record`
+    EVERY = auto()  # frames from one that is recorded to the next; 0 where the last is recorded alone
+    LAST_FRAME = auto()  # the number of its last frame
+    LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
+    WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
     BAFFLE = auto()  # its first line in `baffles`
     BAFFLES = auto()  # how many
-    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where fields are recorded
+    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where asked for
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     STEPS = auto()  # recorded_impulse so far
-    REST = auto()  # the frame in which it came to rest, 0 while it moves
+    REST = auto()  # the frame in which it was found at rest, 0 while it moves
 
 
 class Worker(Column):
@@ -106,18 +112,12 @@ class StepControl(Column):
 
 
 class Energy(Column):
-    """Columns of `energy`, real [J, per metre of width in 2D], shape [all frames, len(Energy)]."""
+    """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], a force."""
 
     KINETIC = auto()
     POTENTIAL = auto()
     ELASTIC = auto()
-
-
-class Field(Column):
-    """What is recorded of every particle in every frame, on request, in this order after its D velocities."""
-
-    PRESSURE = auto()  # -tr(sigma) / 3 [Pa]
-    PLASTIC_STRAIN = auto()  # accumulated equivalent deviatoric plastic strain [-]
+    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,8 +139,14 @@ class Features:
     heterogeneous: bool = False
     """A scene has several materials, or particles of several volumes."""
     baffles: bool = False
-    fields: bool = False
-    """Velocity, pressure and plastic strain are recorded."""
+    velocity_recorded: bool = False
+    stress_recorded: bool = False
+    pressure_recorded: bool = False
+    """Recorded by itself, where the stress is not."""
+    strain_recorded: bool = False
+    """Plastic strain is summed up and recorded."""
+    walls_recorded: bool = False
+    """The momentum that floor and walls take is recorded."""
     shared: bool = False
     """One scene, on several threads."""
     gpu: bool = False
@@ -188,7 +194,7 @@ class Features:
     @property
     def strained(self) -> bool:
         """Plastic strain is accumulated."""
-        return self.fields or self.softens
+        return self.strain_recorded or self.softens
 
     @property
     def gap(self) -> int:
@@ -206,9 +212,14 @@ class Features:
         return self.properties + (self.columns if self.heterogeneous else 0)
 
     @property
+    def before(self) -> int:
+        """First of the D vectors of the velocity at the end of the frame before, where `rests`."""
+        return self.remainder + (self.dimension if self.compensated else 0)
+
+    @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.remainder + (self.dimension if self.compensated else 0)
+        return self.before + (self.dimension if self.rests else 0)
 
     @property
     def columns(self) -> int:
@@ -228,7 +239,24 @@ class Features:
     @property
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
-        return self.baffles or self.fields
+        return self.baffles or self.walls_recorded
+
+    # What is recorded of a particle besides its position: velocity, stress or pressure, plastic strain.
+
+    @property
+    def recorded_stress(self) -> int:
+        """Which of a particle's recorded numbers is the first of its stress, or its pressure."""
+        return self.dimension if self.velocity_recorded else 0
+
+    @property
+    def recorded_strain(self) -> int:
+        """Which of a particle's recorded numbers is its plastic strain."""
+        return self.recorded_stress + (self.stresses if self.stress_recorded else int(self.pressure_recorded))
+
+    @property
+    def recorded(self) -> int:
+        """Numbers that are recorded of a particle besides its position."""
+        return self.recorded_strain + int(self.strain_recorded)
 
     # A node: momentum, mass and, where forces stay apart, force.
 

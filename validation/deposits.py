@@ -17,8 +17,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from datasets.scene import Scene
-from datasets.trajectory import FIELDS, Trajectory
+from datasets.trajectory import Trajectory
 from mpm.layout import Precision
+from mpm.recording import LAST
 from mpm.resolution import particle_steps
 from mpm.simulate import simulate, simulate_many
 
@@ -68,21 +69,15 @@ def compute(runs: Sequence[Run], folder: Path) -> None:
                 batch = alike[first : first + size]
                 scenes = [run.scene for run in batch]
                 if way is Way.TOGETHER:
-                    flows = simulate_many(scenes, precision=precision)
+                    flows = simulate_many(scenes, precision=precision, record=LAST)
                 else:
-                    flows = [simulate(scenes[0], precision=precision, threads=1 if way is Way.ALONE else None)]
+                    threads = 1 if way is Way.ALONE else None
+                    flows = [simulate(scenes[0], precision=precision, threads=threads, record=LAST)]
                 for run, flow in zip(batch, flows, strict=True):
-                    last_frame(flow).save(run.path(folder))
+                    flow.save(run.path(folder))
                     bar.update(particle_steps(run.scene))
 
 
 def read_all(runs: Sequence[Run], folder: Path) -> list[Trajectory]:
     """The deposits of runs that `compute` has made: one frame each."""
     return [Trajectory.load(run.path(folder)) for run in runs]
-
-
-def last_frame(flow: Trajectory) -> Trajectory:
-    """A trajectory of the last frame alone."""
-    series = ("positions", "time", *FIELDS)
-    last = {key: getattr(flow, key)[-1:] for key in series if getattr(flow, key) is not None}
-    return dataclasses.replace(flow, **last)

@@ -9,6 +9,7 @@ from datasets.files import write_text
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm.recording import LAST
 from mpm.simulate import LARGE, simulate, simulate_many
 from validation import scaling_report
 from validation.collapse import FRICTION_DEG, Deposit, half_column, measured, quarter_cylinder, volume_error
@@ -28,9 +29,11 @@ def collapse(scenes: Sequence[Scene], aspects: Sequence[float]) -> tuple[Deposit
     small = [index for index, size in enumerate(sizes) if size < LARGE]
     flows: dict[int, Trajectory] = {}
     if small:
-        flows |= zip(small, simulate_many([scenes[index] for index in small], until_rest=True), strict=True)
+        flows |= zip(
+            small, simulate_many([scenes[index] for index in small], until_rest=True, record=LAST), strict=True
+        )
     for index in set(range(len(scenes))) - set(small):
-        flows[index] = simulate(scenes[index], until_rest=True)
+        flows[index] = simulate(scenes[index], until_rest=True, record=LAST)
     return tuple(
         measured(aspect, flows[index].positions[-1], flows[index].summary["rest_time"])
         for index, aspect in enumerate(aspects)

@@ -10,7 +10,8 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.batch import features_of
 from mpm.layout import Features, Precision
-from mpm.simulate import simulate, simulate_many
+from mpm.recording import ALL, with_usual_fields
+from mpm.simulate import simulate_each
 
 Flow = Trajectory | WorkFailed
 """What a scene came to: a trajectory with fields, or the message of a run that blew up."""
@@ -19,28 +20,15 @@ Flow = Trajectory | WorkFailed
 def simulate_scenes(scenes: Mapping[str, Scene], precision: Precision, bar: "tqdm[None]") -> dict[str, Flow]:
     """What each scene came to; `bar` counts them.
 
-    A batch compiles what any of its scenes needs, and a scene without cohesion would not run in the code that it is
-    meant to test. So scenes with the same needs run together.
+    Scenes that need the same code run together, so that the bar moves in between.
     """
     groups: dict[Features, dict[str, Scene]] = {}
     for name, scene in scenes.items():
-        needs = features_of([scene], [initial_particles(scene)], precision, fields=True)
+        needs = features_of([scene], [initial_particles(scene)], precision, record=with_usual_fields(ALL))
         groups.setdefault(needs, {})[name] = scene
     flows: dict[str, Flow] = {}
     for group in groups.values():
-        try:
-            trajectories = simulate_many(list(group.values()), precision=precision, fields=True)
-            flows.update(zip(group, trajectories, strict=True))
-        except WorkFailed:
-            # It does not say which.
-            flows.update({name: simulate_one(scene, precision) for name, scene in group.items()})
+        outcomes = simulate_each(list(group.values()), precision=precision, fields=True)
+        flows.update(zip(group, outcomes, strict=True))
         bar.update(len(group))
     return {name: flows[name] for name in scenes}
-
-
-def simulate_one(scene: Scene, precision: Precision) -> Flow:
-    """What one scene came to."""
-    try:
-        return simulate(scene, precision=precision, threads=1, fields=True)
-    except WorkFailed as error:
-        return error
