@@ -18,6 +18,8 @@ class Particles:
     """Positions [m], shape [N, D]."""
     velocities: NDArray[np.float64]
     """Velocities [m/s], shape [N, D]."""
+    velocity_gradients: NDArray[np.float64]
+    """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 but in a mass that turns."""
     material: NDArray[np.int32]
     """Index into `materials` of each point, shape [N]."""
     materials: tuple[Material, ...]
@@ -45,14 +47,16 @@ def initial_particles(scene: Scene) -> Particles:
     """
     share = scene.domain.cell / scene.particles_per_axis
     materials: list[Material] = []
-    positions, velocities, indices = [], [], []
+    positions, velocities, gradients, indices = [], [], [], []
     for number, mass in enumerate(scene.masses):
         counts = lattice_counts(mass, share)
         spacing = np.array(mass.size) / counts
         lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
         offset = np.random.default_rng([scene.seed, number]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
         positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
-        velocities.append(np.broadcast_to(np.array(mass.velocity or (0.0,) * scene.dimension), lattice.shape))
+        arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
+        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
+        gradients.append(np.broadcast_to(mass.spin, (len(lattice), *mass.spin.shape)))
         material = scene.material_of(mass)
         if material not in materials:
             materials.append(material)
@@ -60,6 +64,7 @@ def initial_particles(scene: Scene) -> Particles:
     return Particles(
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
+        velocity_gradients=np.concatenate(gradients),
         material=np.concatenate(indices),
         materials=tuple(materials),
         volume=scene.particle_volume,

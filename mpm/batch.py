@@ -123,6 +123,7 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if features.heterogeneous:
             put(
                 features.properties,
@@ -137,7 +138,8 @@ class Batch:
         density = np.array([material.density for material in particles.materials])[particles.material]
         mass = density * particles.volume
         energies = self.energies(index)
-        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
+        affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
+        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def sort(self, index: int) -> None:
