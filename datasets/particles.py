@@ -27,6 +27,8 @@ class Particles:
     """Velocities [m/s], shape [N, D]."""
     mass: NDArray[np.int32]
     """Index of the scene's mass that each particle belongs to, shape [N]."""
+    velocity_gradients: NDArray[np.float64]
+    """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 but in a mass that turns."""
     material: NDArray[np.int32]
     """Index into `materials` of each particle, shape [N]."""
     materials: tuple[Material, ...]
@@ -70,14 +72,16 @@ def initial_particles(scene: Scene) -> Particles:
     lattice cell. A mass draws from its own stream, so that adding one leaves the others.
     """
     materials: list[Material] = []
-    positions, velocities, indices = [], [], []
+    positions, velocities, gradients, indices = [], [], [], []
     for number, mass in enumerate(scene.masses):
         counts = lattice_counts(scene, mass)
         spacing = np.array(mass.size) / counts
         lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
         offset = np.random.default_rng([scene.seed, number]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
         positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
-        velocities.append(np.broadcast_to(np.array(mass.velocity or (0.0,) * scene.dimension), lattice.shape))
+        arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
+        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
+        gradients.append(np.broadcast_to(mass.spin, (len(lattice), *mass.spin.shape)))
         material = scene.material_of(mass)
         if material not in materials:
             materials.append(material)
@@ -89,6 +93,7 @@ def initial_particles(scene: Scene) -> Particles:
         positions=everywhere,
         velocities=np.concatenate(velocities),
         mass=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        velocity_gradients=np.concatenate(gradients),
         material=np.concatenate(indices),
         materials=tuple(materials),
         volume=np.repeat(mass_particle_volumes(scene), counts),

@@ -42,8 +42,18 @@ class Mass(Strict):
     """Extent [m]."""
     velocity: Vector | None = None
     """Initial velocity [m/s]; at rest where absent."""
+    angular_velocity: float | Vector | None = None
+    """Initial angular velocity about the centre of the box [rad/s]: a number about z, positive from x to y, or in 3D a
+    vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
     """Its own material; the scene's where absent."""
+
+    @property
+    def spin(self) -> NDArray[np.float64]:
+        """Initial velocity gradient W [1/s], shape [D, D]: W r = omega x r."""
+        given = self.angular_velocity or 0.0
+        x, y, z = (0.0, 0.0, given) if isinstance(given, float | int) else given
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[: len(self.size), : len(self.size)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,6 +223,15 @@ def check(scene: Scene) -> None:
                 f"masses[{index}].velocity",
                 f"{dimension} finite components in m/s",
                 list(mass.velocity),
+            )
+        if mass.angular_velocity is not None:
+            turn = mass.angular_velocity
+            parts = turn if isinstance(turn, tuple) else (turn,)
+            require(
+                len(parts) in {2: (1,), 3: (1, 3)}[dimension] and all(map(math.isfinite, parts)),
+                f"masses[{index}].angular_velocity",
+                "a finite number in rad/s, in 3D that or 3 components",
+                list(parts),
             )
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))

@@ -130,6 +130,7 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if features.heterogeneous:
             properties = properties_of(particles)
             put(features.properties, properties[:, : features.columns])
@@ -142,7 +143,8 @@ class Batch:
             self.store(index, 0)
         mass = particles.density * particles.volume
         energies = self.energies(index)
-        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
+        affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
+        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def store(self, index: int, slot: int) -> None:

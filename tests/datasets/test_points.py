@@ -139,3 +139,25 @@ def test_the_count_is_known_beforehand() -> None:
     for name in ("column-tall-42", "layers-10", "baffles-2"):
         scene = read_scene(name)
         assert particle_count(scene) == len(initial_particles(scene).positions)
+
+
+def test_a_mass_that_turns(scene: Scene) -> None:
+    """v = v0 + omega (-(y - yc), x - xc); sum over a lattice is v0, and the velocity gradient is the spin."""
+    mass = dataclasses.replace(scene.masses[0], angular_velocity=3.0)
+    particles = initial_particles(dataclasses.replace(scene, masses=(mass,)))
+    x, y = (particles.positions - [0.07, 0.01]).T
+    np.testing.assert_allclose(particles.velocities, np.stack([0.1 - 3.0 * y, -0.2 + 3.0 * x], axis=1), atol=1e-15)
+    np.testing.assert_array_equal(particles.velocity_gradients[0], [[0.0, -3.0], [3.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("given", "omega"), [(2.0, (0.0, 0.0, 2.0)), ((1.0, -2.0, 0.5), (1.0, -2.0, 0.5)), (None, (0.0, 0.0, 0.0))]
+)
+def test_a_mass_that_turns_in_3d(given: float | tuple[float, ...] | None, omega: tuple[float, ...]) -> None:
+    mass = Mass(lower=(0.1, 0.0, 0.1), size=(0.1, 0.1, 0.2), angular_velocity=given)
+    scene = Scene(domain=Domain(size=(0.4, 0.4, 0.4), cell=0.05), material=Material(friction_deg=30.0), masses=(mass,))
+    particles = initial_particles(scene)
+    arm = particles.positions - [0.15, 0.05, 0.2]
+    np.testing.assert_allclose(particles.velocities, np.cross(omega, arm), atol=1e-15)
+    np.testing.assert_allclose(np.einsum("nij, nj -> ni", particles.velocity_gradients, arm), np.cross(omega, arm))
+    assert Scene.from_json(scene.to_json()) == scene

@@ -15,7 +15,8 @@ from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, at_rest, scene_of
 from validation.stability import expectations as expect
-from validation.stability.cases import CASES, SCENES
+from validation.stability.case import SCENES
+from validation.stability.cases import CASES
 from validation.stability.deposit import FEWEST_CUBES, core_volumes
 from validation.stability.invariants import INVARIANTS
 
