@@ -15,6 +15,7 @@ from tqdm import tqdm
 from datasets.command_line import WorkFailed
 from datasets.files import replacing
 from datasets.material import Material
+from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
 
 # VTK takes half a second to import: only who writes or draws pays for it.
@@ -39,12 +40,22 @@ class Meshes:
         return list(dict.fromkeys(map(scene.material_of, scene.masses)))
 
     @cached_property
+    def start(self) -> NDArray[np.float64]:
+        """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
+        trajectory = self.trajectory
+        if trajectory.time[0] > 0.0:
+            known = initial_particles(trajectory.scene).positions
+            if known.shape == trajectory.positions[0].shape:
+                return known
+        return trajectory.positions[0].astype(np.float64)
+
+    @cached_property
     def material(self) -> NDArray[np.int32]:
         """Index into `materials` of each point, shape [N].
 
         Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points.
         """
-        scene, start = self.trajectory.scene, self.trajectory.positions[0].astype(np.float64)
+        scene, start = self.trajectory.scene, self.start
         materials = self.materials
         nearest, index = np.full(len(start), np.inf), np.zeros(len(start), np.int32)
         for mass in scene.masses:
@@ -59,13 +70,14 @@ class Meshes:
         """Angle of internal friction of each point [deg], shape [N]."""
         return np.degrees(np.arctan(self.trajectory.friction)).astype(np.float32)
 
-    def velocity(self, frame: int) -> NDArray[np.float32]:
+    def velocity(self, frame: int) -> NDArray[np.float32] | None:
         """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
 
-        These are central; at the last frame backward; the first frame has the initial velocities.
+        These are central; at the last frame backward; the first frame has the initial velocities where it is the start,
+        else there are none.
         """
         trajectory = self.trajectory
-        velocity: NDArray[np.float32] = trajectory.velocity0
+        velocity: NDArray[np.float32] | None = trajectory.velocity0 if trajectory.time[0] == 0.0 else None
         if trajectory.velocities is not None:
             velocity = trajectory.velocities[frame]
         elif frame > 0:
@@ -77,10 +89,11 @@ class Meshes:
     def fields(self, frame: int) -> dict[str, NDArray[Any]]:
         """What there is to know of the points at `frame`, shape [N] or [N, D] each."""
         trajectory = self.trajectory
-        recorded = {key: getattr(trajectory, key) for key in ("pressure", "plastic_strain")}
+        recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "density", "plastic_strain")}
+        velocity = self.velocity(frame)
         return {
-            "velocity": self.velocity(frame),
-            "displacement": trajectory.positions[frame] - trajectory.positions[0],
+            **({} if velocity is None else {"velocity": velocity}),
+            "displacement": trajectory.positions[frame] - self.start.astype(np.float32),
             **{key: values[frame] for key, values in recorded.items() if values is not None},
             "material": self.material,
             "friction_deg": self.friction_deg,
@@ -92,7 +105,8 @@ class Meshes:
 
         mesh = pyvista.PolyData(spatial(self.trajectory.positions[frame]))
         for key, values in self.fields(frame).items():
-            mesh.point_data[key] = values if values.ndim == 1 else spatial(values)
+            width = 6 if key == "stress" else 3
+            mesh.point_data[key] = values if values.ndim == 1 else spatial(values, width)
         return mesh
 
     def baffles(self, frame: int, since: int) -> "pyvista.PolyData":
@@ -120,9 +134,12 @@ class Meshes:
         return edges
 
 
-def spatial(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]."""
-    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
+    """Vectors of any dimension with three components, shape [N, D] -> [N, 3]; of a stress with six.
+
+    VTK orders a symmetric tensor as we do: xx, yy, zz, xy, yz, zx.
+    """
+    return np.pad(vectors, ((0, 0), (0, width - vectors.shape[1])))
 
 
 def box(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData":

@@ -1,13 +1,15 @@
 """What a scene of a batch came to: its trajectory, or why there is none."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
-from mpm.batch import Batch
+from mpm.batch import Batch, masses
 from mpm.failure import explain
 from mpm.layout import Offset, Worker
 from mpm.runtime import Arch
+from mpm.smoothing import density, smoothed
 from mpm.summary import summarise
 
 
@@ -20,6 +22,20 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
     numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
     velocities = numbers[features.velocity :][: features.dimension].T
     return WorkFailed(explain(scene, batch.particles[index], velocities, reached - 1))
+
+
+def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
+    """The fields that were asked for of scene `index`, by the names of `datasets.trajectory.Trajectory`."""
+    scene, particles, record = batch.scenes[index], batch.particles[index], batch.recording
+    positions, fields = batch.recorded(index), batch.fields_by_name(index)
+    if not record.raw:
+        for name in fields.keys() & {"stress", "pressure"}:
+            fields[name] = smoothed(fields[name], positions, particles.volume, scene)
+    if batch.features.stress_recorded and "pressure" in record.fields:
+        fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
+    if "density" in record.fields:
+        fields["density"] = density(positions, masses(particles), scene)
+    return fields
 
 
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
@@ -40,7 +56,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         for slot, frame in enumerate(kept):
             if frame > rest:
                 batch.store(index, slot)
-    positions, fields = batch.recorded(index), batch.fields_by_name(index)
+    positions, fields = batch.recorded(index), fields_of(batch, index)
     if len(batch.scenes) > 1:
         # What one trajectory holds must not keep the record of all others in memory.
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}

@@ -36,4 +36,4 @@ def window_frames(scene: Scene, materials: Sequence[Material]) -> int:
     slowest = min(math.sqrt(material.shear_modulus / material.density) for material in materials)
     period = 4.0 * height(scene) / slowest
     flow = math.sqrt(height(scene) / scene.gravity) if scene.gravity > 0.0 else 0.0
-    return max(LEAST_FRAMES, math.ceil(max(period, flow) / scene.frame_dt))
+    return max(LEAST_FRAMES, math.ceil(max(period, flow) / scene.frame_dt) + 1)

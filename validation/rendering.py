@@ -69,7 +69,8 @@ ENCODERS = (("libx264", ".mp4", "yuv420p"), ("mpeg4", ".mp4", "yuv420p"), ("gif"
 
 def require(trajectory: Trajectory, colour: Colour) -> None:
     """Raise InputError where `trajectory` has not recorded what `colour` is to show."""
-    if colour in (Colour.PRESSURE, Colour.PLASTIC_STRAIN) and getattr(trajectory, colour) is None:
+    missing = colour in (Colour.PRESSURE, Colour.PLASTIC_STRAIN) and getattr(trajectory, colour) is None
+    if missing or (colour is Colour.VELOCITY and Meshes(trajectory).velocity(0) is None):
         raise InputError("expected a trajectory that recorded it, this one did not", key=colour)
 
 

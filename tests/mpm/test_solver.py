@@ -368,22 +368,6 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
             np.testing.assert_allclose(shared.baffle_impulse, alone.baffle_impulse, atol=1e-6)
 
 
-def test_a_run_ends_when_its_deposit_rests() -> None:
-    scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), floor_friction=0.5, duration=2.0)
-    whole, ended = simulate(scene), simulate(scene, until_rest=True)
-    rest = ended.summary["rest_time"]
-    assert whole.summary["rest_time"] is None
-    assert 0.3 < rest < 1.5
-    assert ended.summary["steps"] < 0.8 * whole.summary["steps"]
-    assert ended.positions.shape == whole.positions.shape
-    after = ended.time > rest
-    np.testing.assert_array_equal(
-        ended.positions[after], np.broadcast_to(ended.positions[-1], ended.positions[after].shape)
-    )
-    np.testing.assert_array_equal(ended.positions[~after], whole.positions[~after])
-    assert ended.summary["front"] == pytest.approx(whole.summary["front"], abs=0.003)
-
-
 def test_fields_are_what_the_points_carry() -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), damping=0.3, duration=1.0, jitter=0.0)
     trajectory = simulate(scene, fields=True)

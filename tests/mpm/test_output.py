@@ -1,0 +1,223 @@
+"""What a run records: the frames and fields that were asked for, smooth and right; and when it comes to rest."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from datasets.errors import InputError
+from datasets.particles import initial_particles
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm.batch import Batch
+from mpm.recording import ALL, FIELDS, LAST, Recording, with_usual_fields
+from mpm.rest import window_frames
+from mpm.simulate import simulate
+from mpm.smoothing import density, smoothed, weights
+from tests.mpm.scenes import SAND, box, room
+
+EVERYTHING = Recording(fields=frozenset(FIELDS), wall_forces=True)
+WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("frames", "kept"),
+    [
+        ("all", [0, 1, 2, 3, 4, 5, 6]),
+        ("last", [6]),
+        (1, [0, 1, 2, 3, 4, 5, 6]),
+        (4, [0, 4, 6]),
+        (6, [0, 6]),
+        (9, [0, 6]),
+    ],
+)
+def test_the_frames_that_are_kept(frames: object, kept: list[int]) -> None:
+    assert Recording(frames=frames).kept(7) == kept  # type: ignore[arg-type]
+
+
+def test_a_recording_that_cannot_be() -> None:
+    with pytest.raises(InputError, match="frames: expected"):
+        Recording(frames=0)
+    with pytest.raises(InputError, match="frames: expected all, last or every how many"):
+        Recording(frames="first")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="fields: expected any of velocity, stress"):
+        Recording(fields=frozenset({"speed"}))  # type: ignore[arg-type]
+
+
+def test_fewer_frames_are_those_of_the_whole_run() -> None:
+    scene = box(baffles=(WALLED,), duration=0.3)
+    whole = simulate(scene, record=EVERYTHING)
+    for frames, kept in ((7, [*range(0, 60, 7), 60]), ("last", [60])):
+        few = simulate(scene, record=dataclasses.replace(EVERYTHING, frames=frames))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(few.time, whole.time[kept])
+        for key in ("positions", "velocities", "stress", "pressure", "density", "plastic_strain", "baffle_impulse"):
+            np.testing.assert_array_equal(getattr(few, key), getattr(whole, key)[kept])
+        for key in ("energy", "wall_impulse", "front", "steps"):
+            assert few.summary[key] == whole.summary[key]
+
+
+def test_nothing_is_allocated_but_what_is_asked_for() -> None:
+    scene = box()
+    count = len(initial_particles(scene).positions)
+
+    def sizes(record: Recording) -> tuple[int, int]:
+        batch = Batch([scene], precision="f32", record=record)
+        return batch.record.size // count, batch.fields.size // count
+
+    assert sizes(ALL) == (2 * 21, 0)
+    assert sizes(LAST) == (2, 0)
+    assert sizes(Recording(frames=10)) == (2 * 3, 0)
+    assert sizes(Recording(frames=10, fields=frozenset({"pressure"}))) == (2 * 3, 3)
+    # A pressure is part of the stress, and a density follows from the positions.
+    assert sizes(Recording(frames="last", fields=frozenset({"pressure", "stress", "density"}))) == (2, 4)
+    assert sizes(with_usual_fields(LAST)) == (2, 4)
+
+
+def test_only_what_was_asked_for_is_there() -> None:
+    scene = box(baffles=(WALLED,), duration=0.02)
+    flow = simulate(scene, record=Recording(fields=frozenset({"stress"}), baffle_forces=False))
+    assert flow.stress is not None
+    assert flow.stress.shape == (5, 400, 4)
+    assert [getattr(flow, key) for key in ("velocities", "pressure", "density", "plastic_strain")] == [None] * 4
+    assert flow.baffle_impulse is None
+    assert "wall_impulse" not in flow.summary
+    assert flow.summary["relaxation_time"] == pytest.approx(2.0 * math.sqrt(0.02 / 9.81))
+
+
+@pytest.fixture(scope="module")
+def bed() -> dict[bool, Trajectory]:
+    """A level bed of 0.3 m, settled: raw fields and not."""
+    scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), damping=0.3, duration=1.0)
+    return {
+        raw: simulate(scene, record=dataclasses.replace(EVERYTHING, frames="last", raw=raw)) for raw in (False, True)
+    }
+
+
+def roughness(positions: NDArray[np.floating], values: NDArray[np.floating]) -> float:
+    """How far a value lies from the mean of its eight neighbours', rms over the rms of the values."""
+    _, near = cKDTree(positions).query(positions, 9)
+    off = values - values[near[:, 1:]].mean(axis=1)
+    return float(np.sqrt(np.mean(off**2) / np.mean(values**2)))
+
+
+def test_the_stress_in_a_settled_bed_is_the_weight_above(bed: dict[bool, Trajectory]) -> None:
+    flow, raw = bed[False], bed[True]
+    assert flow.stress is not None
+    assert raw.stress is not None
+    weight = SAND.density * 9.81
+    y = flow.positions[-1, :, 1].astype(np.float64)
+    off = (flow.stress[-1, :, 1] + weight * (0.3 - y)) / (weight * 0.3)
+    raw_off = (raw.stress[-1, :, 1] + weight * (0.3 - y)) / (weight * 0.3)
+    assert np.sqrt(np.mean(off**2)) < 0.025
+    assert np.sqrt(np.mean(raw_off**2)) > 0.08
+    # On the floor the mean over a neighbourhood is that of what lies above it.
+    assert abs(off[y < 0.02].mean()) < 0.04
+    assert roughness(flow.positions[-1], flow.stress[-1, :, 1]) < 0.02
+    assert roughness(raw.positions[-1], raw.stress[-1, :, 1]) > 0.1
+    np.testing.assert_allclose(flow.pressure, -flow.stress[:, :, :3].mean(axis=2), rtol=1e-4, atol=1.0)
+
+
+def test_the_density_of_a_settled_bed_is_the_initial_one(bed: dict[bool, Trajectory]) -> None:
+    flow = bed[False]
+    assert flow.density is not None
+    found, y = flow.density[-1] / SAND.density, flow.positions[-1, :, 1]
+    for low, high in ((0.0, 0.01), (0.01, 0.02), (0.02, 0.05), (0.05, 0.2), (0.2, 0.28), (0.28, 0.3)):
+        assert found[(y >= low) & (y < high)].mean() == pytest.approx(1.0, abs=0.02), (low, high)
+    assert found.std() < 0.025
+
+
+@pytest.mark.parametrize(
+    "scene", [box(jitter=0.0), room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.24, 0.8)), jitter=0.0)]
+)
+def test_the_density_of_a_lattice_is_exact_up_to_its_faces(scene: Scene) -> None:
+    particles = initial_particles(scene)
+    mass = np.full(len(particles.positions), 1600.0 * scene.particle_volume)
+    np.testing.assert_allclose(density(particles.positions[None], mass, scene), 1600.0, rtol=1e-6)
+    # The same sand, twice as far apart in x with every other column of boxes empty, is half as dense.
+    parted = particles.positions * np.where(np.arange(scene.dimension) == 0, 2.0, 1.0)
+    wide = dataclasses.replace(scene, domain=Domain(size=(1.6, *scene.domain.size[1:]), cell=scene.domain.cell))
+    inside = (parted[:, 0] > 0.1) & (parted[:, 0] < 0.3)
+    np.testing.assert_allclose(density(parted[None], mass, wide)[0, inside], 800.0, rtol=0.01)
+
+
+def test_smoothing_keeps_constants_and_integrals() -> None:
+    scene = box()
+    positions, stream = initial_particles(scene).positions[None], np.random.default_rng(3)
+    values = stream.normal(size=(1, positions.shape[1], 4))
+    volume = stream.uniform(0.5, 1.5, positions.shape[1])
+    one = np.ones_like(values)
+    np.testing.assert_allclose(smoothed(one, positions, volume, scene), 1.0, rtol=1e-6)
+    found = smoothed(values, positions, volume, scene)
+    np.testing.assert_allclose(volume @ found[0], volume @ values[0], rtol=1e-4)
+    assert found.std() < 0.3 * values.std()
+    np.testing.assert_allclose(smoothed(values[:, :, 0], positions, volume, scene), found[:, :, 0], rtol=1e-5)
+    # A spline reproduces linear functions.
+    nodes = weights(positions[0], scene)
+    x = (np.arange(50 + 5) - 2) * 0.02
+    grid = np.broadcast_to(x[:, None], (55, 55)).ravel()
+    np.testing.assert_allclose(nodes @ grid, positions[0, :, 0], atol=1e-12)
+
+
+def test_sand_in_the_air_is_not_at_rest() -> None:
+    """Thrown up at 2 m/s it stands still after 0.2 s, at the top of its path."""
+    scene = box(Mass(lower=(0.4, 0.1), size=(0.2, 0.2), velocity=(0.0, 2.0)), floor_friction=0.5, duration=1.5)
+    flow = simulate(scene, until_rest=True, record=LAST)
+    kinetic = np.array(flow.summary["energy"]["kinetic"])
+    assert kinetic[:60].min() < 0.02 * kinetic.max()
+    # It lands at 0.46 s and spreads.
+    assert 0.8 < flow.summary["rest_time"] < 1.4
+    assert flow.summary["end_time"] > flow.summary["rest_time"] + math.sqrt(0.2 / 9.81)
+
+
+def test_a_ringing_bed_is_not_at_rest() -> None:
+    """Let go under gravity without damping it oscillates: at full compression it stands still, 6 times in 0.35 s."""
+    scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), duration=0.5)
+    flow = simulate(scene, until_rest=True, record=LAST)
+    kinetic = np.array(flow.summary["energy"]["kinetic"])
+    assert (kinetic[5:] < 0.01 * kinetic.max()).sum() > 3
+    assert flow.summary["rest_time"] is None
+    assert flow.summary["end_time"] == 0.5
+
+
+def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
+    scene = box(floor_friction=0.5, duration=2.0)
+    usual = Recording(frames=3, fields=frozenset({"velocity", "pressure"}))
+    whole, ended = simulate(scene), simulate(scene, until_rest=True, record=usual)
+    summary = ended.summary
+    assert whole.summary["rest_time"] is None
+    assert 0.5 < summary["rest_time"] < 1.0
+    window = window_frames(scene, [SAND]) * scene.frame_dt
+    assert summary["end_time"] == pytest.approx(summary["rest_time"] + window - scene.frame_dt)
+    assert summary["steps"] < 0.6 * whole.summary["steps"]
+    assert len(ended.time) == 135
+    after = ended.time > summary["end_time"]
+    for series in (ended.positions, ended.velocities, ended.pressure):
+        assert series is not None
+        assert after.sum() > 50
+        assert np.all(series[after] == series[-1])
+    before = np.round(ended.time[~after] / scene.frame_dt).astype(int)
+    np.testing.assert_array_equal(ended.positions[~after], whole.positions[before])
+    assert summary["front"] == pytest.approx(whole.summary["front"], abs=0.001)
+    # The last frame alone is the one in which it was found at rest, too.
+    last = simulate(scene, until_rest=True, record=LAST)
+    np.testing.assert_array_equal(last.positions[-1], ended.positions[-1])
+    assert last.summary["rest_time"] == summary["rest_time"]
+
+
+def test_a_window_spans_a_period_of_the_slowest_oscillation() -> None:
+    soft = dataclasses.replace(SAND, young=1.0e5)
+    shear = math.sqrt(soft.shear_modulus / soft.density)
+    assert window_frames(box(), [SAND]) == math.ceil(math.sqrt(0.2 / 9.81) / 0.005) + 1
+    assert window_frames(box(), [SAND, soft]) == math.ceil(4.0 * 0.2 / shear / 0.005) + 1
+    assert window_frames(box(frame_dt=0.1), [SAND]) == 3
+    assert window_frames(box(gravity=0.0), [SAND]) > 3
+
+
+def test_a_deposit_that_never_moved_is_at_rest() -> None:
+    """A layer so light and thin that its own weight hardly compresses it: at rest from the first frame on."""
+    layer = Mass(lower=(0.0, 0.0), size=(1.0, 0.02))
+    scene = box(layer, gravity=0.02, duration=2.0, frame_dt=0.1, jitter=0.0)
+    assert simulate(scene, until_rest=True, record=LAST).summary["rest_time"] <= 0.2

@@ -1,0 +1,194 @@
+"""A run that goes on from a checkpoint is the run that was never interrupted, to the bit."""
+
+import dataclasses
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tqdm import tqdm
+
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm import simulate as solver
+from mpm.checkpoint import Checkpoint, difference
+from mpm.recording import FIELDS, LAST, Recording
+from mpm.run import command
+from mpm.simulate import Interrupted, Options, simulate, simulate_resumably
+from tests.mpm.scenes import COLUMN, SAND, box
+
+RECORD = Recording(frames=3, fields=frozenset(FIELDS), wall_forces=True)
+FLOW = box(baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),), floor_friction=0.5, duration=0.28)
+
+
+def same(one: Trajectory, other: Trajectory) -> None:
+    """Every array and every series to the bit; what they cost differs."""
+    for field in dataclasses.fields(Trajectory):
+        if field.name not in ("scene", "summary"):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+    costs = ("wall_s", "compile_s")
+    assert {k: v for k, v in one.summary.items() if k not in costs} == {
+        k: v for k, v in other.summary.items() if k not in costs
+    }
+
+
+@pytest.mark.parametrize(("precision", "shared"), [("f32", False), ("f64", False), ("f32", True)])
+def test_a_resumed_run_is_the_unbroken_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, precision: Any, shared: bool
+) -> None:
+    """Broken off twice, in the middle of a launch and at its end; a large scene is sorted at every launch."""
+    if shared:
+        monkeypatch.setattr(solver, "PARTICLES_PER_WORKER", 100)
+        monkeypatch.setattr(solver, "SORTED", 0)
+    options: Options = {"precision": precision, "record": RECORD, "threads": 2 if shared else 1}
+    whole = simulate(FLOW, **options)
+    _, first = simulate_resumably(dataclasses.replace(FLOW, duration=0.065), **options)
+    first.save(tmp_path / "checkpoint.npz")
+    again = Checkpoint.load(tmp_path / "checkpoint.npz")
+    # What is recorded and the precision are the checkpoint's.
+    threads = options["threads"]
+    _, second = simulate_resumably(dataclasses.replace(FLOW, duration=0.2), resume=again, threads=threads)
+    assert (first.frame, second.frame) == (13, 40)
+    same(simulate(FLOW, resume=second, threads=threads), whole)
+    # A run that is finished has nothing left to do.
+    same(simulate(dataclasses.replace(FLOW, duration=0.2), resume=second, threads=threads), _)
+
+
+def test_rest_is_remembered(tmp_path: Path) -> None:
+    scene = box(floor_friction=0.5, duration=1.5)
+    options: Options = {"until_rest": True, "record": LAST, "threads": 1}
+    whole = simulate(scene, **options)
+    for duration in (0.7, 1.2):
+        _, checkpoint = simulate_resumably(dataclasses.replace(scene, duration=duration), **options)
+        assert bool(checkpoint.rest) == (duration == 1.2)
+        same(simulate(scene, resume=checkpoint, threads=1), whole)
+    assert whole.summary["rest_time"] is not None
+
+
+@pytest.fixture(scope="module")
+def checkpoint() -> Checkpoint:
+    """Of the column, after 0.02 s."""
+    return simulate_resumably(box(duration=0.02), threads=1)[1]
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "said"),
+    [
+        (box(damping=0.1), {}, "damping: expected the scene of the checkpoint"),
+        (box(material=dataclasses.replace(SAND, young=1.0e6)), {}, "material.young: expected the scene"),
+        (box(dataclasses.replace(COLUMN, size=(0.2, 0.1))), {}, "masses[0].size: expected the scene"),
+        (box(COLUMN, Mass(lower=(0.5, 0.0), size=(0.1, 0.1))), {}, "masses: expected the scene"),
+        (box(domain=Domain(size=(1.0, 1.0), cell=0.01)), {}, "domain.cell: expected the scene"),
+        (box(duration=0.015), {}, "duration: expected at least the 0.02 s of the checkpoint, got 0.015"),
+        (box(), {"record": LAST}, "frames: expected what the checkpoint was recorded with"),
+        (box(), {"fields": True}, "fields: expected what the checkpoint was recorded with"),
+        (box(), {"precision": "f64"}, "precision: expected f32 as in the checkpoint, got f64"),
+        (box(), {"until_rest": True}, "rests: expected False as in the checkpoint, got True"),
+    ],
+)
+def test_another_run_is_refused_with_the_key(checkpoint: Checkpoint, scene: Scene, options: Any, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        simulate(scene, resume=checkpoint, threads=1, **options)
+    assert str(caught.value).startswith(said)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_first_difference_of_two_values() -> None:
+    scene = box(COLUMN, Mass(lower=(0.5, 0.0), size=(0.1, 0.1)))
+    moved = dataclasses.replace(scene.masses[1], lower=(0.6, 0.0))
+    assert difference(scene, dataclasses.replace(scene, masses=(scene.masses[0], moved))) == "masses[1].lower"
+    assert difference(scene, scene) == ""
+    assert difference(moved, dataclasses.replace(moved, material=SAND)) == "material"
+
+
+@pytest.mark.parametrize("change", [{"run": None}, {"features": np.array("{}")}, {"scene": np.array("{")}])
+def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
+    path = tmp_path / "checkpoint.npz"
+    with pytest.raises(InputError, match=r"expected a checkpoint .*, there is none"):
+        Checkpoint.load(path)
+    checkpoint.save(path)
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}
+    np.savez(path, **arrays)
+    with pytest.raises(InputError) as caught:
+        Checkpoint.load(path)
+    assert caught.value.where == str(path)
+
+
+def test_a_run_that_is_asked_to_stop() -> None:
+    asked = iter([False, False, True])
+    with pytest.raises(Interrupted) as caught:
+        simulate_resumably(box(duration=0.4), stop=lambda: next(asked), threads=1)
+    assert caught.value.checkpoint.frame == 40
+    same(simulate(box(duration=0.4), resume=caught.value.checkpoint, threads=1), simulate(box(duration=0.4), threads=1))
+
+
+SCENE = """
+duration = 0.4
+frame_dt = 0.005
+[domain]
+size = [1.0, 1.0]
+cell = 0.02
+[material]
+friction_deg = 30.0
+[[masses]]
+lower = [0.0, 0.0]
+size = [0.2, 0.2]
+"""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    status: int,
+) -> None:
+    class Bar(tqdm):  # type: ignore[type-arg]
+        """Sends the signal after the first launch."""
+
+        def update(self, n: float | None = 1) -> bool | None:
+            os.kill(os.getpid(), number)
+            return super().update(n)
+
+    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene.write_text(SCENE)
+    before = signal.getsignal(number)
+    with monkeypatch.context() as patch:
+        patch.setattr(solver, "tqdm", Bar)
+        assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "8"]) == status
+    assert signal.getsignal(number) is before
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said == f"talus: interrupted at t = 0.1 s; --resume goes on from {out}/checkpoint.npz"
+    assert [file.name for file in out.iterdir()] == ["checkpoint.npz"]
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--resume"]) == 0
+    assert run(command, "mpm.run", [str(scene), "--out", str(tmp_path / "whole"), "--every", "8"]) == 0
+    found = Trajectory.load(out / "trajectory.npz")
+    assert len(found.time) == 11
+    same(found, Trajectory.load(tmp_path / "whole" / "trajectory.npz"))
+
+
+def test_the_command_goes_on_for_longer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene.write_text(SCENE.replace("duration = 0.4", "duration = 0.035"))
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--last-frame", "--checkpoint"]) == 0
+    assert Trajectory.load(out / "trajectory.npz").time.tolist() == [pytest.approx(0.035)]
+    scene.write_text(SCENE.replace("duration = 0.4", "duration = 0.06"))
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--resume"]) == 0
+    assert Trajectory.load(out / "trajectory.npz").time.tolist() == [pytest.approx(0.06)]
+    assert len(json.loads((out / "summary.json").read_text())["energy"]["kinetic"]) == 13
+    scene.write_text(SCENE.replace("friction_deg = 30.0", "friction_deg = 31.0"))
+    capsys.readouterr()
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--resume"]) == 2
+    error = capsys.readouterr().err
+    assert error == (
+        f"talus: {out}/checkpoint.npz: material.friction_deg: "
+        "expected the scene of the checkpoint, for another duration at most\n"
+    )
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "2", "--last-frame"]) == 2
