@@ -44,6 +44,7 @@ def simulate_scenes(
 def simulate_one(scene: Scene, options: Options) -> Flow:
     """What one scene came to."""
     try:
-        return simulate(scene, **{**options, "threads": 1})
+        options["threads"] = 1
+        return simulate(scene, **options)
     except WorkFailed as error:
         return error
