@@ -129,7 +129,7 @@ class Scene(Strict):
 
     @property
     def particle_volume(self) -> float:
-        """Initial volume of one material point [m^D]."""
+        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
         return (self.domain.cell / self.particles_per_axis) ** self.dimension
 
     @property

@@ -17,7 +17,9 @@ Floats = NDArray[np.float32]
 
 FIELDS = {
     "velocities": np.float32,
+    "stress": np.float32,
     "pressure": np.float32,
+    "density": np.float32,
     "plastic_strain": np.float32,
     "baffle_impulse": np.float64,
 }
@@ -29,9 +31,9 @@ class Trajectory:
     """What a simulation saw, frame by frame; from the MPM or from the GNS alike."""
 
     positions: Floats
-    """Positions [m], shape [T, N, D]."""
+    """Positions [m], shape [T, N, D]; T counts the frames that were kept, which need not begin at the start."""
     time: NDArray[np.float64]
-    """Time of each frame [s], shape [T]."""
+    """Time of each of these frames [s], shape [T]."""
     velocity0: Floats
     """Initial velocity of each point [m/s], shape [N, D]."""
     friction: Floats
@@ -42,8 +44,12 @@ class Trajectory:
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.summary`."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
+    stress: Floats | None = None
+    """Cauchy stress [Pa], tension positive, shape [T, N, S]: xx, yy, zz, xy and, in 3D, yz, zx; S is 4 or 6."""
     pressure: Floats | None = None
     """Mean compressive stress -tr(sigma)/3 [Pa], compression positive, shape [T, N]."""
+    density: Floats | None = None
+    """Density of the deposit around each particle [kg/m^3], shape [T, N]."""
     plastic_strain: Floats | None = None
     """Accumulated equivalent deviatoric plastic strain [-], shape [T, N]."""
     baffle_impulse: NDArray[np.float64] | None = None
@@ -86,7 +92,9 @@ class Trajectory:
             "velocity0": (points, dimension),
             "friction": (points,),
             "velocities": positions.shape,
+            "stress": (frames, points, 4 if dimension == 2 else 6),
             "pressure": (frames, points),
+            "density": (frames, points),
             "plastic_strain": (frames, points),
             "baffle_impulse": (frames, len(scene.baffles), dimension),
         }
@@ -123,8 +131,8 @@ def stored_scene(path: Path) -> Scene:
     return scene_in(read_arrays(path, "scene")["scene"], path)
 
 
-def read_arrays(path: Path, *names: str) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ, all of them where none is named; never runs a pickle. Raises InputError."""
+def read_arrays(path: Path, *names: str, what: str = "a trajectory") -> dict[str, NDArray[Any]]:
+    """The arrays `names` of an NPZ, all where none is named; never runs a pickle. Raises InputError."""
     try:
         # Opened here, because numpy leaves its own handle open where the archive is broken.
         with path.open("rb") as raw:
@@ -133,7 +141,7 @@ def read_arrays(path: Path, *names: str) -> dict[str, NDArray[Any]]:
                 raise ValueError("found a single array")
             return {name: file[name] for name in names or file.files}
     except FileNotFoundError:
-        raise InputError("expected a trajectory (NPZ), there is none", where=str(path)) from None
+        raise InputError(f"expected {what} (NPZ), there is none", where=str(path)) from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
         raise InputError(f"expected a whole NPZ of plain arrays, {error}", where=str(path)) from None
 

@@ -1,6 +1,6 @@
 """Forward: from a vector of unknowns to the observation it predicts. The MPM and the GNS are two of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,6 +12,7 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Values
 from inverse.unknowns import Vector
+from mpm.recording import ALL, Recording
 
 
 class Forward(Protocol):
@@ -51,8 +52,11 @@ class SurrogateSource(Protocol):
         """
 
 
-Simulate = Callable[[Sequence[Scene]], list[Trajectory]]
-"""The MPM, or what stands for it: scenes, side by side, to their trajectories."""
+class Simulate(Protocol):
+    """The MPM, or what stands for it."""
+
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
+        """The trajectories of scenes that run side by side, with what `record` asks for."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from inverse.forward import Simulate
 from inverse.observations import Observation, Values
 from inverse.problem import Problem
 from inverse.unknowns import Vector, with_unknowns
+from mpm.recording import LAST
 
 
 class MpmForward:
@@ -26,10 +27,10 @@ class MpmForward:
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
         """The exact observation [M] of an MPM run at each vector of unknowns [U]."""
         self.runs += len(unknowns)
-        trajectories = self.simulate([self.scene(values) for values in unknowns])
+        trajectories = self.simulate([self.scene(values) for values in unknowns], record=LAST)
         return [self.observation.exact(trajectory.positions[-1]) for trajectory in trajectories]
 
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         """Where the points come to rest [m], shape [N, D]."""
-        (trajectory,) = self.simulate([self.scene(unknowns)])
+        (trajectory,) = self.simulate([self.scene(unknowns)], record=LAST)
         return np.asarray(trajectory.positions[-1])

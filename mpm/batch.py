@@ -11,12 +11,12 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
+from mpm import rest
 from mpm.layout import (
     ALIGNMENT,
     PADDING,
     Energy,
     Features,
-    Field,
     Offset,
     Precision,
     Property,
@@ -24,6 +24,7 @@ from mpm.layout import (
     StepControl,
     Worker,
 )
+from mpm.recording import ALL, Recording
 
 Array = NDArray[Any]
 
@@ -31,9 +32,9 @@ Array = NDArray[Any]
 class Batch:
     """The state of several scenes and what is recorded of it.
 
-    `workers` threads share one scene; with several scenes each has one. `fields` records velocity, pressure and plastic
-    strain too; `until_rest` lets a scene end when its deposit has come to rest. Raises InputError for more particles times
-    frames than can be counted.
+    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded; `until_rest`
+    lets a scene end when its deposit has come to rest. `particles` are those of each scene at the start. Raises
+    InputError for more particles times frames than can be counted.
     """
 
     def __init__(
@@ -42,27 +43,28 @@ class Batch:
         *,
         precision: Precision,
         workers: int = 1,
-        fields: bool = False,
+        record: Recording = ALL,
         until_rest: bool = False,
         gpu: bool = False,
+        particles: Sequence[Particles] | None = None,
     ) -> None:
-        self.scenes = list(scenes)
-        self.particles = [initial_particles(scene) for scene in scenes]
+        self.scenes, self.recording = list(scenes), record
+        self.particles = particles_of(scenes) if particles is None else list(particles)
         self.features = features_of(
-            scenes, self.particles, precision, fields=fields, until_rest=until_rest, shared=workers > 1, gpu=gpu
+            scenes, self.particles, precision, record=record, until_rest=until_rest, shared=workers > 1, gpu=gpu
         )
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
-        self.properties = np.array([properties_row(particles.materials[0]) for particles in self.particles], real)
+        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         block = node = impulse = line = baffle = recorded = recorded_impulse = 0
-        for index, (scene, particles, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
-            count = len(particles.positions)
+        for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
+            count = len(own.positions)
             blocks = -(-count // lanes)
             cells = [round(length / scene.domain.cell) for length in scene.domain.size]
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
@@ -70,8 +72,12 @@ class Batch:
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
             offset[Offset.ENERGY], offset[Offset.BAFFLE], offset[Offset.BAFFLES] = line, baffle, len(scene.baffles)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
-            solids = offset[Offset.SOLIDS] = len(scene.baffles) + int(fields)
-            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, particles.materials)
+            kept = record.kept(scene.frames)
+            offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
+            offset[Offset.LAST_SLOT] = len(kept) - 1
+            offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
+            solids = offset[Offset.SOLIDS] = len(scene.baffles) + int(record.wall_forces)
+            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
                 worker = self.workers[index * workers + number]
@@ -83,12 +89,12 @@ class Batch:
                 node += math.prod(nodes)
                 impulse += solids * features.dimension
             block += blocks
-            recorded += count * scene.frames
+            recorded += count * len(kept)
             line += scene.frames
             baffle += len(scene.baffles)
             recorded_impulse += scene.frames * solids
-        per_point = features.dimension + (len(Field) if fields else 0)
-        longest = max(block * features.block * lanes, node * features.node, recorded * per_point)
+        per_particle = max(features.dimension, features.recorded)
+        longest = max(block * features.block * lanes, node * features.node, recorded * per_particle)
         if longest >= 2**31:
             raise InputError(f"expected a smaller run: {longest} numbers in a row, Taichi counts to 2^31")
         self.state = aligned((block, features.block, lanes), real)
@@ -100,16 +106,17 @@ class Batch:
         self.scratch = aligned(((block if features.gpu else len(self.workers)) * features.scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.record = np.zeros(recorded * features.dimension, np.float32)
-        self.fields = np.zeros(recorded * (features.dimension + len(Field)) if fields else 1, np.float32)
+        self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
         self.barrier_count = np.zeros(1, np.int32)
+        self.computed = 0
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
 
     def fill(self, index: int) -> None:
-        """The initial state of one scene, and frame 0 of its record."""
+        """The initial state of one scene, and frame 0 of its record where that is kept."""
         scene, particles, features = self.scenes[index], self.particles[index], self.features
         state, count = self.state_of(index), len(particles.positions)
         # Lanes without a particle of their own mirror the last one.
@@ -125,22 +132,40 @@ class Batch:
         put(features.velocity, particles.velocities)
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if features.heterogeneous:
-            put(
-                features.properties,
-                np.array([properties_row(material) for material in particles.materials])[particles.material],
-            )
+            properties = properties_of(particles)
+            put(features.properties, properties[:, : features.columns])
+        if features.rests:
+            put(features.before, particles.velocities)
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
-        self.recorded(index)[0] = particles.positions
-        if features.fields:
-            self.recorded_fields(index)[0, :, : features.dimension] = particles.velocities
-        density = np.array([material.density for material in particles.materials])[particles.material]
-        mass = density * particles.volume
+        if self.recording.every > 0:
+            self.store(index, 0)
+        mass = particles.density * particles.volume
         energies = self.energies(index)
         affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
+
+    def store(self, index: int, slot: int) -> None:
+        """Record the present state of one scene as its kept frame number `slot`; as `mpm.output.record_lane` does."""
+        features, count = self.features, len(self.particles[index].positions)
+        numbers = np.moveaxis(self.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
+        order = self.order[first : first + count]
+        self.recorded(index)[slot, order] = numbers[: features.dimension].T
+        columns = []
+        if features.velocity_recorded:
+            columns += [*numbers[features.velocity :][: features.dimension]]
+        if features.stress_recorded:
+            columns += [*numbers[features.stress :][: features.stresses]]
+        if features.pressure_recorded:
+            xx, yy, zz = numbers[features.stress :][:3]
+            columns += [0.0 - xx / 3.0 - yy / 3.0 - zz / 3.0]
+        if features.strain_recorded:
+            columns += [numbers[features.plastic_strain]]
+        if columns:
+            self.recorded_fields(index)[slot, order] = np.stack(columns, axis=1)
 
     def sort(self, index: int) -> None:
         """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
@@ -196,28 +221,50 @@ class Batch:
         return self.state[first : first - (-self.offsets[index, Offset.PARTICLES] // self.features.lanes)]
 
     def frames_of(self, array: Array, index: int, width: int) -> Array:
-        """The part of a flat record with `width` numbers a particle that belongs to one scene, [T, N, width]; a view."""
+        """The part of a flat record, `width` numbers a particle, that belongs to one scene, [T, N, width]; a view."""
         first, count = self.offsets[index, Offset.RECORD] * width, int(self.offsets[index, Offset.PARTICLES])
-        frames = self.scenes[index].frames
+        frames = len(self.kept(index))
         return array[first : first + frames * count * width].reshape(frames, count, width)
 
+    def kept(self, index: int) -> list[int]:
+        """The numbers of the frames of one scene that are kept."""
+        return self.recording.kept(self.scenes[index].frames)
+
     def recorded(self, index: int) -> NDArray[np.float32]:
-        """Positions of one scene [m], shape [T, N, D]; a view."""
+        """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
         return self.frames_of(self.record, index, self.features.dimension)
 
     def recorded_fields(self, index: int) -> NDArray[np.float32]:
-        """Velocity [m/s] and what `Field` lists of one scene, shape [T, N, D + len(Field)]; a view."""
-        return self.frames_of(self.fields, index, self.features.dimension + len(Field))
+        """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""
+        return self.frames_of(self.fields, index, self.features.recorded)
+
+    def fields_by_name(self, index: int) -> dict[str, NDArray[np.float32]]:
+        """What was recorded of one scene besides its positions, by the names of `datasets.trajectory`; views."""
+        features, values = self.features, self.recorded_fields(index)
+        fields = {}
+        if features.velocity_recorded:
+            fields["velocities"] = values[:, :, : features.dimension]
+        if features.stress_recorded:
+            fields["stress"] = values[:, :, features.recorded_stress :][:, :, : features.stresses]
+        if features.pressure_recorded:
+            fields["pressure"] = values[:, :, features.recorded_stress]
+        if features.strain_recorded:
+            fields["plastic_strain"] = values[:, :, features.recorded_strain]
+        return fields
+
+    def ended(self, frame: int) -> NDArray[np.bool_]:
+        """Which scenes have ended before `frame`, shape [scenes]."""
+        return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
 
     def energies(self, index: int) -> NDArray[np.float64]:
-        """Energies of one scene [J, per metre of width in 2D], shape [T, len(Energy)]; a view."""
+        """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
         first = self.offsets[index, Offset.ENERGY]
         return self.energy[first : first + self.scenes[index].frames]
 
     def impulses(self, index: int) -> NDArray[np.float64]:
-        """Momentum that each solid has taken up to each frame [N s, per metre of width in 2D], shape [T, solids, D].
+        """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
-        The baffles in the order of the scene, then all walls of the box together where fields are recorded.
+        The baffles in the order of the scene, then all walls of the box together where asked for.
         """
         scene, first, solids = (
             self.scenes[index],
@@ -228,12 +275,17 @@ class Batch:
         return np.cumsum(recorded_impulse.reshape(scene.frames, solids, self.features.dimension), axis=0)
 
 
+def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
+    """The particles of each scene at the start."""
+    return [initial_particles(scene) for scene in scenes]
+
+
 def features_of(
     scenes: Sequence[Scene],
     particles: Sequence[Particles],
     precision: Precision,
     *,
-    fields: bool = False,
+    record: Recording = ALL,
     until_rest: bool = False,
     shared: bool = False,
     gpu: bool = False,
@@ -245,12 +297,22 @@ def features_of(
         precision=precision,
         relaxed=any(scene.relaxation > 0.0 for scene in scenes),
         damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(material.cohesion > 0.0 for material in materials),
+        cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
+        softens=any(material.softening_length is not None for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
-        heterogeneous=any(len(each.materials) > 1 for each in particles),
+        heterogeneous=any(
+            len(each.materials) > 1
+            or each.common_volume is None
+            or any(material.strength_gradient > 0.0 for material in each.materials)
+            for each in particles
+        ),
         baffles=any(scene.baffles for scene in scenes),
-        fields=fields,
+        velocity_recorded="velocity" in record.fields,
+        stress_recorded="stress" in record.fields,
+        pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
+        strain_recorded="plastic_strain" in record.fields,
+        walls_recorded=record.wall_forces,
         rests=until_rest,
         shared=shared,
         gpu=gpu,
@@ -277,10 +339,10 @@ def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
 
 def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
+    weight = float((particles.density * particles.volume).sum()) * scene.gravity
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: particles.volume,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
@@ -290,14 +352,21 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.CORRECTED: float(scene.volume_correction),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
+        Setting.WEIGHT: weight,
+        Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
     }
     return [values[column] for column in Setting]
 
 
-def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`."""
+def properties_row(material: Material, volume: float) -> list[float]:
+    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
+
+    Of a material whose strength grows with depth, that at its top.
+    """
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
+    residual = material.residual
     values = {
+        Property.VOLUME: volume,
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
         Property.SHEAR: material.shear_modulus,
@@ -307,5 +376,27 @@ def properties_row(material: Material) -> list[float]:
         Property.LIMIT: material.tension_limit,
         Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
         Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_LIMIT: residual.tension_limit,
+        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
     }
     return [values[column] for column in Property]
+
+
+def properties_of(particles: Particles) -> Array:
+    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
+    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
+    rows[:, Property.VOLUME] = particles.volume
+    for index, material in enumerate(particles.materials):
+        if material.strength_gradient > 0.0:
+            here = particles.material == index
+            for state, strength, limit in (
+                (material, Property.STRENGTH, Property.LIMIT),
+                (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
+            ):
+                cohesion, friction = state.cohesion_at(particles.depth[here]), math.radians(state.friction_deg)
+                rows[here, strength] = 2.0 * cohesion * math.cos(friction)
+                apex = cohesion / state.friction if state.friction > 0.0 else np.inf
+                rows[here, limit] = np.minimum(state.tension_cutoff, apex)
+    return rows

@@ -1,7 +1,7 @@
 """Scenes on a GPU: every particle and every node a thread, all scenes of a batch in one launch per step.
 
-The kernel is the CPU's, with blocks of one particle and atomic sums; the arrays stay on the device from the first frame to
-the last, and per step only the launch itself crosses over.
+The kernel is the CPU's, with blocks of one particle and atomic sums; the arrays stay on the device from the first frame
+to the last, and per step only the launch itself crosses over.
 """
 
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from mpm.layout import Features, Offset, Setting, StepControl
 
 TWICE = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
 """With one lane a vector of lanes is a number: the second view of such memory is the first."""
-COME_BACK = ("record", "fields", "energy", "recorded_impulse", "offsets", "clamped")
+COME_BACK = ("state", "record", "fields", "energy", "recorded_impulse", "offsets", "clamped")
 
 
-def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]") -> None:
-    """Compute all frames of all scenes of a batch and bring back what was recorded."""
+def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
+    """Compute the frames of all scenes of a batch after `batch.computed`; bring back state and record."""
     arguments = batch.arguments
     device = upload(arguments, batch.features)
 
@@ -29,7 +29,9 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]") 
 
     largest = int(np.diff([*batch.first_nodes, len(batch.grid)]).max())
     ended = np.zeros(len(batch.scenes), bool)
-    for frame in range(1, max(scene.frames for scene in batch.scenes)):
+    for frame in range(batch.computed + 1, max(scene.frames for scene in batch.scenes)):
+        if stop():
+            break
         launch(Phase.SPEED)
         step_control = device["step_control"].to_numpy()
         if batch.features.rests:
@@ -50,6 +52,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]") 
         batch.offsets[:, Offset.STEPS] += steps
         device["offsets"].from_numpy(batch.offsets)
         launch(Phase.RECORD, first=frame)
+        batch.computed = frame
         bar.update()
     for name in COME_BACK:
         arguments[name][...] = device[name].to_numpy().reshape(arguments[name].shape)

@@ -119,7 +119,8 @@ def update_node(n, scene, arrays: ti.template()):
         at = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
-            put_velocity(at, node, velocity_of(node, i, j, k, scene, scene, dt, arrays), kept_of(scene, dt, arrays), arrays)
+            v = velocity_of(node, i, j, k, scene, scene, dt, arrays)
+            put_velocity(at, node, v, kept_of(scene, dt, arrays), arrays)
 
 
 @ti.func
@@ -172,7 +173,7 @@ def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
         arrays.settings[scene, Setting.FLOOR_FRICTION],
         arrays.settings[scene, Setting.WALL_FRICTION],
     )
-    if ti.static(features.fields):
+    if ti.static(features.walls_recorded):
         # What the walls take is counted behind the baffles.
         for axis in ti.static(range(features.dimension)):
             recorded_impulse = (

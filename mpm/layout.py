@@ -30,7 +30,6 @@ class Setting(Column):
 
     CELL = auto()  # [m]
     FRAME_DT = auto()  # [s]
-    VOLUME = auto()  # of a particle [m^D]
     GRAVITY_X = auto()  # [m/s^2]
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
@@ -40,11 +39,14 @@ class Setting(Column):
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
+    WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
+    REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where a scene has heterogeneous."""
+    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where scenes are heterogeneous."""
 
+    VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
     SHEAR = auto()  # [Pa]
@@ -54,6 +56,10 @@ class Property(Column):
     LIMIT = auto()  # largest tensile stress [Pa]
     ELASTIC_DEVIATOR = auto()  # (1 + nu) / (2 E) [1/Pa]
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
+    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
+    RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
+    RESIDUAL_LIMIT = auto()  # [Pa]
+    SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
 
 
 class Offset(Column):
@@ -64,16 +70,20 @@ class Offset(Column):
     CELLS_X = auto()
     CELLS_Y = auto()
     CELLS_Z = auto()
-    RECORD = auto()  # its first number in `record`
+    RECORD = auto()  # the first of its particles in `record`
+    EVERY = auto()  # frames from one that is recorded to the next; 0 where the last is recorded alone
+    LAST_FRAME = auto()  # the number of its last frame
+    LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
+    WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
     BAFFLE = auto()  # its first line in `baffles`
     BAFFLES = auto()  # how many
-    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where fields are recorded
+    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where asked for
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     STEPS = auto()  # recorded_impulse so far
-    REST = auto()  # the frame in which it came to rest, 0 while it moves
+    REST = auto()  # the frame in which it was found at rest, 0 while it moves
 
 
 class Worker(Column):
@@ -102,18 +112,12 @@ class StepControl(Column):
 
 
 class Energy(Column):
-    """Columns of `energy`, real [J, per metre of width in 2D], shape [all frames, len(Energy)]."""
+    """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], a force."""
 
     KINETIC = auto()
     POTENTIAL = auto()
     ELASTIC = auto()
-
-
-class Field(Column):
-    """What is recorded of every particle in every frame, on request, in this order after its D velocities."""
-
-    PRESSURE = auto()  # -tr(sigma) / 3 [Pa]
-    PLASTIC_STRAIN = auto()  # accumulated equivalent deviatoric plastic strain [-]
+    UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,13 +132,21 @@ class Features:
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
+    softens: bool = False
+    """Strength and dilation fall with plastic strain, which is then part of the state."""
     corrected: bool = False
     """A particle remembers the gap to its neighbours: volume correction."""
     heterogeneous: bool = False
-    """Materials in one scene."""
+    """A scene has several materials, or particles of several volumes."""
     baffles: bool = False
-    fields: bool = False
-    """Velocity, pressure and plastic strain are recorded."""
+    velocity_recorded: bool = False
+    stress_recorded: bool = False
+    pressure_recorded: bool = False
+    """Recorded by itself, where the stress is not."""
+    strain_recorded: bool = False
+    """Plastic strain is summed up and recorded."""
+    walls_recorded: bool = False
+    """The momentum that floor and walls take is recorded."""
     shared: bool = False
     """One scene, on several threads."""
     gpu: bool = False
@@ -176,13 +188,18 @@ class Features:
 
     @property
     def plastic_strain(self) -> int:
-        """Vector of the plastic strain, where `fields`."""
+        """Vector of the plastic strain, where `strained`."""
         return self.stress + self.stresses
 
     @property
+    def strained(self) -> bool:
+        """Plastic strain is accumulated."""
+        return self.strain_recorded or self.softens
+
+    @property
     def gap(self) -> int:
-        """Vector of the mean stress that the strain beyond the apex would have made [Pa], where `corrected`."""
-        return self.plastic_strain + int(self.fields)
+        """Vector of the mean stress that what opened would have made [Pa], where `corrected`."""
+        return self.plastic_strain + int(self.strained)
 
     @property
     def properties(self) -> int:
@@ -192,12 +209,22 @@ class Features:
     @property
     def remainder(self) -> int:
         """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
-        return self.properties + (len(Property) if self.heterogeneous else 0)
+        return self.properties + (self.columns if self.heterogeneous else 0)
+
+    @property
+    def before(self) -> int:
+        """First of the D vectors of the velocity at the end of the frame before, where `rests`."""
+        return self.remainder + (self.dimension if self.compensated else 0)
 
     @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.remainder + (self.dimension if self.compensated else 0)
+        return self.before + (self.dimension if self.rests else 0)
+
+    @property
+    def columns(self) -> int:
+        """How many of the columns of `Property` a particle of its own material carries."""
+        return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
 
     @property
     def block(self) -> int:
@@ -212,7 +239,24 @@ class Features:
     @property
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
-        return self.baffles or self.fields
+        return self.baffles or self.walls_recorded
+
+    # What is recorded of a particle besides its position: velocity, stress or pressure, plastic strain.
+
+    @property
+    def recorded_stress(self) -> int:
+        """Which of a particle's recorded numbers is the first of its stress, or its pressure."""
+        return self.dimension if self.velocity_recorded else 0
+
+    @property
+    def recorded_strain(self) -> int:
+        """Which of a particle's recorded numbers is its plastic strain."""
+        return self.recorded_stress + (self.stresses if self.stress_recorded else int(self.pressure_recorded))
+
+    @property
+    def recorded(self) -> int:
+        """Numbers that are recorded of a particle besides its position."""
+        return self.recorded_strain + int(self.strain_recorded)
 
     # A node: momentum, mass and, where forces stay apart, force.
 

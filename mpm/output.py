@@ -3,15 +3,17 @@
 import taichi as ti
 
 from mpm.lanes import add, lane_maximum, lane_sum, larger
-from mpm.layout import Energy, Field, Offset, Property, Setting, Worker
+from mpm.layout import Energy, Offset, Property, Setting, Worker
 from mpm.transfer import particles_in, property_of
 
 STABILITY = 1.0
 """Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
 RUNAWAY = 10.0
-"""Point speed over wave speed at which a run has blown up."""
+"""Particle speed over wave speed at which a run has blown up."""
 REST = 1.0e-3
-"""Kinetic energy at which a deposit has come to rest, as a fraction of the largest so far."""
+"""Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
+BALANCED = 0.01
+"""Unbalanced force of a deposit at rest, as a fraction of its weight."""
 
 
 @ti.func
@@ -61,7 +63,7 @@ def steps_at_speed(scene, speed, arrays: ti.template()):
 
 @ti.func
 def record_frame(scene, frame, arrays: ti.template()):
-    """Record a frame of a scene: what its particles carry, its energies, what its solids have taken, whether it rests."""
+    """Record a frame of a scene: what its particles carry, its energies, what solids have taken, whether it rests."""
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         record_block(scene, frame, block, arrays)
     record_scene(scene, frame, arrays)
@@ -80,11 +82,12 @@ def record_scene(scene, frame, arrays: ti.template()):
 def record_block(scene, frame, block, arrays: ti.template()):
     """Record positions and energies of the particles of a block, and the fields where asked for.
 
-    Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries too;
-    elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E).
+    Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
+    too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
+    unbalanced force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
     """
-    features, lanes = arrays.features, arrays.features.lanes
-    volume, dx = arrays.settings[scene, Setting.VOLUME], arrays.settings[scene, Setting.CELL]
+    features = arrays.features
+    volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
@@ -108,25 +111,63 @@ def record_block(scene, frame, block, arrays: ti.template()):
     add(arrays.energy, line + Energy.POTENTIAL, lane_sum(0.0 - mass * height, arrays), arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)
     add(arrays.energy, line + Energy.ELASTIC, lane_sum(elastic, arrays), arrays)
-    for lane in range(particles_in(scene, block, arrays)):
-        particle = (
-            arrays.offsets[scene, Offset.RECORD]
-            + frame * arrays.offsets[scene, Offset.PARTICLES]
-            + arrays.order[block * lanes + lane]
-        )
+    if ti.static(features.rests):
+        change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
-            arrays.recorded_positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
-        if ti.static(features.fields):
-            at = particle * ti.static(features.dimension + len(Field))
-            for k in ti.static(range(features.dimension)):
-                arrays.fields[at + k] = arrays.lanes[(first + features.velocity + k) * lanes + lane]
-            pressure = 0.0
-            for k in ti.static(range(3)):
-                pressure -= arrays.lanes[(first + features.stress + k) * lanes + lane] / 3.0
-            arrays.fields[at + ti.static(features.dimension + Field.PRESSURE)] = pressure
-            arrays.fields[at + ti.static(features.dimension + Field.PLASTIC_STRAIN)] = arrays.lanes[
-                (first + features.plastic_strain) * lanes + lane
+            new = arrays.state[first + features.velocity + k]
+            change = change + (new - arrays.state[first + features.before + k]) * (
+                new - arrays.state[first + features.before + k]
+            )
+            arrays.state[first + features.before + k] = new
+        impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
+        add(arrays.energy, line + Energy.UNBALANCED, lane_sum(mass * ti.sqrt(change), arrays) / impulse, arrays)
+    slot = slot_of(scene, frame, arrays)
+    if slot >= 0:
+        for lane in range(particles_in(scene, block, arrays)):
+            record_lane(scene, slot, block, lane, arrays)
+
+
+@ti.func
+def slot_of(scene, frame, arrays: ti.template()):
+    """Where the particles of a frame are recorded, counted in recorded frames; -1 where they are not."""
+    slot, every = -1, arrays.offsets[scene, Offset.EVERY]
+    if frame == arrays.offsets[scene, Offset.LAST_FRAME]:
+        slot = arrays.offsets[scene, Offset.LAST_SLOT]
+    elif every > 0:  # noqa: SIM102 (Taichi's `and` would divide by zero)
+        if frame % every == 0:
+            slot = frame // every
+    return slot
+
+
+@ti.func
+def record_lane(scene, slot, block, lane, arrays: ti.template()):
+    """Record position and fields of the particle in a lane of a block; as `mpm.batch.Batch.store` does for all."""
+    features, lanes = arrays.features, arrays.features.lanes
+    first = block * features.block
+    particle = (
+        arrays.offsets[scene, Offset.RECORD]
+        + slot * arrays.offsets[scene, Offset.PARTICLES]
+        + arrays.order[block * lanes + lane]
+    )
+    for k in ti.static(range(features.dimension)):
+        arrays.recorded_positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
+    at = particle * features.recorded
+    if ti.static(features.velocity_recorded):
+        for k in ti.static(range(features.dimension)):
+            arrays.fields[at + k] = arrays.lanes[(first + features.velocity + k) * lanes + lane]
+    if ti.static(features.stress_recorded):
+        for k in ti.static(range(features.stresses)):
+            arrays.fields[at + features.recorded_stress + k] = arrays.lanes[
+                (first + features.stress + k) * lanes + lane
             ]
+    if ti.static(features.pressure_recorded):
+        pressure = 0.0
+        for k in ti.static(range(3)):
+            pressure -= arrays.lanes[(first + features.stress + k) * lanes + lane] / 3.0
+        arrays.fields[at + features.recorded_stress] = pressure
+    if ti.static(features.strain_recorded):
+        strain = arrays.lanes[(first + features.plastic_strain) * lanes + lane]
+        arrays.fields[at + features.recorded_strain] = strain
 
 
 @ti.func
@@ -148,10 +189,21 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Note where the kinetic energy of a frame has fallen to nothing beside the largest so far."""
-    line = arrays.offsets[scene, Offset.ENERGY]
-    peak = arrays.energy[line * ti.static(len(Energy)) + Energy.KINETIC]
-    for earlier in range(frame):
-        peak = ti.max(peak, arrays.energy[(line + earlier) * ti.static(len(Energy)) + Energy.KINETIC])
-    if arrays.energy[(line + frame) * ti.static(len(Energy)) + Energy.KINETIC] < REST * peak:
-        arrays.offsets[scene, Offset.REST] = frame
+    """Note a deposit that has been at rest over a whole window of frames (`mpm.rest`).
+
+    In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
+    unbalanced force was below BALANCED of the weight.
+    """
+    line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
+    if frame >= window:
+        peak = ti.cast(arrays.settings[scene, Setting.REST_ENERGY], ti.f64) / REST
+        most, unbalanced = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for earlier in range(frame + 1):
+            at = (line + earlier) * ti.static(len(Energy))
+            kinetic = arrays.energy[at + Energy.KINETIC]
+            peak = ti.max(peak, kinetic)
+            if earlier > frame - window:
+                most = ti.max(most, kinetic)
+                unbalanced += arrays.energy[at + Energy.UNBALANCED]
+        if most < REST * peak and unbalanced < BALANCED * window:
+            arrays.offsets[scene, Offset.REST] = frame

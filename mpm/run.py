@@ -4,13 +4,17 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import run
+from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.library import read_scene
 from datasets.vtk import write_vtk
+from mpm.checkpoint import Checkpoint
 from mpm.layout import Precision
+from mpm.recording import FIELDS, Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch
-from mpm.simulate import simulate
+from mpm.simulate import Interrupted, Options, simulate_resumably
+from mpm.stopping import stopping
 
 
 def command(
@@ -21,11 +25,18 @@ def command(
     precision: Precision | None = None,
     arch: Arch = "cpu",
     tolerance: str | None = None,
+    every: int | None = None,
+    last_frame: bool = False,
     fields: bool = False,
+    raw_fields: bool = False,
     until_rest: bool = False,
     vtk: bool = False,
-) -> None:
+    checkpoint: bool = False,
+    resume: bool = False,
+) -> int:
     """Simulate a scene and write its trajectory and a summary.
+
+    Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which --resume goes on.
 
     Parameters
     ----------
@@ -39,38 +50,71 @@ def command(
         Where to compute.
     tolerance
         Run at the cheapest resolution that was measured to keep front and profile within this, such as 2%.
+    every
+        Keep every so many frames only, and the last.
+    last_frame
+        Keep the last frame only.
     fields
-        Record velocity, pressure and plastic strain of every particle too.
+        Record velocity, stress, pressure, density and plastic strain of every particle too, and forces on the walls.
+    raw_fields
+        The same, stress and pressure as the particles carry them instead of smoothed through the grid.
     until_rest
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk
         Write a series for ParaView to DIR/vtk too, with the fields.
+    checkpoint
+        Leave DIR/checkpoint.npz at the end too: the state and all that was recorded.
+    resume
+        Go on from DIR/checkpoint.npz, the same to the bit as without the break: the scene may have a longer duration
+        and is the same otherwise; what is recorded, the precision and --until-rest are the checkpoint's.
     """
     given, what = read_scene(scene), None
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))
         given = what.scene
         print(what)
-    trajectory = simulate(
-        given,
-        precision=precision or (what.precision if what else "f32"),
-        arch=arch,
-        fields=fields or vtk,
-        until_rest=until_rest,
-        progress=True,
-    )
+    if last_frame and every is not None:
+        raise InputError("expected one of --every and --last-frame, got both", key="--every")
+    options: Options = {"arch": arch, "progress": True}
+    if precision or what:
+        options["precision"] = precision or (what.precision if what else "f32")
+    if until_rest:
+        options["until_rest"] = True
+    recorded = fields or raw_fields or vtk
+    if every is not None or last_frame or recorded:
+        options["record"] = Recording(
+            frames="last" if last_frame else "all" if every is None else every,
+            fields=frozenset(FIELDS if recorded else ()),
+            wall_forces=recorded,
+            raw=raw_fields,
+        )
+    place = out / "checkpoint.npz"
+    start = Checkpoint.load(place) if resume else None
+    try:
+        with stopping() as stop:
+            trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
+    except Interrupted as interrupted:
+        interrupted.checkpoint.save(place)
+        reached = given.frame_dt * interrupted.checkpoint.frame
+        print(f"talus: interrupted at t = {reached:g} s; --resume goes on from {place}", file=sys.stderr)
+        return stop.status
+    except InputError as error:
+        raise error.at(str(place)) if start is not None and not error.where else error from None
     trajectory.save(out / "trajectory.npz")
     write_json(out / "summary.json", trajectory.summary)
+    if checkpoint:
+        end.save(place)
     if vtk:
         write_vtk(trajectory, out / "vtk", progress=True)
     summary = trajectory.summary
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
-    rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] else ""
+    rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""
     print(
         f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m: {rest}{summary['particles']} particles, "
         f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "
         f"{summary['compile_s']:.2f} s to compile"
     )
+    return 0
 
 
 if __name__ == "__main__":

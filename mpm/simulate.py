@@ -2,25 +2,24 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
-import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
-from datasets.errors import InputError
-from datasets.particles import particle_count
+from datasets.particles import warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.batch import Batch
+from mpm.batch import Batch, features_of, particles_of
+from mpm.checkpoint import Checkpoint
 from mpm.device import run_on_device
 from mpm.kernel import Phase, kernel
-from mpm.layout import Field, Offset, Precision, Worker
+from mpm.layout import Features, Precision
+from mpm.outcome import failure, trajectory
 from mpm.processors import processors
+from mpm.recording import ALL, Recording, with_usual_fields
 from mpm.runtime import Arch
-from mpm.summary import summarise
 
 FRAMES_PER_LAUNCH = 20
 """Between two launches the progress bar moves and Ctrl-C is heard."""
@@ -41,111 +40,208 @@ class Options(TypedDict, total=False):
     """All cores unless given."""
     arch: Arch
     """The CPU unless given; on a GPU all scenes of a batch run in one launch per step."""
+    record: Recording
+    """What to record; the positions in all frames unless given."""
     fields: bool
-    """Record velocities, pressure and plastic strain too."""
+    """Record the usual fields too: velocity, pressure and plastic strain, and the forces on the walls."""
     until_rest: bool
-    """End a scene when its kinetic energy has fallen below a thousandth of its maximum, and fill the frames that are
-    left with the last one; the summary's `rest_time` [s] says when."""
+    """End a scene when its deposit has come to rest (`mpm.rest`), and fill the frames that are left with the last one;
+    the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
     progress: bool
     """Show a bar."""
 
 
-def simulate(scene: Scene, **options: Unpack[Options]) -> Trajectory:
-    """Run one scene, a large one on all threads. Raises WorkFailed if it blew up, InputError where there is no GPU."""
-    return simulate_many([scene], **options)[0]
+class ScenesFailed(WorkFailed):
+    """Some scenes of a batch failed; the others did not."""
+
+    def __init__(self, outcomes: "Sequence[Trajectory | WorkFailed]") -> None:
+        self.outcomes = list(outcomes)
+        """What became of each scene, in the order in which they were given."""
+        failed = {index: each for index, each in enumerate(outcomes) if isinstance(each, WorkFailed)}
+        first, reason = next(iter(failed.items()))
+        others = f" (and {len(failed) - 1} more of {len(outcomes)})" if len(failed) > 1 else f" of {len(outcomes)}"
+        super().__init__(f"scene {first}{others} failed: {reason}")
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was asked to stop, and did so between two launches."""
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        self.checkpoint = checkpoint
+        super().__init__()
+
+
+def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpack[Options]) -> Trajectory:
+    """Run one scene, a large one on all threads.
+
+    resume: where an earlier run of the scene ended (`simulate_resumably`), from which this one goes on for a longer
+    duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded, until_rest
+    and the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
+    GPU, or where the checkpoint is of another scene, recording or precision.
+    """
+    batch, wall_s, compile_s = run_one(scene, options, resume, never)
+    return finished(trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s))
+
+
+def simulate_resumably(
+    scene: Scene,
+    *,
+    resume: Checkpoint | None = None,
+    stop: Callable[[], bool] | None = None,
+    **options: Unpack[Options],
+) -> tuple[Trajectory, Checkpoint]:
+    """As `simulate`, with the state at its end, from which a longer run can go on.
+
+    stop: asked between two launches, a few frames apart; once it says so, Interrupted is raised with the checkpoint.
+    Other errors as `simulate`.
+    """
+    batch, wall_s, compile_s = run_one(scene, options, resume, stop or never)
+    checkpoint = Checkpoint.of(batch, wall_s=wall_s)
+    if batch.computed < scene.frames - 1 and not checkpoint.rest and failure(batch, 0) is None:
+        raise Interrupted(checkpoint)
+    outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
+    return finished(outcome), checkpoint
 
 
 def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
-    """Run scenes of one dimension side by side, one per thread; each is the same to the bit as alone on one thread.
+    """Run scenes side by side, one per thread; each is the same to the bit as alone on one thread.
 
-    Errors as `simulate`.
+    Raises ScenesFailed, once all have ended, where one blew up, and InputError as `simulate`.
     """
-    if len({scene.dimension for scene in scenes}) > 1:
-        raise InputError("expected scenes of one dimension, got 2D and 3D", key="domain.size")
-    precision, arch = options.get("precision", "f32"), options.get("arch", "cpu")
+    if len(scenes) == 1:
+        return [simulate(scenes[0], **options)]
+    outcomes = simulate_each(scenes, **options)
+    whole = [each for each in outcomes if isinstance(each, Trajectory)]
+    if len(whole) < len(scenes):
+        raise ScenesFailed(outcomes)
+    return whole
+
+
+def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
+    """As `simulate_many`, but one that blew up leaves a WorkFailed in its place.
+
+    Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
+    of their summaries are those of all scenes together.
+    """
+    for scene in scenes:
+        warn_if_unresolved(scene)
+    arch, record = options.get("arch", "cpu"), recording(options)
+    precision, until_rest = options.get("precision", "f32"), options.get("until_rest", False)
+    runtime.start(precision, options.get("threads"), arch)
+    particles = particles_of(scenes)
+    groups: dict[Features, list[int]] = {}
+    for index, (scene, own) in enumerate(zip(scenes, particles, strict=True)):
+        needs = features_of([scene], [own], precision, record=record, until_rest=until_rest, gpu=arch != "cpu")
+        groups.setdefault(needs, []).append(index)
+    outcomes: dict[int, Trajectory | WorkFailed] = {}
+    wall_s = compile_s = 0.0
+    frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
+    with progress_bar(frames, 0, options) as bar:
+        for group in groups.values():
+            batch = Batch(
+                [scenes[index] for index in group],
+                precision=precision,
+                record=record,
+                until_rest=until_rest,
+                gpu=arch != "cpu",
+                particles=[particles[index] for index in group],
+            )
+            took = run_batch(batch, arch, bar, never)
+            wall_s, compile_s = wall_s + took[0], compile_s + took[1]
+            for number, index in enumerate(group):
+                outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
+    for outcome in outcomes.values():
+        if isinstance(outcome, Trajectory):
+            outcome.summary.update(wall_s=wall_s, compile_s=compile_s)
+    return [outcomes[index] for index in range(len(scenes))]
+
+
+def run_one(
+    scene: Scene, options: Options, resume: Checkpoint | None, stop: Callable[[], bool]
+) -> tuple[Batch, float, float]:
+    """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
+    precision, arch, record = options.get("precision"), options.get("arch", "cpu"), recording(options)
+    until_rest = options.get("until_rest")
+    if resume is not None:
+        precision = precision or resume.features.precision
+        until_rest = resume.features.rests if until_rest is None else until_rest
+        if "record" not in options and "fields" not in options:
+            record = resume.recording
     threads = options.get("threads") or processors()
-    runtime.start(precision, threads, arch)
-    workers = 1
-    if len(scenes) == 1 and arch == "cpu":
-        workers = max(1, min(threads, particle_count(scenes[0]) // PARTICLES_PER_WORKER))
+    runtime.start(precision or "f32", threads, arch)
+    particles = particles_of([scene])
     batch = Batch(
-        scenes,
-        precision=precision,
-        workers=workers,
-        fields=options.get("fields", False),
-        until_rest=options.get("until_rest", False),
+        [scene],
+        precision=precision or "f32",
+        workers=max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1,
+        record=record,
+        until_rest=bool(until_rest),
         gpu=arch != "cpu",
+        particles=particles,
     )
+    if resume is not None:
+        resume.restore(batch)
+    with progress_bar(scene.frames - 1, batch.computed, options) as bar:
+        wall_s, compile_s = run_batch(batch, arch, bar, stop)
+    return batch, wall_s + (0.0 if resume is None else resume.wall_s), compile_s
+
+
+def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool]) -> tuple[float, float]:
+    """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile."""
     run = kernel(batch.features)
     begin = time.perf_counter()
     # No frames: this only compiles. On a GPU the first frame does.
     if arch == "cpu":
         run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
     compile_s = time.perf_counter() - begin
-
     begin = time.perf_counter()
-    frames = max(scene.frames for scene in scenes)
-    with tqdm(total=frames - 1, unit="frame", disable=not options.get("progress", False), desc="mpm") as bar:
-        if arch == "cpu":
-            run_on_threads(batch, run, bar)
-        else:
-            run_on_device(batch, run, bar)
-    wall_s = time.perf_counter() - begin
-    return [trajectory(batch, index, arch=arch, wall_s=wall_s, compile_s=compile_s) for index in range(len(scenes))]
+    if arch == "cpu":
+        run_on_threads(batch, run, bar, stop)
+    else:
+        run_on_device(batch, run, bar, stop)
+    return time.perf_counter() - begin, compile_s
 
 
-def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]") -> None:
-    """Compute all frames of all scenes of a batch on the threads of the CPU."""
+def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
+    """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
+
+    Launches begin at the same frames wherever a run was interrupted, and with them the sorting.
+    """
     frames = max(scene.frames for scene in batch.scenes)
-    for first in range(1, frames, FRAMES_PER_LAUNCH):
-        last = min(first + FRAMES_PER_LAUNCH, frames)
+    for launch in range(1, frames, FRAMES_PER_LAUNCH):
+        first, last = max(launch, batch.computed + 1), min(launch + FRAMES_PER_LAUNCH, frames)
+        if first >= last:
+            continue
+        if batch.ended(first).all() or stop():
+            break
         for index, particles in enumerate(batch.particles):
-            if len(particles.positions) >= SORTED:
+            if first == launch and len(particles.positions) >= SORTED:
                 batch.sort(index)
         batch.barrier_count[:] = 0
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
+        batch.computed = last - 1
         bar.update(last - first)
 
 
-def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory:
-    """What scene `index` did. Raises WorkFailed where it blew up."""
-    scene, particles, offset = batch.scenes[index], batch.particles[index], batch.offsets[index]
-    positions, energies, impulses = batch.recorded(index), batch.energies(index), batch.impulses(index)
-    fields = batch.recorded_fields(index) if batch.features.fields else None
-    if len(batch.scenes) > 1:
-        # What one trajectory holds must not keep the record of all others in memory.
-        positions, fields = positions.copy(), None if fields is None else fields.copy()
-    rest, reached = int(offset[Offset.REST]), int(offset[Offset.FRAMES])
-    if rest:
-        recorded: list[NDArray[Any]] = [positions, energies, impulses]
-        for series in recorded if fields is None else [*recorded, fields]:
-            series[rest + 1 :] = series[rest]
-    if reached < scene.frames or not np.isfinite(positions).all():
-        raise WorkFailed(
-            f"the simulation blew up at t = {scene.frame_dt * (reached - 1):g} s; "
-            f"try a step_fraction below {scene.step_fraction:g}"
-        )
-    dimension = scene.dimension
-    return Trajectory(
-        positions=positions,
-        time=np.arange(scene.frames, dtype=np.float64) * scene.frame_dt,
-        velocity0=particles.velocities.astype(np.float32),
-        friction=particles.friction,
-        scene=scene,
-        velocities=None if fields is None else fields[:, :, :dimension],
-        pressure=None if fields is None else fields[:, :, dimension + Field.PRESSURE],
-        plastic_strain=None if fields is None else fields[:, :, dimension + Field.PLASTIC_STRAIN],
-        baffle_impulse=impulses[:, : len(scene.baffles)] if scene.baffles else None,
-        summary=summarise(
-            positions[-1],
-            energy=energies,
-            steps=int(offset[Offset.STEPS]),
-            clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
-            rest_time=rest * scene.frame_dt if rest else None,
-            wall_impulse=None if fields is None else impulses[:, -1],
-            wall_s=wall_s,
-            compile_s=compile_s,
-            arch=arch,
-            precision=batch.features.precision,
-        ),
-    )
+def recording(options: Options) -> Recording:
+    """What is to be recorded."""
+    record = options.get("record", ALL)
+    return with_usual_fields(record) if options.get("fields", False) else record
+
+
+def finished(outcome: Trajectory | WorkFailed) -> Trajectory:
+    """The trajectory. Raises WorkFailed where there is none."""
+    if isinstance(outcome, WorkFailed):
+        raise outcome
+    return outcome
+
+
+def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
+    """A bar that counts frames, where asked for."""
+    hidden = not options.get("progress", False)
+    return tqdm(total=frames, initial=computed, unit="frame", disable=hidden, desc="mpm")
+
+
+def never() -> bool:
+    """Asks no run to stop."""
+    return False

@@ -17,6 +17,8 @@ def summarise(
     steps: int,
     clamped: int,
     rest_time: float | None,
+    end_time: float,
+    relaxation_time: float,
     wall_impulse: NDArray[np.float64] | None,
     wall_s: float,
     compile_s: float,
@@ -25,10 +27,11 @@ def summarise(
 ) -> dict[str, Any]:
     """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
 
-    Lengths in metres; `energy` is a series per frame; `clamped` counts how often a particle was put back into the box;
-    `rest_time` [s] is when the deposit came to rest, where the run was to end there; `wall_impulse` [N s] the momentum
-    that floor and walls have taken up to each frame, where fields are recorded; `wall_s` is the batch's, compilation
-    apart.
+    Lengths in metres; `energy` is a series with a value at every frame of the scene; `clamped` counts how often a
+    particle was put back into the box; `rest_time` [s] is when the deposit came to rest, where the run may end there,
+    and `end_time` [s] until when it was computed; `relaxation_time` [s] that of the scene, its default worked out;
+    `wall_impulse` [N s] the momentum that floor and walls have taken up to each frame, where asked for; `wall_s` is
+    that of all scenes that ran together, compilation apart.
     """
     summary = {
         "runout": runout(deposit),
@@ -38,7 +41,12 @@ def summarise(
         "particles": len(deposit),
         "clamped": clamped,
         "rest_time": rest_time,
-        "energy": {column.name.lower(): [float(f"{e:.6g}") for e in energy[:, column]] for column in Energy},
+        "end_time": end_time,
+        "relaxation_time": relaxation_time,
+        "energy": {
+            column.name.lower(): [float(f"{e:.6g}") for e in energy[:, column]]
+            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
+        },
         "wall_s": wall_s,
         "compile_s": compile_s,
         "arch": arch,

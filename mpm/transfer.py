@@ -35,7 +35,7 @@ def spline(f):
 
 @ti.func
 def property_of(scene, block, column: ti.template(), arrays: ti.template()):
-    """A material property: one number per scene, or one per lane where the scene has several materials."""
+    """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
         return arrays.state[block * features.block + features.properties + column]
@@ -119,7 +119,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     features = arrays.features
     first = block * features.block
     dx = arrays.settings[scene, Setting.CELL]
-    per_dx, volume = 1.0 / dx, arrays.settings[scene, Setting.VOLUME]
+    per_dx, volume = 1.0 / dx, property_of(scene, block, Property.VOLUME, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
     place = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     low = [ti.floor(p - 0.5) for p in ti.static(place)]

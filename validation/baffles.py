@@ -11,6 +11,7 @@ from datasets.files import write_text
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from mpm.recording import LAST
 from mpm.simulate import simulate_many
 
 CELL = 0.02
@@ -74,7 +75,7 @@ def force(trajectory: Trajectory) -> NDArray[np.float64]:
 
 def moved_table(seeds: int) -> list[str]:
     """The deposit and the impact over the place of the baffle."""
-    flows = simulate_many([flow(offset, seed) for offset in OFFSETS for seed in range(seeds)])
+    flows = simulate_many([flow(offset, seed) for offset in OFFSETS for seed in range(seeds)], record=LAST)
     centre = np.array([t.positions[-1, :, 0].mean() for t in flows]).reshape(len(OFFSETS), seeds)
     push = np.array([0.0 if t.baffle_impulse is None else t.baffle_impulse[-1, 0, 0] for t in flows])
     push = push.reshape(len(OFFSETS), seeds)

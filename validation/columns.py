@@ -12,6 +12,7 @@ from datasets.files import write_text
 from datasets.library import read_scene
 from datasets.measures import front, runout
 from datasets.scene import Domain, Scene
+from mpm.recording import LAST
 from mpm.simulate import simulate_many
 from validation.paper import read_paper
 
@@ -58,7 +59,8 @@ def command(*, out: Path, seeds: int = 4) -> None:
                         [
                             variant(scene, cell=cell, step_fraction=step_fraction, damping=damping, seed=seed)
                             for seed in range(seeds)
-                        ]
+                        ],
+                        record=LAST,
                     )
                     d = np.array([runout(flow.positions[-1]) for flow in flows])
                     x = np.array([front(flow.positions[-1]) for flow in flows])

@@ -15,6 +15,7 @@ from inverse import observations
 from inverse.gns_forward import GnsSource
 from inverse.problem import TargetSettings, read_problem
 from inverse.target import Target, read_target
+from mpm.recording import LAST
 from mpm.simulate import simulate, simulate_many
 from validation.loop import finish, solve
 
@@ -40,7 +41,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path =
     hidden_deg, jitter = float(stream.uniform(*ANGLES_DEG)), int(stream.integers(1, 2**31))
     stated = read_problem("friction-tall-42")
     scene = dataclasses.replace(stated.scene.with_friction_deg(hidden_deg), seed=jitter)
-    deposit = simulate(scene).positions[-1]
+    deposit = simulate(scene, record=LAST).positions[-1]
     front = measures.front(deposit)
     print(f"A column {scene.masses[0].size[0]} m long and {scene.masses[0].size[1]} m high ran to x = {front:.4f} m.")
     print("Which angle of friction did it have? The front is all that the inversion is given.\n")

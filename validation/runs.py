@@ -7,18 +7,24 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.forward import Simulate
 from mpm.processors import processors
+from mpm.recording import ALL, LAST, Recording
+from mpm.simulate import ScenesFailed
 
 SHARE = "share_s"
 """In the summary of a kept run: its share of the wall time of all that ran beside it [s]."""
 
 
 class KeptRuns:
-    """`simulate`, with every run kept as `FOLDER/PREFIXNN.npz`: what was finished before a kill is not done again."""
+    """`simulate`, with every run kept as `FOLDER/PREFIXNN.npz`: what was finished before a kill is not done again.
+
+    deposit_only: the last frame alone is recorded, a hundredth of the file and all that an observation needs.
+    """
 
     def __init__(self, folder: Path, simulate: Simulate, *, prefix: str = "", deposit_only: bool = False) -> None:
         self.folder, self.simulate, self.prefix, self.deposit_only = folder, simulate, prefix, deposit_only
@@ -29,8 +35,11 @@ class KeptRuns:
             except InputError:
                 continue  # Not one of ours, or from another version: run again, under the next number.
 
-    def __call__(self, scenes: Sequence[Scene]) -> list[Trajectory]:
-        """The trajectory of each scene; those that are not there yet run side by side, some at a time."""
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
+        """The trajectory of each scene, as it is kept; those that are not there yet run side by side, some at a time.
+
+        Where some of them fail, the others are kept before ScenesFailed is raised.
+        """
         missing = [scene for scene in dict.fromkeys(scenes) if scene not in self.files]
         at_once = 2 * processors()
         with tqdm(total=len(missing), desc="MPM", unit="run", leave=False, disable=None) as bar:
@@ -41,13 +50,20 @@ class KeptRuns:
 
     def _run(self, scenes: Sequence[Scene]) -> None:
         began = time.perf_counter()
-        trajectories = self.simulate(scenes)
+        outcomes: Sequence[Trajectory | WorkFailed]
+        failed: ScenesFailed | None = None
+        try:
+            outcomes = self.simulate(scenes, record=LAST if self.deposit_only else ALL)
+        except ScenesFailed as error:
+            failed, outcomes = error, error.outcomes
         share = (time.perf_counter() - began) / len(scenes)
-        for scene, trajectory in zip(scenes, trajectories, strict=True):
-            path = self._free()
-            trajectory = dataclasses.replace(trajectory, summary=trajectory.summary | {SHARE: share})
-            (deposit(trajectory) if self.deposit_only else trajectory).save(path)
-            self.files[scene] = path
+        for scene, trajectory in zip(scenes, outcomes, strict=True):
+            if isinstance(trajectory, Trajectory):
+                path = self._free()
+                dataclasses.replace(trajectory, summary=trajectory.summary | {SHARE: share}).save(path)
+                self.files[scene] = path
+        if failed is not None:
+            raise failed
 
     def file(self, scene: Scene) -> Path:
         """Where the run of `scene` lies."""
@@ -59,13 +75,3 @@ class KeptRuns:
         while f"{self.prefix}{number:02d}.npz" in taken:
             number += 1
         return self.folder / f"{self.prefix}{number:02d}.npz"
-
-
-def deposit(trajectory: Trajectory) -> Trajectory:
-    """The last frame alone: a hundredth of the file, and all that an observation needs."""
-    last = {
-        name: values[-1:]
-        for name in ("positions", "time", "velocities", "pressure", "plastic_strain", "baffle_impulse")
-        if (values := getattr(trajectory, name)) is not None
-    }
-    return dataclasses.replace(trajectory, **last)

@@ -19,6 +19,7 @@ from inverse.observations import Observation, Values
 from inverse.problem import LoopSettings, Observable, ObservationSettings, Problem, TargetSettings, Unknown
 from inverse.target import Target, read_target
 from inverse.unknowns import Vector
+from mpm.recording import ALL, Recording
 
 POINTS = 600
 # Quantiles of a wedge: the deposit thins out towards its front.
@@ -52,7 +53,7 @@ class FakeMpm:
     scenes: list[Scene] = field(default_factory=list)
     """All that was simulated."""
 
-    def __call__(self, scenes: Sequence[Scene]) -> list[Trajectory]:
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
         return [self.run(scene) for scene in scenes]
 
     def run(self, scene: Scene) -> Trajectory:

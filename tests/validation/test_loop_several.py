@@ -33,6 +33,7 @@ from inverse.problem import (
 from inverse.result import Result, Verdict
 from inverse.target import read_target
 from inverse.unknowns import Vector, kind
+from mpm.recording import ALL, Recording
 from tests.validation.conftest import at_rest
 from validation.loop import solve
 from validation.solved import Solved
@@ -67,7 +68,7 @@ class Flow:
     def x(self, unknowns: Vector) -> NDArray[np.float64]:
         return np.asarray(self.x0 + self.push @ unknowns + self.bend * self.push @ unknowns**2)
 
-    def __call__(self, scenes: Sequence[Scene]) -> list[Trajectory]:
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
         return [self.run(scene) for scene in scenes]
 
     def run(self, scene: Scene) -> Trajectory:

@@ -9,6 +9,7 @@ from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.particles import initial_particles, particle_count
 from mpm.batch import features_of
+from mpm.simulate import recording
 from validation import gains, machine, rates, speed, timing
 from validation.rates import Case, Way
 from validation.speed_page import page
@@ -122,13 +123,25 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
 
     def needs(name: str) -> dict[str, object]:
         scenes = runs[name].scenes
-        found = features_of(scenes, [initial_particles(scene) for scene in scenes], "f32", fields=runs[name].fields)
+        found = features_of(
+            scenes,
+            [initial_particles(scene) for scene in scenes],
+            "f32",
+            record=recording({"fields": runs[name].fields}),
+        )
         return dataclasses.asdict(found)
 
     plain = needs(gains.PLAIN)
     changed = {name: {key for key in plain if needs(name)[key] != plain[key]} for name in runs}
     assert changed.pop(gains.PLAIN) == set()
-    assert list(changed.values()) == [{"damped"}, {"cohesive"}, {"dilates"}, {"several"}, {"baffles"}, {"fields"}]
+    assert list(changed.values()) == [
+        {"damped"},
+        {"cohesive"},
+        {"dilates"},
+        {"heterogeneous"},
+        {"baffles"},
+        {"velocity_recorded", "pressure_recorded", "strain_recorded", "walls_recorded"},
+    ]
     counts = {particle_count(run.scenes[0]) for run in runs.values()}
     assert len(counts) == 1
 

@@ -9,6 +9,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.particles import particle_volumes
 from datasets.scene import TOLERANCE
 from datasets.trajectory import Trajectory
 from validation.stability.finding import Finding
@@ -62,7 +63,7 @@ def mass(flow: Trajectory) -> Finding:
     scene = flow.scene
     inside = in_masses(flow)
     boxes = np.array([np.prod(mass.size) for mass in scene.masses])
-    worst = np.abs(inside.sum(axis=1) * scene.particle_volume / boxes - 1.0).max()
+    worst = np.abs(inside @ particle_volumes(scene, inside.shape[1]) / boxes - 1.0).max()
     astray = np.abs(inside.sum(axis=0) - 1).mean()
     return Finding(check="mass", value=float(max(worst, astray)), most=EXACT_MASS)
 
@@ -126,7 +127,8 @@ def point_masses(flow: Trajectory) -> NDArray[np.float64]:
     """Mass of each point [kg, per metre of width in 2D], shape [N]: its box's density times its volume."""
     scene = flow.scene
     density = np.array([scene.material_of(box).density for box in scene.masses])
-    return np.asarray(scene.particle_volume * density[in_masses(flow).argmax(axis=0)])
+    inside = in_masses(flow)
+    return np.asarray(particle_volumes(scene, inside.shape[1]) * density[inside.argmax(axis=0)])
 
 
 def total_energy(flow: Trajectory) -> NDArray[np.float64]:

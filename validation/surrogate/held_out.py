@@ -12,6 +12,7 @@ from datasets import measures
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm.recording import LAST
 from mpm.simulate import LARGE, simulate, simulate_many
 from validation.surrogate.courses import Comparison, Truth, compare
 from validation.surrogate.models import Model
@@ -34,7 +35,7 @@ def truth(scene: Scene, seeds: int) -> Truth:
         flow, deposits = flows[0], [each.positions[-1] for each in flows]
     else:
         flow = simulate(scene)
-        deposits = [flow.positions[-1], *(simulate(each).positions[-1] for each in scenes[1:])]
+        deposits = [flow.positions[-1], *(simulate(each, record=LAST).positions[-1] for each in scenes[1:])]
     apart = [np.square(each.astype(np.float64) - deposits[0]).sum(axis=1).mean() for each in deposits[1:]]
     return Truth(
         flow=flow,

@@ -1,0 +1,70 @@
+"""What a scene of a batch came to: its trajectory, or why there is none."""
+
+import numpy as np
+
+from datasets.command_line import WorkFailed
+from datasets.trajectory import Trajectory
+from mpm.batch import Batch
+from mpm.failure import explain
+from mpm.layout import Offset, Worker
+from mpm.runtime import Arch
+from mpm.summary import summarise
+
+
+def failure(batch: Batch, index: int) -> WorkFailed | None:
+    """Why scene `index` of a batch blew up; None where it did not."""
+    scene, features, reached = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
+    if reached == scene.frames and np.isfinite(batch.recorded(index)).all():
+        return None
+    count = len(batch.particles[index].positions)
+    numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
+    velocities = numbers[features.velocity :][: features.dimension].T
+    return WorkFailed(explain(scene, batch.particles[index], velocities, reached - 1))
+
+
+def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
+    """What scene `index` did; the frames after it came to rest are filled with the last one that was computed."""
+    if (failed := failure(batch, index)) is not None:
+        return failed
+    scene, particles, offset, record = (
+        batch.scenes[index],
+        batch.particles[index],
+        batch.offsets[index],
+        batch.recording,
+    )
+    energies, impulses, kept = batch.energies(index), batch.impulses(index), batch.kept(index)
+    rest = int(offset[Offset.REST])
+    if rest:
+        for series in (energies, impulses):
+            series[rest + 1 :] = series[rest]
+        for slot, frame in enumerate(kept):
+            if frame > rest:
+                batch.store(index, slot)
+    positions, fields = batch.recorded(index), batch.fields_by_name(index)
+    if len(batch.scenes) > 1:
+        # What one trajectory holds must not keep the record of all others in memory.
+        positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
+    began = rest - int(offset[Offset.WINDOW]) + 1
+    return Trajectory(
+        positions=positions,
+        time=np.array(kept, np.float64) * scene.frame_dt,
+        velocity0=particles.velocities.astype(np.float32),
+        friction=particles.friction,
+        scene=scene,
+        **fields,
+        baffle_impulse=impulses[kept, : len(scene.baffles)] if scene.baffles and record.baffle_forces else None,
+        summary=summarise(
+            positions[-1],
+            energy=energies,
+            steps=int(offset[Offset.STEPS]),
+            clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
+            rest_time=began * scene.frame_dt if rest else None,
+            end_time=(rest or scene.frames - 1) * scene.frame_dt,
+            relaxation_time=scene.relaxation,
+            wall_impulse=impulses[:, -1] if record.wall_forces else None,
+            wall_s=wall_s,
+            compile_s=compile_s,
+            arch=arch,
+            precision=batch.features.precision,
+        ),
+    )

@@ -1,0 +1,87 @@
+"""Scenes that run side by side: each as it would alone, and one that fails fails alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datasets.command_line import WorkFailed
+from datasets.material import Material
+from datasets.particles import Particles, initial_particles
+from datasets.scene import Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm.failure import explain
+from mpm.simulate import ScenesFailed, simulate, simulate_each, simulate_many
+from tests.mpm.scenes import COLUMN, SAND, box, room
+
+TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
+"""Thirteen times the wave speed of SAND."""
+
+
+def test_scenes_of_different_needs_run_as_alone_and_come_back_in_order() -> None:
+    clay = dataclasses.replace(SAND, cohesion=500.0, tension_cutoff=200.0)
+    scenes = [
+        box(seed=1),
+        box(material=clay),
+        box(seed=2, duration=0.05),
+        room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.2, 0.16))),
+    ]
+    together = simulate_many(scenes)
+    assert [flow.scene for flow in together] == scenes
+    for scene, beside in zip(scenes, together, strict=True):
+        alone = simulate(scene, threads=1)
+        np.testing.assert_array_equal(alone.positions, beside.positions)
+        assert alone.summary["energy"] == beside.summary["energy"]
+        assert alone.summary["steps"] == beside.summary["steps"]
+    assert len({flow.summary["wall_s"] for flow in together}) == 1
+
+
+def test_one_that_fails_fails_alone() -> None:
+    scenes = [box(seed=1), box(TOO_FAST), box(seed=2)]
+    first, failed, last = simulate_each(scenes)
+    assert isinstance(first, Trajectory)
+    assert isinstance(failed, WorkFailed)
+    assert isinstance(last, Trajectory)
+    np.testing.assert_array_equal(last.positions, simulate(scenes[2], threads=1).positions)
+    with pytest.raises(ScenesFailed, match=r"^scene 1 of 3 failed: a particle moves at 500 m/s at t = 0 s") as caught:
+        simulate_many(scenes)
+    assert [type(outcome) for outcome in caught.value.outcomes] == [Trajectory, WorkFailed, Trajectory]
+    with pytest.raises(ScenesFailed, match=r"^scene 0 \(and 1 more of 2\) failed: "):
+        simulate_many([box(TOO_FAST, seed=1), box(TOO_FAST, seed=2)])
+
+
+def test_sand_faster_than_its_waves_wants_a_stiffer_material_and_gets_by_with_it() -> None:
+    with pytest.raises(WorkFailed) as caught:
+        simulate(box(TOO_FAST))
+    said = str(caught.value)
+    assert "a shorter step does not help" in said
+    assert "step_fraction" not in said
+    young = float(said.split("a young of at least ")[1].split(" Pa")[0])
+    assert young > SAND.young * (500.0 / (10.0 * SAND.wave_speed)) ** 2
+    firm = Material(friction_deg=30.0, young=young)
+    # One frame is enough: it sets off.
+    assert simulate(box(TOO_FAST, material=firm, duration=0.005)).summary["steps"] > 0
+
+
+def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    def with_a_broken_particle(scene: Scene) -> Particles:
+        particles = initial_particles(scene)
+        velocities = particles.velocities.copy()
+        velocities[0] = np.nan
+        return dataclasses.replace(particles, velocities=velocities)
+
+    monkeypatch.setattr("mpm.batch.initial_particles", with_a_broken_particle)
+    with pytest.raises(WorkFailed, match=r"^the simulation blew up at t = 0 s; try a step_fraction below 0.4$"):
+        simulate(box())
+
+
+@pytest.mark.parametrize(("speed", "helps"), [(400.0, "young"), (2000.0, "step_fraction"), (np.inf, "step_fraction")])
+def test_speeds_that_no_fall_explains_want_a_shorter_step(speed: float, helps: str) -> None:
+    scene = box(TOO_FAST)
+    particles = initial_particles(scene)
+    velocities = np.zeros_like(particles.velocities)
+    velocities[3, 1] = speed
+    said = explain(scene, particles, velocities, 4)
+    assert "t = 0.02 s" in said
+    assert helps in said
+    assert ("young" in said) != ("step_fraction" in said)
