@@ -26,8 +26,8 @@ class Case:
     rests: bool = False
     """It ends as a deposit of cohesionless sand at rest: checked for that, for its slope and for its volume."""
     rings: bool = False
-    """An elastic wave in free space, whose decrement is checked in place of its energy: the velocity and the stress that
-    are recorded lie half a step apart, so that the sum of their energies swings by omega dt."""
+    """An elastic wave in free space: its decrement is checked in place of its energy, because velocity and stress are
+    recorded half a step apart, so that the sum of their energies swings by omega dt."""
     until_rest: bool = False
     """Run until the solver says that it rests, which is then checked."""
     checks: tuple[Check, ...] = ()
