@@ -276,7 +276,7 @@ def settings_row(scene: Scene, points: MaterialPoints) -> list[float]:
 
 
 def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`; of a material whose strength grows with depth, at its top."""
+    """One line of `properties`, in the order of `Property`; where strength grows with depth, that of the top."""
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
     residual = material.residual
     values = {

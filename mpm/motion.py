@@ -71,6 +71,26 @@ def update_stress(scene, block, dt, of: ti.template()):
     needs = of.needs
     first = block * needs.block
     lame, shear = property_of(scene, block, Property.LAME, of), property_of(scene, block, Property.SHEAR, of)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, of)
+    stress = [of.state[first + needs.stress + k] for k in ti.static(range(needs.stresses))]
+    gradient = [dt * of.state[first + needs.affine + k] for k in ti.static(range(needs.dimension * needs.dimension))]
+    opened = 0.0 * stress[0]
+    if ti.static(needs.corrected):
+        opened = of.state[first + needs.gap]
+    new = stress_step(stress, gradient, opened, sin_phi, sin_psi, strength, limit, lame, shear, needs)
+    for k in ti.static(range(needs.stresses)):
+        of.state[first + needs.stress + k] = new[k]
+    if ti.static(needs.corrected):
+        of.state[first + needs.gap] = of.settings[scene, Setting.CORRECTED] * new[needs.stresses + 1]
+    if ti.static(needs.strained):
+        at = first + needs.plastic_strain
+        of.state[at] = of.state[at] + new[needs.stresses]
+
+
+@ti.func
+def strength_of(scene, block, of: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+    needs = of.needs
     sin_phi = property_of(scene, block, Property.SIN_PHI, of)
     # Zeros known to the compiler where the scene has no dilation and no cohesion.
     sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
@@ -86,18 +106,7 @@ def update_stress(scene, block, dt, of: ti.template()):
             property_of(scene, block, Property.RESIDUAL_LIMIT, of),
         )
         per_strain = property_of(scene, block, Property.SOFTENING, of) * of.settings[scene, Setting.CELL]
-        strain, peak = of.state[first + needs.plastic_strain], (sin_phi, sin_psi, strength, limit)
-        sin_phi, sin_psi, strength, limit = softened(strain, per_strain, peak, residual, needs)
-    stress = [of.state[first + needs.stress + k] for k in ti.static(range(needs.stresses))]
-    gradient = [dt * of.state[first + needs.affine + k] for k in ti.static(range(needs.dimension * needs.dimension))]
-    opened = 0.0
-    if ti.static(needs.corrected):
-        opened = of.state[first + needs.gap]
-    new = stress_step(stress, gradient, opened, sin_phi, sin_psi, strength, limit, lame, shear, needs)
-    for k in ti.static(range(needs.stresses)):
-        of.state[first + needs.stress + k] = new[k]
-    if ti.static(needs.corrected):
-        of.state[first + needs.gap] = of.settings[scene, Setting.CORRECTED] * new[needs.stresses + 1]
-    if ti.static(needs.strained):
-        at = first + needs.plastic_strain
-        of.state[at] = of.state[at] + new[needs.stresses]
+        strain = of.state[block * needs.block + needs.plastic_strain]
+        return softened(strain, per_strain, (sin_phi, sin_psi, strength, limit), residual, needs)
+    else:
+        return sin_phi, sin_psi, strength, limit
