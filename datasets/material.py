@@ -2,9 +2,9 @@
 
 A cohesive soil carries **no tension by default**: `tension_cutoff` is 0, a crack opens where a principal stress reaches
 it, and the stress beside the crack relaxes by elastic coupling. The height of a vertical cut that stands depends on it:
-gamma H / c is 2 tan(45 + phi/2) for soil that cracks freely (Drucker 1953), and up to 3.83 tan(45 + phi/2) for soil that
-carries tension (Chen 1975; 4 for a plane slip, Fellenius 1927). A cutoff above the apex of the cone c cot(phi) is that
-apex. All stresses are in Pa, tension positive.
+gamma H / c is 2 tan(45 + phi/2) for soil that cracks freely (Drucker 1953), and up to 3.83 tan(45 + phi/2) for soil
+that carries tension (Chen 1975; 4 for a plane slip, Fellenius 1927). A cutoff above the apex of the cone c cot(phi) is
+that apex. All stresses are in Pa, tension positive.
 
 `friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is the undrained shear strength s_u;
 `strength_gradient` [Pa/m] lets it grow with depth, c(z) = cohesion + strength_gradient z, as it does in normally

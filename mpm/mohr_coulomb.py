@@ -1,7 +1,7 @@
 """Mohr-Coulomb plasticity with a tension cutoff, returned in principal stresses; for vectors of lanes, so branchless.
 
-Tension is positive, s1 >= s2 >= s3 are the principal stresses. Yield functions and flow potentials (Davis 1968; Rankine;
-de Souza Neto, Peric & Owen 2008, section 8.2), for every ordered pair i, j of axes and for every axis i:
+Tension is positive, s1 >= s2 >= s3 are the principal stresses. Yield functions and flow potentials (Davis 1968; de
+Souza Neto, Peric & Owen 2008, section 8.2), Coulomb's for every ordered pair of axes and Rankine's for every axis:
 
     F_ij = s_i (1 + sin phi) - s_j (1 - sin phi) - 2 c cos phi      G_ij = s_i (1 + sin psi) - s_j (1 - sin psi)
     F_i  = s_i - T                                                  G_i  = s_i
@@ -55,12 +55,13 @@ def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), f
     """
     w = larger(1.0 - per_strain * strain, 0.0)
     sin_phi = residual[0] + w * (peak[0] - residual[0])
-    strength, limit = peak[2], peak[3]
     if ti.static(features.cohesive):
-        strength = residual[1] + w * (strength - residual[1])
+        strength = residual[1] + w * (peak[2] - residual[1])
         # c cot phi is not linear in w: between its ends it may lie below the straight line.
-        limit = apex_limit(residual[2] + w * (limit - residual[2]), sin_phi, strength)
-    return sin_phi, w * peak[1], strength, limit
+        limit = apex_limit(residual[2] + w * (peak[3] - residual[2]), sin_phi, strength)
+        return sin_phi, w * peak[1], strength, limit
+    else:
+        return sin_phi, w * peak[1], peak[2], peak[3]
 
 
 @ti.func

@@ -86,6 +86,27 @@ def update_stress(scene, block, dt, arrays: ti.template()):
     features = arrays.features
     first = block * features.block
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    increment = midpoint_increment(gradient, features.dimension)
+    opened = 0.0 * stress[0]
+    if ti.static(features.corrected):
+        opened = arrays.state[first + features.gap]
+    new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    for k in ti.static(range(features.stresses)):
+        arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.corrected):
+        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
+    if ti.static(features.strained):
+        at = first + features.plastic_strain
+        arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def strength_of(scene, block, arrays: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+    features = arrays.features
     sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
     # Zeros known to the compiler where the scene has no dilation and no cohesion.
     sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
@@ -101,19 +122,7 @@ def update_stress(scene, block, dt, arrays: ti.template()):
             property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
         )
         per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
-        strain, peak = arrays.state[first + features.plastic_strain], (sin_phi, sin_psi, strength, limit)
-        sin_phi, sin_psi, strength, limit = softened(strain, per_strain, peak, residual, features)
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    increment = midpoint_increment(gradient, features.dimension)
-    opened = 0.0
-    if ti.static(features.corrected):
-        opened = arrays.state[first + features.gap]
-    new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
-    for k in ti.static(range(features.stresses)):
-        arrays.state[first + features.stress + k] = new[k]
-    if ti.static(features.corrected):
-        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
-    if ti.static(features.strained):
-        at = first + features.plastic_strain
-        arrays.state[at] = arrays.state[at] + new[features.stresses]
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        return softened(strain, per_strain, (sin_phi, sin_psi, strength, limit), residual, features)
+    else:
+        return sin_phi, sin_psi, strength, limit

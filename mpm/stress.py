@@ -127,13 +127,13 @@ def stress_step(
 
 @ti.func
 def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.template()):
-    """Stress [Pa]; with volume correction plus what the strain of the opened cracks would make of it elastically: lambda e I + 2 mu e N.
+    """Stress [Pa]; with volume correction plus what the strain e N of the opened cracks would elastically add to it.
 
-    `opened` is their volume e, as the mean stress K e that it would have made [Pa]. N = sum n n^T / m of the m principal
-    axes n whose stress stands at T: all directions in a loose fragment, as wherever cohesionless material opens, one in
-    a crack beside compression. The return takes that stress away again, unless strain closes the crack: alone it
-    changes nothing. With P = T I - sigma, whose principal values are >= 0 and 0 along such axes, and its invariants,
-    N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3, without axes.
+    That is lambda e I + 2 mu e N; `opened` is their volume e, as the mean stress K e [Pa]. N = sum n n^T / m of the m
+    principal axes n whose stress stands at T: all directions in a loose fragment, as wherever cohesionless material
+    opens, one in a crack beside compression. The return takes that stress away again, unless strain closes the crack:
+    alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes; with its invariants
+    P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3.
     """
     if ti.static(features.corrected and features.cohesive):
         xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
@@ -177,8 +177,8 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
 def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
     """The stress [Pa] that Mohr-Coulomb with tension cutoff admits in place of a trial stress.
 
-    Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with e = dev(sigma_trial - sigma) / (2 mu);
-    and the mean stress that opening cost [Pa].
+    Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
+    e = dev(sigma_trial - sigma) / (2 mu); and the mean stress that opening cost [Pa].
     """
     if ti.static(features.dimension == 2):
         xx, yy, z, xy = stress

@@ -150,7 +150,7 @@ def follow_states(
         stress[: needs.stresses] = np.asarray(start)[:, None]
     history = aligned((len(gradients) * width, needs.lanes), real)
     increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
-    path_kernel(needs)(stress, increments, history, np.array(properties_row(material), real), cell)
+    path_kernel(needs)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell)
     assert np.all(history == history[:, :1])
     series = history[:, 0].reshape(len(gradients), width).astype(np.float64)
     return series[:, :-2], series[:, -2], series[:, -1]
@@ -211,7 +211,7 @@ def returned_whole(
     padded = np.zeros((len(blocks) * lanes, 4))
     padded[:count, :3] = stresses
     blocks[:] = np.moveaxis(padded.reshape(-1, lanes, 4), 1, 2)
-    properties = np.array(properties_row(material), real)
+    properties = np.array(properties_row(material, 1.0), real)
     if limit is not None:
         properties[Property.LIMIT] = limit
     return_kernel(needs)(blocks.reshape(-1, lanes), properties)
@@ -229,7 +229,7 @@ def returned_tensors(material: Material, stresses: Vector, *, precision: Precisi
     padded = np.zeros((len(blocks) * needs.lanes, width))
     padded[:count] = stresses
     blocks[:] = np.moveaxis(padded.reshape(-1, needs.lanes, width), 1, 2)
-    tensor_kernel(needs)(blocks.reshape(-1, needs.lanes), np.array(properties_row(material), real))
+    tensor_kernel(needs)(blocks.reshape(-1, needs.lanes), np.array(properties_row(material, 1.0), real))
     return np.moveaxis(blocks, 1, 2).reshape(-1, width)[:count].astype(np.float64)
 
 

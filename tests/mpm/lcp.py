@@ -1,6 +1,6 @@
 """The backward Euler return as a linear complementarity problem, solved by trying every set of active surfaces.
 
-For the six planes F_ij of Mohr-Coulomb and the three of the tension cutoff, with normals n_a, flows m_a and elasticity D:
+For the six planes F_ij of Mohr-Coulomb and the three of the cutoff, with normals n_a, flows m_a and elasticity D:
 
     s = s_trial - sum_a g_a D m_a,    g >= 0,  n_a s <= k_a,  g_a (n_a s - k_a) = 0
 

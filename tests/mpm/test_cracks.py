@@ -1,4 +1,4 @@
-"""Cracks at the tension cutoff, one element at a time: elastic coupling beside them, closing, and what is remembered."""
+"""Cracks at the tension cutoff, one element at a time: elastic coupling beside them, closing, and memory."""
 
 import numpy as np
 import pytest

@@ -72,9 +72,8 @@ def test_the_return_is_the_one_solution_of_the_complementarity_problem() -> None
         ours = returned(material, trial)
         assert (apart / scale).max() < 1e-8, material
         assert (np.abs(ours - exact).max(axis=1) / scale).max() < 1e-9, material
-        active = np.isclose(
-            exact @ surfaces(material)[0].T, surfaces(material)[2], rtol=0.0, atol=1e-9 * unit(material)
-        )
+        normals, _, limits = surfaces(material)
+        active = np.isclose(exact @ normals.T, limits, rtol=0.0, atol=1e-9 * unit(material))
         found |= {tuple(row) for row in active.tolist()}
     # Every kind of corner was there: none, plane, edges, cutoff with one, two, three stresses, and their meetings.
     assert len(found) >= 12
@@ -142,7 +141,7 @@ def test_without_cohesion_the_cheap_form_is_the_same(dilation_deg: float) -> Non
 
 
 def test_what_opening_cost_is_the_mean_that_dilation_did_not_take() -> None:
-    """K times the sum of the cutoff's multipliers, where these are unique; without dilation all of the mean's change."""
+    """K times the sum of the cutoff's multipliers, where these are unique; all of the mean's change where psi = 0."""
     random = np.random.default_rng(6)
     for material in MATERIALS:
         trial = trials(material, random, 600)
