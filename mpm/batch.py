@@ -386,17 +386,23 @@ def properties_row(material: Material, volume: float) -> list[float]:
 
 def properties_of(particles: Particles) -> Array:
     """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
-    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
-    rows[:, Property.VOLUME] = particles.volume
+    rows = np.empty((len(particles.material), len(Property)))
     for index, material in enumerate(particles.materials):
-        if material.strength_gradient > 0.0:
-            here = particles.material == index
-            for state, strength, limit in (
-                (material, Property.STRENGTH, Property.LIMIT),
-                (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
-            ):
-                cohesion, friction = state.cohesion_at(particles.depth[here]), math.radians(state.friction_deg)
-                rows[here, strength] = 2.0 * cohesion * math.cos(friction)
-                apex = cohesion / state.friction if state.friction > 0.0 else np.inf
-                rows[here, limit] = np.minimum(state.tension_cutoff, apex)
+        here = particles.material == index
+        rows[here] = properties_at(material, particles.depth[here])
+    rows[:, Property.VOLUME] = particles.volume
+    return rows
+
+
+def properties_at(material: Material, depth: Array) -> Array:
+    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
+    rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
+    for state, strength, limit in (
+        (material, Property.STRENGTH, Property.LIMIT),
+        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
+    ):
+        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
+        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
+        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
+        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
     return rows

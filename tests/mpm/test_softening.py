@@ -7,7 +7,7 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.batch import needs_of, properties_at, properties_row
+from mpm.batch import features_of, properties_at, properties_row
 from mpm.layout import Features, Property
 from mpm.simulate import simulate
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
@@ -160,15 +160,15 @@ def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
 
 def test_only_softening_pays_for_it() -> None:
     plain, soft = (
-        Features(dimension=2, precision="f32", several=True),
-        Needs(dimension=2, precision="f32", softens=True),
+        Features(dimension=2, precision="f32", heterogeneous=True),
+        Features(dimension=2, precision="f32", softens=True),
     )
     assert plain.columns == Property.RESIDUAL_SIN_PHI
     assert not plain.strained
     assert soft.strained
     assert soft.block == Features(dimension=2, precision="f32").block + 1
     scene = block(residual_cohesion=400.0, softening_length=0.1)
-    assert needs_of([scene], [], "f32").softens is False
+    assert features_of([scene], [], "f32").softens is False
     for count in (properties_row(scene.material), properties_row(block().material)):
         assert len(count) == len(Property)
 
