@@ -27,7 +27,7 @@ def particles_against_baffles(block, mass, worker, scene, arrays: ti.template())
     """Keep the particles of a block, moved already, out of the baffles; `mass` [kg] of each lane."""
     features = arrays.features
     x, v = block * features.block, block * features.block + features.velocity
-    reach = LAYER * arrays.settings[scene, Setting.CELL]
+    layer_thickness = LAYER * arrays.settings[scene, Setting.CELL]
     for number in range(arrays.offsets[scene, Offset.BAFFLES]):
         baffle = arrays.offsets[scene, Offset.BAFFLE] + number
         offset = [arrays.state[x + k] - arrays.baffles[baffle, k] for k in ti.static(range(features.dimension))]
@@ -40,7 +40,7 @@ def particles_against_baffles(block, mass, worker, scene, arrays: ti.template())
         if ti.static(features.dimension == 3):
             distance = larger(distance, away[2])
         # Most blocks are far away. A vector has no truth value, its lanes have to be asked one by one.
-        if lane_minimum(distance, arrays) < reach:
+        if lane_minimum(distance, arrays) < layer_thickness:
             inside = distance < 0.0
             into, slip = 0.0 * distance, 0.0 * distance
             for k in ti.static(range(features.dimension)):
@@ -59,7 +59,7 @@ def particles_against_baffles(block, mass, worker, scene, arrays: ti.template())
                 at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension + k
                 add(arrays.impulse, at, mass * (before - after), arrays)
                 # In front of this face and of no other: the next largest distance is inside the baffle's width.
-                layer = (away[k] >= distance) & (distance < reach) & (side[k] * after <= 0.0)
+                layer = (away[k] >= distance) & (distance < layer_thickness) & (side[k] * after <= 0.0)
                 for other in ti.static(range(features.dimension)):
                     if ti.static(other != k):
                         layer = layer & (away[other] < 0.0)
