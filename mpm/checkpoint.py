@@ -70,7 +70,9 @@ class Checkpoint:
             state=batch.state_of(0).copy(),
             order=batch.order.copy(),
             energy=batch.energies(0)[: frame + 1].copy(),
-            impulse=batch.recorded_impulse[first:][: (frame + 1) * solids].reshape(frame + 1, solids, batch.features.dimension).copy(),
+            impulse=batch.recorded_impulse[first:][: (frame + 1) * solids]
+            .reshape(frame + 1, solids, batch.features.dimension)
+            .copy(),
             positions=batch.recorded(0)[:kept].copy(),
             fields=batch.recorded_fields(0)[:kept].copy(),
         )
