@@ -1,85 +1,184 @@
-"""Scene -> material points: a jittered lattice in each mass."""
+"""Scene -> particles: a jittered lattice in each mass, whose particles have exactly its volume."""
 
 import math
+import warnings
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.material import Material
-from datasets.scene import Mass, Scene
+from datasets.scene import TOLERANCE, Mass, Scene
+
+ROUNDING = 1.0e-13
+"""Relative difference up to which two volumes are the same number."""
+RESOLVED = (3.0, 4.0)
+"""Cells across a body that a warning recommends."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Particles:
-    """The points of a scene at time 0."""
+    """The particles of a scene at time 0, one mass after the other."""
 
     positions: NDArray[np.float64]
     """Positions [m], shape [N, D]."""
     velocities: NDArray[np.float64]
     """Velocities [m/s], shape [N, D]."""
+    mass: NDArray[np.int32]
+    """Index of the scene's mass that each particle belongs to, shape [N]."""
+    velocity_gradients: NDArray[np.float64]
+    """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 but in a mass that turns."""
     material: NDArray[np.int32]
-    """Index into `materials` of each point, shape [N]."""
+    """Index into `materials` of each particle, shape [N]."""
     materials: tuple[Material, ...]
     """The different materials of the scene."""
-    volume: float
-    """Initial volume of one point [m^D]."""
+    volume: NDArray[np.float64]
+    """Initial volume of each particle [m^D], shape [N]."""
+    depth: NDArray[np.float64]
+    """Of each particle below the top of its mass [m], shape [N]."""
+
+    @cached_property
+    def common_volume(self) -> float | None:
+        """The initial volume [m^D] that all particles have, None where masses differ in it."""
+        first = float(self.volume[0])
+        return first if bool(np.all(self.volume == first)) else None
+
+    @property
+    def density(self) -> NDArray[np.float64]:
+        """Initial density of each particle [kg/m^3], shape [N]."""
+        return np.array([material.density for material in self.materials])[self.material]
 
     @property
     def friction(self) -> NDArray[np.float32]:
-        """tan(phi) of each point [-], shape [N]."""
+        """tan(phi) of each particle [-], shape [N]."""
         return np.array([material.friction for material in self.materials], np.float32)[self.material]
 
     @property
     def cohesion(self) -> NDArray[np.float32]:
-        """Cohesion of each point [Pa], shape [N]."""
-        return np.array([material.cohesion for material in self.materials], np.float32)[self.material]
+        """Cohesion of each particle [Pa], shape [N]."""
+        top, growth = (
+            np.array([getattr(material, key) for material in self.materials])[self.material]
+            for key in ("cohesion", "strength_gradient")
+        )
+        return np.asarray(top + growth * self.depth, np.float32)
 
 
 def initial_particles(scene: Scene) -> Particles:
-    """Fill every mass of `scene` with points.
+    """Fill every mass of `scene` with particles.
 
-    A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size (`lattice_counts`); each point is moved
-    at random inside the share `jitter` of its own lattice cell. A mass draws from its own stream, so that adding one
-    leaves the others.
+    A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size along every axis (`lattice_counts`),
+    and each of its N particles the volume prod(size) / N; each is moved at random inside the share `jitter` of its own
+    lattice cell. A mass draws from its own stream, so that adding one leaves the others.
     """
-    share = scene.domain.cell / scene.particles_per_axis
     materials: list[Material] = []
-    positions, velocities, indices = [], [], []
+    positions, velocities, gradients, indices = [], [], [], []
     for number, mass in enumerate(scene.masses):
-        counts = lattice_counts(mass, share)
+        counts = lattice_counts(scene, mass)
         spacing = np.array(mass.size) / counts
         lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
         offset = np.random.default_rng([scene.seed, number]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
         positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
-        velocities.append(np.broadcast_to(np.array(mass.velocity or (0.0,) * scene.dimension), lattice.shape))
+        arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
+        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
+        gradients.append(np.broadcast_to(mass.spin, (len(lattice), *mass.spin.shape)))
         material = scene.material_of(mass)
         if material not in materials:
             materials.append(material)
         indices.append(np.full(len(lattice), materials.index(material), np.int32))
+    counts = mass_counts(scene)
+    tops = np.repeat([mass.lower[1] + mass.size[1] for mass in scene.masses], counts)
+    everywhere = np.concatenate(positions)
     return Particles(
-        positions=np.concatenate(positions),
+        positions=everywhere,
         velocities=np.concatenate(velocities),
+        mass=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        velocity_gradients=np.concatenate(gradients),
         material=np.concatenate(indices),
         materials=tuple(materials),
-        volume=scene.particle_volume,
+        volume=np.repeat(mass_particle_volumes(scene), counts),
+        depth=tops - everywhere[:, 1],
     )
 
 
-def lattice_counts(mass: Mass, share: float) -> list[int]:
-    """Points along each axis of `mass`, about `share` [m] apart.
+def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
+    """Particles along each axis of `mass`: the spacing nearest to `cell / particles_per_axis` that fits its size.
 
-    Every point weighs the same, so their number must stand for the volume of the mass: where the lengths are no
-    multiples of `share`, the longest axis makes good what rounding the others gained or lost.
+    Spacings of a mass differ by a factor of two at most where every side is at least a cell.
     """
-    counts = [max(1, round(length / share)) for length in mass.size]
-    longest = int(np.argmax(mass.size))
-    others = math.prod(counts) // counts[longest]
-    counts[longest] = max(1, round(math.prod(mass.size) / (share ** len(counts) * others)))
-    return counts
+    share = scene.domain.cell / scene.particles_per_axis
+    return [max(1, round(length / share)) for length in mass.size]
+
+
+def mass_counts(scene: Scene) -> list[int]:
+    """Particles of each mass, shape [masses]."""
+    return [math.prod(lattice_counts(scene, mass)) for mass in scene.masses]
 
 
 def particle_count(scene: Scene) -> int:
-    """How many points `initial_particles` makes."""
-    share = scene.domain.cell / scene.particles_per_axis
-    return sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
+    """How many particles `initial_particles` makes."""
+    return sum(mass_counts(scene))
+
+
+def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
+    """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
+
+    Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
+    """
+    known = [scene.particle_volume]
+    volumes = []
+    for mass, count in zip(scene.masses, mass_counts(scene), strict=True):
+        volume = math.prod(mass.size) / count
+        near = next((each for each in known if abs(volume - each) <= ROUNDING * each), None)
+        if near is None:
+            known.append(volume)
+        volumes.append(volume if near is None else near)
+    return np.array(volumes)
+
+
+def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
+    """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count].
+
+    Where a trajectory from elsewhere has other particles than `initial_particles` makes, each has the nominal volume of
+    the lattice, `scene.particle_volume`.
+    """
+    counts = mass_counts(scene)
+    if sum(counts) != count:
+        return np.full(count, scene.particle_volume)
+    return np.repeat(mass_particle_volumes(scene), counts)
+
+
+def warn_if_unresolved(scene: Scene) -> None:
+    """One UserWarning where a mass is thinner than a cell: which one, and the cell that would resolve it.
+
+    A mass that continues in another one of its material across its thin side is no thinner than the two together, and
+    a mass of a single particle is meant to be one.
+    """
+    cell = scene.domain.cell
+    thin = [
+        index
+        for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
+        if count > 1 and min(mass.size) < cell - TOLERANCE and not continues(scene, mass, int(np.argmin(mass.size)))
+    ]
+    if thin:
+        names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
+        thickness = min(min(scene.masses[index].size) for index in thin)
+        finest, coarsest = (thickness / cells for cells in reversed(RESOLVED))
+        warnings.warn(
+            f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid does not resolve it; "
+            f"a cell of {finest:.2g} to {coarsest:.2g} m would",
+            stacklevel=3,
+        )
+
+
+def continues(scene: Scene, mass: Mass, axis: int) -> bool:
+    """Whether a mass of the same material shares a face with `mass` across `axis`."""
+    for other in scene.masses:
+        gaps = [
+            max(low_b - (low_a + size_a), low_a - (low_b + size_b))
+            for low_a, size_a, low_b, size_b in zip(mass.lower, mass.size, other.lower, other.size, strict=True)
+        ]
+        beside = all(gap < -TOLERANCE for number, gap in enumerate(gaps) if number != axis)
+        if beside and abs(gaps[axis]) <= TOLERANCE and scene.material_of(other) == scene.material_of(mass):
+            return True
+    return False

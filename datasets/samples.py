@@ -1,18 +1,18 @@
 """Trajectories at a model's time step, read from disk as they are needed, and samples drawn from them."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import InputError
 from datasets.mapped import open_trajectory
-from datasets.particles import lattice_counts
+from datasets.particles import mass_counts, particle_volumes
 from datasets.scene import Scene
 from datasets.thinning import thin
 from datasets.trajectory import Floats, Trajectory
@@ -37,8 +37,8 @@ class Flow:
     """Cohesion of each point [Pa], shape [N]."""
     baffles: Floats
     """Lower and upper corner of each baffle [m], shape [K, 2, D]; K may be 0."""
-    volume: float
-    """Initial volume of one point [m^D]."""
+    volume: NDArray[np.float64]
+    """Initial volume of each point [m^D], shape [N]."""
     size: tuple[float, ...]
     """Extent of the domain [m], length D."""
     gravity: float
@@ -71,7 +71,7 @@ class Flow:
             friction=trajectory.friction,
             cohesion=point_cohesion(scene, len(trajectory.friction), name),
             baffles=corners(scene),
-            volume=scene.particle_volume,
+            volume=particle_volumes(scene, len(trajectory.friction)),
             size=scene.domain.size,
             gravity=scene.gravity,
             step=step,
@@ -87,15 +87,14 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
 
 
 def point_cohesion(scene: Scene, points: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.particles.initial_particles`, shape [points].
+    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.particles.initial_particles`; [points].
 
     Raises InputError where masses differ and the number of points is not theirs.
     """
     values = [scene.material_of(mass).cohesion for mass in scene.masses]
     if len(set(values)) == 1:
         return np.full(points, values[0], np.float32)
-    share = scene.domain.cell / scene.particles_per_axis
-    counts = [math.prod(lattice_counts(mass, share)) for mass in scene.masses]
+    counts = mass_counts(scene)
     if sum(counts) != points:
         message = f"expected the {sum(counts)} points of masses that differ in cohesion, got {points}"
         raise InputError(message, where=where, key="positions")

@@ -18,6 +18,8 @@ Vector = tuple[float, ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
+RELAXATION = 0.5
+"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +42,18 @@ class Mass(Strict):
     """Extent [m]."""
     velocity: Vector | None = None
     """Initial velocity [m/s]; at rest where absent."""
+    angular_velocity: float | Vector | None = None
+    """Initial angular velocity about the centre of the box [rad/s]: a number about z, positive from x to y, or in 3D a
+    vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
     """Its own material; the scene's where absent."""
+
+    @property
+    def spin(self) -> NDArray[np.float64]:
+        """Initial velocity gradient W [1/s], shape [D, D]: W r = omega x r."""
+        given = self.angular_velocity or 0.0
+        x, y, z = (0.0, 0.0, given) if isinstance(given, float | int) else given
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[: len(self.size), : len(self.size)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +92,10 @@ class Scene(Strict):
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays; 0: lost in every step."""
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays (`mpm.transfer`).
+
+    Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
+    """
     volume_correction: bool = False
     """Whether sand that has come apart closes its gaps before it bears anything again (Tampubolon et al. 2017)."""
     step_fraction: float = 0.4
@@ -102,10 +117,10 @@ class Scene(Strict):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]."""
+        """The relaxation time [s]: as given, or in proportion to the time of a fall through a cell; inf in free space."""
         if self.relaxation_time is not None:
             return self.relaxation_time
-        return 2.0 * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
+        return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
 
     @property
     def frames(self) -> int:
@@ -114,7 +129,7 @@ class Scene(Strict):
 
     @property
     def particle_volume(self) -> float:
-        """Initial volume of one material point [m^D]."""
+        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
         return (self.domain.cell / self.particles_per_axis) ** self.dimension
 
     @property
@@ -180,6 +195,8 @@ def check(scene: Scene) -> None:
     require(scene.wall_friction >= 0.0, "wall_friction", "a coefficient of at least 0", scene.wall_friction)
     require(scene.baffle_friction >= 0.0, "baffle_friction", "a coefficient of at least 0", scene.baffle_friction)
     require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
+    relaxation = scene.relaxation_time
+    require(relaxation is None or relaxation >= 0.0, "relaxation_time", "a time of at least 0 s", relaxation)
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
     require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
@@ -206,6 +223,15 @@ def check(scene: Scene) -> None:
                 f"masses[{index}].velocity",
                 f"{dimension} finite components in m/s",
                 list(mass.velocity),
+            )
+        if mass.angular_velocity is not None:
+            turn = mass.angular_velocity
+            parts = turn if isinstance(turn, tuple) else (turn,)
+            require(
+                len(parts) in {2: (1,), 3: (1, 3)}[dimension] and all(map(math.isfinite, parts)),
+                f"masses[{index}].angular_velocity",
+                "a finite number in rad/s, in 3D that or 3 components",
+                list(parts),
             )
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))

@@ -17,13 +17,18 @@ class Thinned:
 
 
 def thin(
-    positions: NDArray[np.floating], volume: float, *, cell: float, kept: int, rng: np.random.Generator
+    positions: NDArray[np.floating],
+    volume: float | NDArray[np.floating],
+    *,
+    cell: float,
+    kept: int,
+    rng: np.random.Generator,
 ) -> Thinned:
     """Keep at random `kept` points of each cell.
 
-    positions: initial positions [m], shape [N, D]; volume: of one point [m^D]; cell: edge of a cell [m].
-    The points of a cell (all of them where it holds no more than `kept`) share its volume equally. Two draws
-    from `rng` keep different points of the same flow: that is the augmentation of the training data.
+    positions: initial positions [m], shape [N, D]; volume: of the points [m^D], one for all or shape [N];
+    cell: edge of a cell [m]. The points of a cell (all of them where it holds no more than `kept`) share its volume
+    equally. Two draws from `rng` keep different points of the same flow: that is the augmentation of the training data.
     """
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
@@ -32,7 +37,11 @@ def thin(
     order = shuffled[np.argsort(group[shuffled], kind="stable")]
     _, first, count = np.unique(group[order], return_index=True, return_counts=True)
     rank = np.arange(len(order)) - np.repeat(first, count)
-    shared = np.repeat(count / np.minimum(count, kept), count) * volume
+    each = np.broadcast_to(np.asarray(volume, np.float64), len(group))[order]
+    if len(each) and (each == each[0]).all():
+        shared = np.repeat(count / np.minimum(count, kept), count) * each
+    else:
+        shared = np.repeat(np.add.reduceat(each, first) / np.minimum(count, kept), count)
     stays = rank < kept
     ascending = np.argsort(order[stays])
     return Thinned(indices=order[stays][ascending], volumes=shared[stays][ascending].astype(np.float32))

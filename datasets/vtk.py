@@ -44,7 +44,7 @@ class Meshes:
         """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
         trajectory = self.trajectory
         if trajectory.time[0] > 0.0:
-            known = initial_particles(trajectory.scene).positions
+            known: NDArray[np.float64] = initial_particles(trajectory.scene).positions
             if known.shape == trajectory.positions[0].shape:
                 return known
         return np.asarray(trajectory.positions[0], np.float64)

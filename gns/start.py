@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.particles import initial_particles
+from datasets.particles import initial_particles, particle_volumes
 from datasets.samples import corners, frames_per_step, point_cohesion
 from datasets.scene import Scene
 from datasets.thinning import thin
@@ -103,7 +103,8 @@ def _problem(
 ) -> InitialValueProblem:
     check(scene, settings)
     cohesion = point_cohesion(scene, len(friction), "")
-    thinned = thin(frames[0], scene.particle_volume, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
+    volumes = particle_volumes(scene, len(friction))
+    thinned = thin(frames[0], volumes, cell=settings.cell, kept=settings.points_per_cell, rng=rng)
     known, velocity0 = frames[:, thinned.indices], velocity0[thinned.indices]
     return InitialValueProblem(
         state=State.observed(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.particles import lattice_counts
+from datasets.particles import mass_counts
 from datasets.scene import Baffle, Mass, Scene
 from gns.score import START
 from gns.start import InitialValueProblem
@@ -48,8 +48,7 @@ class Launch:
     @staticmethod
     def of(flow: InitialValueProblem, scene: Scene, *, step: float, dtype: torch.dtype) -> "Launch":
         """The launch of `flow` in the precision of the model; `scene` says which points are of which mass."""
-        share = scene.domain.cell / scene.particles_per_axis
-        counts = [math.prod(lattice_counts(mass, share)) for mass in scene.masses]
+        counts = mass_counts(scene)
         if flow.indices.max() >= sum(counts):
             raise InputError(f"expected the {sum(counts)} points of the scene's masses, there are more")
         owner = np.repeat(np.arange(len(counts)), counts)[flow.indices]

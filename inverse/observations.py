@@ -15,6 +15,7 @@ from scipy.special import betainc
 from torch import Tensor
 
 from datasets import measures
+from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from inverse.problem import Observable, ObservationSettings
 
@@ -95,12 +96,14 @@ class Profile(Observation):
 
     def __init__(self, scene: Scene, spacing: float) -> None:
         self.stations = measures.profile_stations(scene, spacing)
-        self.volume = sum(math.prod(mass.size) for mass in scene.masses)
+        self.scene, self.volume = scene, sum(math.prod(mass.size) for mass in scene.masses)
         self.width = math.prod(scene.domain.size[2:])
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
-        share = self.volume / (len(positions) * self.width)
+        volumes = particle_volumes(self.scene, len(positions))
+        # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
+        share = volumes * (self.volume / (volumes.sum() * self.width))
         return measures.height_profile(positions, share, self.stations)
 
     def of_heights(self, heights: Values) -> Values:
@@ -203,11 +206,12 @@ class Passed(Observation):
 
     unit = ""
 
-    def __init__(self, line: float, width: float) -> None:
-        self.line, self.width = line, width
+    def __init__(self, scene: Scene, line: float, width: float) -> None:
+        self.scene, self.line, self.width = scene, line, width
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
-        return np.array([np.mean(positions[:, 0].astype(np.float64) > self.line)])
+        volumes = particle_volumes(self.scene, len(positions))
+        return np.array([np.average(positions[:, 0].astype(np.float64) > self.line, weights=volumes)])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         share = volumes.double() / volumes.double().sum()
@@ -235,7 +239,7 @@ def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:
 
 def _passed(settings: ObservationSettings, scene: Scene) -> Observation:
     assert settings.line is not None, "a problem has been checked"
-    return Passed(settings.line, settings.width or scene.domain.cell)
+    return Passed(scene, settings.line, settings.width or scene.domain.cell)
 
 
 _BUILDERS: dict[Observable, Callable[[ObservationSettings, Scene], Observation]] = {

@@ -5,9 +5,9 @@ happens in steps of a cell and the flow is a continuous function of where the ba
 
 1. A particle that would come inside is held at the nearest face: it loses its velocity v_n into the face, and friction
    takes at most mu v_n of its velocity along it (Bardenhagen et al. 2000, eq. 18, for a particle in place of a node).
-2. A particle within LAYER of a face that moves towards it keeps its length along the normal n: of its velocity gradient,
-   n . C n = 0. The nodes inside the baffle carry no material of their own; they hurry ahead, and a gradient recorded_impulse from
-   them would stretch the layer at the face until it bears nothing, and the material would sink in.
+2. A particle within LAYER of a face that moves towards it keeps its length along the normal n: of its velocity
+   gradient, n . C n = 0. The nodes inside the baffle carry no material of their own; they hurry ahead, and a gradient
+   taken from them would stretch the layer at the face until it bears nothing, and the material would sink in.
 
 The momentum that leaves the material by 1 is what the baffle takes: its rate is the impact force. Material on either
 side of a baffle meets on the same nodes where it is thinner than three cells.

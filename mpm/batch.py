@@ -57,7 +57,7 @@ class Batch:
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
-        self.properties = np.array([properties_row(particles.materials[0]) for particles in self.particles], real)
+        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
@@ -130,11 +130,10 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if features.heterogeneous:
-            put(
-                features.properties,
-                np.array([properties_row(material) for material in particles.materials])[particles.material],
-            )
+            properties = properties_of(particles)
+            put(features.properties, properties[:, : features.columns])
         if features.rests:
             put(features.before, particles.velocities)
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
@@ -142,9 +141,10 @@ class Batch:
         self.order[first : first + len(source)] = source
         if self.recording.every > 0:
             self.store(index, 0)
-        mass = masses(particles)
+        mass = particles.density * particles.volume
         energies = self.energies(index)
-        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * np.sum(particles.velocities**2, axis=1))
+        affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
+        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def store(self, index: int, slot: int) -> None:
@@ -297,10 +297,16 @@ def features_of(
         precision=precision,
         relaxed=any(scene.relaxation > 0.0 for scene in scenes),
         damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(material.cohesion > 0.0 for material in materials),
+        cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
+        softens=any(material.softening_length is not None for material in materials),
         corrected=any(scene.volume_correction for scene in scenes),
-        heterogeneous=any(len(each.materials) > 1 for each in particles),
+        heterogeneous=any(
+            len(each.materials) > 1
+            or each.common_volume is None
+            or any(material.strength_gradient > 0.0 for material in each.materials)
+            for each in particles
+        ),
         baffles=any(scene.baffles for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
@@ -333,11 +339,10 @@ def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
 
 def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
-    weight = float(masses(particles).sum()) * scene.gravity
+    weight = float((particles.density * particles.volume).sum()) * scene.gravity
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
-        Setting.VOLUME: particles.volume,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
@@ -346,23 +351,22 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.volume_correction),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
-        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else 0.0,
+        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
     }
     return [values[column] for column in Setting]
 
 
-def masses(particles: Particles) -> NDArray[np.float64]:
-    """Mass of each particle [kg, per metre of width in 2D], shape [N]."""
-    density = np.array([material.density for material in particles.materials])
-    return np.asarray(density[particles.material] * particles.volume)
+def properties_row(material: Material, volume: float) -> list[float]:
+    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
 
-
-def properties_row(material: Material) -> list[float]:
-    """One line of `properties`, in the order of `Property`."""
+    Of a material whose strength grows with depth, that at its top.
+    """
     friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
+    residual = material.residual
     values = {
+        Property.VOLUME: volume,
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
         Property.SHEAR: material.shear_modulus,
@@ -372,5 +376,33 @@ def properties_row(material: Material) -> list[float]:
         Property.LIMIT: material.tension_limit,
         Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
         Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_LIMIT: residual.tension_limit,
+        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
     }
     return [values[column] for column in Property]
+
+
+def properties_of(particles: Particles) -> Array:
+    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
+    rows = np.empty((len(particles.material), len(Property)))
+    for index, material in enumerate(particles.materials):
+        here = particles.material == index
+        rows[here] = properties_at(material, particles.depth[here])
+    rows[:, Property.VOLUME] = particles.volume
+    return rows
+
+
+def properties_at(material: Material, depth: Array) -> Array:
+    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
+    rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
+    for state, strength, limit in (
+        (material, Property.STRENGTH, Property.LIMIT),
+        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
+    ):
+        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
+        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
+        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
+        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
+    return rows

@@ -1,9 +1,10 @@
 """The kernel: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
 
 Many scenes: a scene runs on one thread from the first step of a launch to the last: no atomics, no barriers, and the
-result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles and
-its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A launch
-costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other inside it.
+result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles
+and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A
+launch costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
+inside it.
 """
 
 from collections.abc import Callable
@@ -93,8 +94,8 @@ def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
     It takes the arrays of `mpm.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
-    record the frames [first, last). The others are parts of a frame, each on as many threads as there are particles, for a
-    GPU: see `mpm.device`.
+    record the frames [first, last). The others are parts of a frame, each on as many threads as there are particles,
+    for a GPU: see `mpm.device`.
     """
     real = ti.f32 if features.precision == "f32" else ti.f64
     numbers = ti.types.ndarray(dtype=real, ndim=1)
@@ -200,7 +201,8 @@ def kernel(features: Features) -> Callable[..., None]:
                 dt = step_control[scene, StepControl.DT]
                 if dt > 0.0:
                     at = workers[scene, Worker.NODE]
-                    move_block(scene, at, scene, block, block * features.scratch, dt, kept_of(scene, dt, arrays), rows_of(scene, arrays), arrays)
+                    kept, rows = kept_of(scene, dt, arrays), rows_of(scene, arrays)
+                    move_block(scene, at, scene, block, block * features.scratch, dt, kept, rows, arrays)
         if ti.static(phase == Phase.RECORD):
             for block in range(owner.shape[0]):
                 if step_control[owner[block], StepControl.STEPS] > 0.0:

@@ -30,7 +30,6 @@ class Setting(Column):
 
     CELL = auto()  # [m]
     FRAME_DT = auto()  # [s]
-    VOLUME = auto()  # of a particle [m^D]
     GRAVITY_X = auto()  # [m/s^2]
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
@@ -45,8 +44,9 @@ class Setting(Column):
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where a scene has heterogeneous."""
+    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where scenes are heterogeneous."""
 
+    VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
     SHEAR = auto()  # [Pa]
@@ -56,6 +56,10 @@ class Property(Column):
     LIMIT = auto()  # largest tensile stress [Pa]
     ELASTIC_DEVIATOR = auto()  # (1 + nu) / (2 E) [1/Pa]
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
+    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
+    RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
+    RESIDUAL_LIMIT = auto()  # [Pa]
+    SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
 
 
 class Offset(Column):
@@ -128,10 +132,12 @@ class Features:
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
+    softens: bool = False
+    """Strength and dilation fall with plastic strain, which is then part of the state."""
     corrected: bool = False
     """A particle remembers the gap to its neighbours: volume correction."""
     heterogeneous: bool = False
-    """Materials in one scene."""
+    """A scene has several materials, or particles of several volumes."""
     baffles: bool = False
     velocity_recorded: bool = False
     stress_recorded: bool = False
@@ -182,13 +188,18 @@ class Features:
 
     @property
     def plastic_strain(self) -> int:
-        """Vector of the plastic strain, where it is recorded."""
+        """Vector of the plastic strain, where `strained`."""
         return self.stress + self.stresses
 
     @property
+    def strained(self) -> bool:
+        """Plastic strain is accumulated."""
+        return self.strain_recorded or self.softens
+
+    @property
     def gap(self) -> int:
-        """Vector of the mean stress that the strain beyond the apex would have made [Pa], where `corrected`."""
-        return self.plastic_strain + int(self.strain_recorded)
+        """Vector of the mean stress that what opened would have made [Pa], where `corrected`."""
+        return self.plastic_strain + int(self.strained)
 
     @property
     def properties(self) -> int:
@@ -198,7 +209,7 @@ class Features:
     @property
     def remainder(self) -> int:
         """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
-        return self.properties + (len(Property) if self.heterogeneous else 0)
+        return self.properties + (self.columns if self.heterogeneous else 0)
 
     @property
     def before(self) -> int:
@@ -209,6 +220,11 @@ class Features:
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
         return self.before + (self.dimension if self.rests else 0)
+
+    @property
+    def columns(self) -> int:
+        """How many of the columns of `Property` a particle of its own material carries."""
+        return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
 
     @property
     def block(self) -> int:
@@ -253,6 +269,11 @@ class Features:
     def node(self) -> int:
         """Numbers in a node: a short vector, a power of two long."""
         return 8 if self.forces else 4
+
+    @property
+    def used(self) -> int:
+        """Numbers of a node that mean something; the others stay zero."""
+        return self.dimension + 1 + (self.dimension if self.forces else 0)
 
     @property
     def force(self) -> int:

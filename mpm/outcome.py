@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
-from mpm.batch import Batch, masses
+from mpm.batch import Batch
 from mpm.failure import explain
 from mpm.layout import Offset, Worker
 from mpm.runtime import Arch
@@ -34,7 +34,7 @@ def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
     if batch.features.stress_recorded and "pressure" in record.fields:
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
     if "density" in record.fields:
-        fields["density"] = density(positions, masses(particles), scene)
+        fields["density"] = density(positions, particles.density * particles.volume, scene)
     return fields
 
 

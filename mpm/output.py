@@ -87,7 +87,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
     unbalanced force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
     """
     features = arrays.features
-    volume, dx = arrays.settings[scene, Setting.VOLUME], arrays.settings[scene, Setting.CELL]
+    volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present

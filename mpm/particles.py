@@ -5,7 +5,9 @@ import taichi as ti
 from mpm.baffles import particles_against_baffles
 from mpm.lanes import add, between, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
-from mpm.stress import plastic_return, trial_stress
+from mpm.mohr_coulomb import softened
+from mpm.strain import midpoint_increment
+from mpm.stress import stress_step
 from mpm.transfer import grid_to_block, property_of
 
 
@@ -33,7 +35,7 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 
 @ti.func
 def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
-    """Bring the particles of a block from the velocities of the nodes from `grid` on to their new places and stresses."""
+    """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, dt, arrays)
@@ -61,7 +63,7 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
     if ti.static(features.baffles):
         density = property_of(scene, block, Property.DENSITY, arrays)
         present = arrays.state[block * features.block + features.present]
-        mass = arrays.settings[scene, Setting.VOLUME] * density * present
+        mass = property_of(scene, block, Property.VOLUME, arrays) * density * present
         particles_against_baffles(block, mass, worker, scene, arrays)
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
@@ -77,10 +79,34 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
 
 @ti.func
 def update_stress(scene, block, dt, arrays: ti.template()):
-    """Stress, and plastic strain where it is recorded, of a block after its new velocity gradient."""
+    """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
+
+    Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
+    """
     features = arrays.features
     first = block * features.block
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    increment = midpoint_increment(gradient, features.dimension)
+    opened = 0.0 * stress[0]
+    if ti.static(features.corrected):
+        opened = arrays.state[first + features.gap]
+    new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    for k in ti.static(range(features.stresses)):
+        arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.corrected):
+        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
+    if ti.static(features.strained):
+        at = first + features.plastic_strain
+        arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def strength_of(scene, block, arrays: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+    features = arrays.features
     sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
     # Zeros known to the compiler where the scene has no dilation and no cohesion.
     sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
@@ -89,21 +115,14 @@ def update_stress(scene, block, dt, arrays: ti.template()):
     if ti.static(features.cohesive):
         strength = property_of(scene, block, Property.STRENGTH, arrays)
         limit = property_of(scene, block, Property.LIMIT, arrays)
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    gradient = [
-        dt * arrays.state[first + features.affine + k]
-        for k in ti.static(range(features.dimension * features.dimension))
-    ]
-    if ti.static(features.corrected):
-        # Volume correction (Tampubolon et al. 2017): what opened a gap must be recorded_impulse back before anything bears again.
-        for k in ti.static(range(3)):
-            stress[k] = stress[k] + arrays.state[first + features.gap]
-    trial = trial_stress(stress, gradient, lame, shear, features.dimension)
-    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
-    for k in ti.static(range(features.stresses)):
-        arrays.state[first + features.stress + k] = new[k]
-    if ti.static(features.corrected):
-        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
-    if ti.static(features.strain_recorded):
-        at = first + features.plastic_strain
-        arrays.state[at] = arrays.state[at] + new[features.stresses]
+    if ti.static(features.softens):
+        residual = (
+            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
+            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
+            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
+        )
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        return softened(strain, per_strain, (sin_phi, sin_psi, strength, limit), residual, features)
+    else:
+        return sin_phi, sin_psi, strength, limit

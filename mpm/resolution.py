@@ -1,14 +1,15 @@
 """How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
 
-The error is that of one run at a resolution against a run on a quarter of the scene's cell: of the front (the x that
-99.5 % of the particles are behind) or of the profile (the rms distance along x of equal shares of the two deposits),
-whichever is larger, over the reach: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. It is a root mean square over jitter seeds and over the scenes that were
-measured, so what to expect, not a bound. It covers the grid, the step and the chance of a jitter, not whether the
-material is right.
+The error is that of one run at a resolution against a run on a much finer grid: of the front (the x that 99.5 % of the
+particles are behind) or of the profile (the rms distance along x of equal shares of the two deposits), whichever is
+larger, over the reach: from the rear of the masses at the start to the front, which is the runout distance of a column
+at the left wall. The promise is that at least nine of ten scenes like those measured keep within the tolerance: columns
+and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not
+whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
-(docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`).
+(docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`; docs/tolerance.md, which
+tries the promise on other scenes).
 """
 
 import dataclasses
@@ -18,13 +19,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.errors import InputError
-from datasets.particles import lattice_counts
+from datasets.particles import particle_count
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
 from datasets.strict import Strict, from_mapping, read_toml
 from mpm.batch import substeps_per_frame
 from mpm.layout import Precision
 
 MEASURED = Path(__file__).with_suffix(".toml")
+COVERAGE = 0.9
+"""Share of scenes that a tolerance holds for."""
 ROUNDING = 1.0e-9
 """Slack, in cells, where a whole number of them is counted."""
 
@@ -44,17 +47,17 @@ class Resolution(Strict):
 
 @dataclass(frozen=True, kw_only=True)
 class Measured(Strict):
-    """What a resolution was worth and cost, over the scenes of one dimension."""
+    """Error and cost of a resolution, over the scenes of one dimension."""
 
     dimension: int
     """2 or 3."""
     resolution: Resolution
-    error: float
-    """Root mean square over the scenes, each as a fraction of its reach [-]."""
-    worst: float
-    """Of the worst scene [-]."""
-    seconds: float
-    """Of a run alone on one thread, mean over the scenes [s]."""
+    expected: float
+    """Root mean square of the errors over scenes and jitters, each as a fraction of its reach [-]."""
+    promised: float
+    """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
+    particle_steps: float
+    """Mean over the scenes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,21 +73,22 @@ class Resolved:
 
     scene: Scene
     precision: Precision
-    error: float
-    """Expected, as a fraction of the reach [-]: what was measured at this resolution."""
-    worst: float
-    """The same of the worst scene that was measured [-]."""
+    expected: float
+    """Root mean square error of the scenes that were measured at this resolution, over the reach [-]."""
+    promised: float
+    """What at least COVERAGE of scenes stay within, over the reach [-]."""
     cells: float
     """Cells across the characteristic length [-]."""
     cost: float
-    """Point-steps over those of the scene as it was given [-]."""
+    """Particle-steps over those of the scene as it was given [-]."""
 
     def __str__(self) -> str:
         scene = self.scene
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
             f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, {self.precision}: "
-            f"an error of {100 * self.error:.2g} % expected ({100 * self.worst:.2g} % in the worst scene measured), "
+            f"an error within {100 * self.promised:.2g} % in nine of ten scenes like those measured "
+            f"({100 * self.expected:.2g} % rms), "
             f"{self.cost:.3g} times the scene's own particle-steps"
         )
 
@@ -109,7 +113,7 @@ def read_tolerance(text: str) -> float:
 
 
 def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None = None) -> Resolved:
-    """`scene` at the cheapest resolution whose measured error is within `tolerance`, a fraction of the reach.
+    """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the reach.
 
     Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
     what ships. Raises InputError for a tolerance below the best that was measured.
@@ -123,13 +127,13 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
             f"got {100 * tolerance:.3g}%",
             key="--tolerance",
         )
-    best_fit = min(fit, key=lambda each: each.seconds)
+    best_fit = min(fit, key=lambda each: each.particle_steps)
     finer = at(scene, best_fit.resolution)
     return Resolved(
         scene=finer,
         precision=best_fit.resolution.precision,
-        error=best_fit.error,
-        worst=best_fit.worst,
+        expected=best_fit.expected,
+        promised=best_fit.promised,
         cells=characteristic_length(scene) / finer.domain.cell,
         cost=particle_steps(finer) / particle_steps(scene),
     )
@@ -141,9 +145,9 @@ def supported(each: Measured, known: Sequence[Measured], tolerance: float) -> bo
 
 
 def tightest(each: Measured, known: Sequence[Measured]) -> float:
-    """The largest error on this and all finer grids of `known` that differ from it in nothing else."""
+    """The largest promise on this and all finer grids of `known` that differ from it in nothing else."""
     return max(
-        other.error
+        other.promised
         for other in known
         if other.resolution.cells >= each.resolution.cells
         and dataclasses.replace(other.resolution, cells=each.resolution.cells) == each.resolution
@@ -207,7 +211,5 @@ def touch(a: Mass, b: Mass) -> bool:
 
 def particle_steps(scene: Scene) -> int:
     """Particles times steps of a run of `scene`, where no flow is so fast that it needs more steps."""
-    share = scene.domain.cell / scene.particles_per_axis
-    particles = sum(math.prod(lattice_counts(mass, share)) for mass in scene.masses)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
-    return particles * substeps * (scene.frames - 1)
+    return particle_count(scene) * substeps * (scene.frames - 1)

@@ -7,6 +7,7 @@ from typing import TypedDict, Unpack
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
+from datasets.particles import warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
@@ -122,6 +123,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
     of their summaries are those of all scenes together.
     """
+    for scene in scenes:
+        warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), recording(options)
     precision, until_rest = options.get("precision", "f32"), options.get("until_rest", False)
     runtime.start(precision, options.get("threads"), arch)

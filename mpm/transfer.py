@@ -1,20 +1,24 @@
 """The two transfers of MLS-MPM: particles to grid, grid to particles.
 
-With w_ip the quadratic B-spline weight of node i at particle p, x_ip = x_i - x_p, V0 the particle's initial volume and dx the
-cell (Hu et al. 2018; APIC: Jiang et al. 2015):
+With w_ip the quadratic B-spline weight of node i at particle p, x_ip = x_i - x_p, V0 the particle's initial volume and
+dx the cell (Hu et al. 2018; APIC: Jiang et al. 2015; AFLIP: Fei et al. 2021, eqs. 4 and 5):
 
     m_i     = sum_p w_ip m_p
-    (m v)_i = sum_p w_ip (m_p v_p + m_p C_p x_ip) + dt f_i
+    (m v)_i = sum_p w_ip m_p (v_p + C_p x_ip)
     f_i     = -sum_p w_ip V0 (4 / dx^2) sigma_p x_ip                     (Hu et al. 2018, eq. 16)
-    v_p     = sum_i w_ip v_i
-    C_p     = (4 / dx^2) sum_i w_ip v_i x_ip^T
-    x_p     = x_p + dt v_p
+    v_i*    = v_i + dt (g + f_i / m_i), then the boundaries              (`mpm.grid`)
+    v_p     = sum_i w_ip v_i* + kappa (v_p - sum_i w_ip v_i),   kappa = exp(-dt / tau)
+    C_p     = (4 / dx^2) sum_i w_ip v_i* x_ip^T
+    x_p     = x_p + dt sum_i w_ip v_i*
 
-Where a scene is damped, f_i stays apart from the momentum: the damping needs it (`mpm.grid`).
+What the grid cannot represent of a particle's velocity decays with the relaxation time tau, a time of the scene and not
+of the step. APIC is tau = 0: it loses that part in every step, so that a shorter step or a stiffer sand, which needs
+shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i; where
+tau = 0 and no local damping asks for it, dt f_i is added to the momentum at once and a node is half as long.
 
 Everything that belongs to a particle is computed for a block of particles at once, in vectors of lanes, and left in
-`scratch`; then particle by particle meets node by node, where a node (momentum, mass, force) is one short vector. What a
-particle gives to a node is linear in the node's place: its value at the lowest node, and one slope per axis.
+`scratch`; then particle by particle meets node by node, where a node (momentum, mass, force) is one short vector. What
+a particle gives to a node is linear in the node's position: its value at the lowest node, and one slope per axis.
 """
 
 import taichi as ti
@@ -31,7 +35,7 @@ def spline(f):
 
 @ti.func
 def property_of(scene, block, column: ti.template(), arrays: ti.template()):
-    """A material property: one number per scene, or one per lane where the scene has several materials."""
+    """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
         return arrays.state[block * features.block + features.properties + column]
@@ -58,7 +62,10 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
     features = arrays.features
     first = scratch + features.stencil + group * features.node
     return ti.Vector(
-        [arrays.scratch_lanes[(first + k) * features.lanes + lane] for k in ti.static(range(features.node))]
+        [
+            arrays.scratch_lanes[(first + k) * features.lanes + lane] if k < features.used else 0.0
+            for k in ti.static(range(features.node))
+        ]
     )
 
 
@@ -112,7 +119,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     features = arrays.features
     first = block * features.block
     dx = arrays.settings[scene, Setting.CELL]
-    per_dx, volume = 1.0 / dx, arrays.settings[scene, Setting.VOLUME]
+    per_dx, volume = 1.0 / dx, property_of(scene, block, Property.VOLUME, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
     place = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     low = [ti.floor(p - 0.5) for p in ti.static(place)]

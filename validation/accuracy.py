@@ -7,7 +7,7 @@ from typing import Literal
 from datasets.command_line import run
 from datasets.files import write_text
 from mpm.resolution import MEASURED
-from validation import accuracy_report, bodies, studies
+from validation import accuracy_report, studies
 
 
 def command(
@@ -15,12 +15,12 @@ def command(
     /,
     *,
     out: Path,
-    seeds: int = 3,
     keep: Path = Path("runs/accuracy"),
     dimension: Literal[2, 3] | None = None,
     ship: bool = False,
+    quick: bool = False,
 ) -> None:
-    """Error and price of the MPM over cell, points per cell, step and precision, against a quarter of the cell.
+    """Error and cost of the MPM over cell, step and particles per cell, against a much finer grid.
 
     Parameters
     ----------
@@ -28,21 +28,19 @@ def command(
         Whose accuracy.
     out
         Folder for accuracy.md, its pictures and resolution.toml.
-    seeds
-        Jitters of each run.
     keep
         Folder for the deposits; what is there is not run again.
     dimension
         2 or 3: only the scenes of this dimension; both by default.
     ship
         Put resolution.toml where --tolerance reads it, not into the folder.
+    quick
+        A few coarse runs, to try the command; their figures mean nothing.
     """
-    findings = [
-        studies.carry_out(study, seeds, keep) for study in studies.STUDIES if dimension in (None, study.dimension)
-    ]
-    spreads = bodies.compare(keep) if dimension != 3 else []
+    tried = studies.quick() if quick else studies.full()
+    findings = [studies.carry_out(study, keep) for study in tried if dimension in (None, study.dimension)]
     measured = studies.measured(findings)
-    accuracy_report.write(out, findings, spreads, measured, seeds)
+    accuracy_report.write(out, findings, measured)
     write_text(MEASURED if ship else out / MEASURED.name, accuracy_report.toml(measured))
 
 

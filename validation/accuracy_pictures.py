@@ -1,8 +1,7 @@
-"""Pictures of error against price, and of each scene's front over the cells."""
+"""Pictures of error against cost, and of each scene's front over the cells."""
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -11,154 +10,116 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
-from matplotlib.lines import Line2D
 
 from datasets import files
+from validation.flows import OWN_STEP
 from validation.scores import Outcome
-from validation.studies import POINTS, STEPS, Findings, worth
+from validation.studies import OWN_PARTICLES, Findings, own
 
-MARKERS = {1: "^", 2: "o", 3: "s"}
-"""By points per axis."""
-SIZES = dict(zip(STEPS, (70.0, 34.0, 14.0), strict=True))
-"""By step: a long step is a large mark."""
 INK = "#222222"
-LINES = dict(zip(STEPS, ("#1b6ca8", "#d95f02", "#7a9a01"), strict=True))
+LINES = ("#1b6ca8", "#d95f02", "#7a9a01", "#7570b3", "#c2408a")
+STYLES = ("o-", "s--", "^:")
+COLUMNS = 5
+"""Panels in a row."""
 
 
-def draw_front(path: Path, findings: Sequence[Findings]) -> None:
-    """Error against seconds, a panel per dimension, with the line of what is worth its price."""
+def draw_cost(path: Path, findings: Sequence[Findings]) -> None:
+    """Error against particle-steps, a panel per dimension: each scene, their rms, the promise."""
     figure, axes = plt.subplots(
-        1, len(findings), figsize=(6.2 * len(findings), 5.4), layout="constrained", squeeze=False
+        1, len(findings), figsize=(6.2 * len(findings), 5.0), layout="constrained", squeeze=False
     )
     for axis, each in zip(axes[0], findings, strict=True):
-        cells = sorted({outcome.resolution.cells for outcome in each.outcomes})
-        between = [math.sqrt(a * b) for a, b in pairwise(cells)]
-        edges = [cells[0] ** 2 / between[0], *between, cells[-1] ** 2 / between[-1]]
-        norm = BoundaryNorm(edges, 256)
-        for points in POINTS:
-            for step in STEPS:
-                some = [
-                    outcome
-                    for outcome in each.outcomes
-                    if (outcome.resolution.particles_per_axis, outcome.resolution.step_fraction) == (points, step)
-                    and outcome.resolution.precision == "f32"
-                ]
-                marks = axis.scatter(
-                    [outcome.seconds for outcome in some],
-                    [100.0 * outcome.error for outcome in some],
-                    s=SIZES[step],
-                    c=[outcome.resolution.cells for outcome in some],
-                    marker=MARKERS[points],
-                    cmap="viridis_r",
-                    norm=norm,
-                    edgecolors="white",
-                    linewidths=0.5,
-                    zorder=3,
-                )
-        double = [outcome for outcome in each.outcomes if outcome.resolution.precision == "f64"]
-        axis.scatter(
-            [outcome.seconds for outcome in double],
-            [100.0 * outcome.error for outcome in double],
-            s=SIZES[STEPS[0]],
-            facecolors="none",
-            edgecolors=INK,
-            linewidths=0.8,
-            zorder=2,
-        )
-        draw_worth(axis, worth(each.outcomes))
-        bar = figure.colorbar(marks, ax=axis, ticks=cells, pad=0.02, aspect=40, spacing="uniform")
-        bar.ax.minorticks_off()
-        bar.ax.set_yticklabels([f"{number:g}" for number in cells])
-        bar.set_label("cells across the smallest side", fontsize=8)
-        bar.ax.tick_params(labelsize=7)
+        main = [each.at(own(cells)) for cells in each.study.cells]
+        steps = [outcome.particle_steps for outcome in main]
+        for name in each.study.scenes:
+            errors = [100.0 * outcome.scores[name].error for outcome in main]
+            axis.plot(steps, errors, color="#b8c4d0", linewidth=0.8)
+        axis.plot(steps, [100.0 * outcome.error for outcome in main], "o-", color=LINES[0], label="rms over the scenes")
+        promised = [100.0 * each.promised(outcome.resolution) for outcome in main]
+        axis.plot(steps, promised, "s-", color=LINES[1], label="promised: nine of ten scenes")
+        for outcome, x, y in zip(main, steps, promised, strict=True):
+            label = f"{outcome.resolution.cells:g} cells"
+            axis.annotate(label, (x, y), xytext=(3, 4), textcoords="offset points", fontsize=7)
+        others = [outcome for outcome in each.outcomes if outcome not in main]
+        for outcome in others:
+            what = outcome.resolution
+            label = f"step {what.step_fraction:g}" if what.step_fraction != OWN_STEP else ""
+            label += f"{what.particles_per_axis} per axis" if what.particles_per_axis != OWN_PARTICLES else ""
+            axis.plot(outcome.particle_steps, 100.0 * outcome.error, "x", color=LINES[2])
+            axis.annotate(
+                label,
+                (outcome.particle_steps, 100.0 * outcome.error),
+                xytext=(4, -8),
+                textcoords="offset points",
+                fontsize=7,
+            )
+        percents(axis)
         axis.set_xscale("log")
-        axis.set_yscale("log")
-        percents = [1, 2, 3, 5, 10, 20, 30, 50]
-        axis.set_yticks(percents, [f"{number} %" for number in percents])
-        axis.minorticks_off()
-        lowest, highest = (100.0 * pick(outcome.error for outcome in each.outcomes) for pick in (min, max))
-        axis.set_ylim(lowest / 1.4, highest * 1.3)
-        axis.grid(color="#e6e6e6", linewidth=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.set_title(each.study.title, loc="left", fontsize=10)
-        axis.set_xlabel("seconds of a run, one thread")
-    axes[0, 0].set_ylabel("error over the reach, rms over the scenes")
-    figure.legend(handles=legend(), loc="outside lower center", ncols=8, fontsize=8, frameon=False)
+        plain(axis)
+        axis.set_title(f"{each.study.dimension}D, grey: each scene", loc="left", fontsize=10)
+        axis.set_xlabel("particle-steps of a run, mean over the scenes")
+        axis.legend(fontsize=8, frameon=False)
+    axes[0, 0].set_ylabel("error over the reach")
     with files.replacing(path) as part:
         figure.savefig(part, dpi=140)
     plt.close(figure)
 
 
-def draw_worth(axis: Axes, front: Sequence[Outcome]) -> None:
-    """The Pareto front as steps, the least error that can be had for a price, with the cells of each."""
-    seconds = [outcome.seconds for outcome in front]
-    errors = [100.0 * outcome.error for outcome in front]
-    axis.step([*seconds, 3.0 * seconds[-1]], [*errors, errors[-1]], where="post", color=INK, linewidth=1.0, zorder=1)
-    for outcome, x, y in zip(front, seconds, errors, strict=True):
-        label = f"{outcome.resolution.cells:g}"
-        axis.annotate(label, (x, y), xytext=(-5, -5), textcoords="offset points", fontsize=7, ha="right", va="top")
-
-
-def legend() -> list[Line2D]:
-    """What the marks mean."""
-
-    def mark(marker: str, area: float, label: str, *, hollow: bool = False) -> Line2D:
-        face = "none" if hollow else "#6b7a8f"
-        edge = INK if hollow else "white"
-        return Line2D([], [], ls="", marker=marker, ms=area**0.5, mfc=face, mec=edge, mew=0.8, label=label)
-
-    return [
-        *(mark(marker, 40.0, f"{points} per axis") for points, marker in MARKERS.items()),
-        *(mark("o", area, f"step {step:g}") for step, area in SIZES.items()),
-        mark("o", SIZES[STEPS[0]], "f64", hollow=True),
-        Line2D([], [], color=INK, linewidth=1.0, label="worth its price"),
-    ]
-
-
 def draw_scenes(path: Path, findings: Sequence[Findings]) -> None:
-    """Signed error of the front over the cells, a panel per scene; bars are the scatter over the jitter seeds."""
-    panels = [(each, name) for each in findings for name in each.scenes]
+    """Signed error of the front over the cells, a panel per scene; bars are the scatter over the jitters."""
+    panels = [(each, name) for each in findings for name in each.study.scenes]
+    rows = math.ceil(len(panels) / COLUMNS)
     figure, axes = plt.subplots(
-        1, len(panels), figsize=(3.0 * len(panels), 3.6), sharey=True, layout="constrained", squeeze=False
+        rows, COLUMNS, figsize=(3.0 * COLUMNS, 2.8 * rows), sharey=True, layout="constrained", squeeze=False
     )
-    for axis, (each, name) in zip(axes[0], panels, strict=True):
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
+    for axis, (each, name) in zip(axes.flat, panels, strict=False):
         axis.axhline(0.0, color=INK, linewidth=0.8)
-        for points, style in ((2, "o-"), (3, "s--")):
-            for step in STEPS:
-                some = sorted(
-                    (
-                        outcome
-                        for outcome in each.outcomes
-                        if (outcome.resolution.particles_per_axis, outcome.resolution.step_fraction) == (points, step)
-                        and outcome.resolution.precision == "f32"
-                    ),
-                    key=lambda outcome: outcome.resolution.cells,
-                )
-                axis.errorbar(
-                    [outcome.resolution.cells for outcome in some],
-                    [100.0 * outcome.scores[name].bias for outcome in some],
-                    yerr=[100.0 * outcome.scores[name].scatter for outcome in some],
-                    fmt=style,
-                    color=LINES[step],
-                    markersize=3.5,
-                    linewidth=1.0 if points == 2 else 0.7,
-                    alpha=1.0 if points == 2 else 0.6,
-                    elinewidth=0.8,
-                    label=f"step {step:g}, {points} per axis",
-                )
+        kinds = dict.fromkeys(kind_of(o) for o in each.outcomes)
+        for (step, particles), style, colour in zip(kinds, STYLES, LINES, strict=False):
+            some = [o for o in each.outcomes if kind_of(o) == (step, particles)]
+            scatter = [o.scores[name].scatter for o in some]
+            axis.errorbar(
+                [o.resolution.cells for o in some],
+                [100.0 * o.scores[name].bias for o in some],
+                yerr=[100.0 * (0.0 if math.isnan(width) else width) for width in scatter],
+                fmt=style,
+                color=colour,
+                markersize=3.5,
+                linewidth=1.0,
+                elinewidth=0.8,
+                label=f"step {step:g}, {particles} per axis",
+            )
         axis.set_xscale("log")
-        ticks = sorted({outcome.resolution.cells for outcome in each.outcomes})
+        ticks = each.study.cells
         axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], fontsize=7)
-        axis.minorticks_off()
-        axis.grid(color="#e6e6e6", linewidth=0.6)
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.set_title(name, loc="left", fontsize=9)
+        plain(axis)
+        axis.set_title(f"{each.study.dimension}D: {name}", loc="left", fontsize=9)
         axis.set_xlabel("cells across the smallest side", fontsize=8)
     axes[0, 0].set_ylabel("front's error over the reach [%]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=8, frameon=False)
     with files.replacing(path) as part:
-        figure.savefig(part, dpi=140)
+        figure.savefig(part, dpi=120)
     plt.close(figure)
+
+
+def kind_of(outcome: Outcome) -> tuple[float, int]:
+    """Step and particles per axis."""
+    return outcome.resolution.step_fraction, outcome.resolution.particles_per_axis
+
+
+def percents(axis: Axes) -> None:
+    """A logarithmic axis of per cents."""
+    axis.set_yscale("log")
+    ticks = [0.5, 1, 2, 3, 5, 10, 20, 30, 50]
+    axis.set_yticks(ticks, [f"{number:g} %" for number in ticks])
+
+
+def plain(axis: Axes) -> None:
+    """No frame, a light grid."""
+    axis.minorticks_off()
+    axis.grid(color="#e6e6e6", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)

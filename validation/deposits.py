@@ -7,32 +7,21 @@ has to go.
 
 import dataclasses
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from itertools import groupby
 from pathlib import Path
 
 from tqdm import tqdm
 
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.layout import Precision
+from mpm.processors import processors
 from mpm.recording import LAST
 from mpm.resolution import particle_steps
-from mpm.simulate import simulate, simulate_many
-
-
-class Way(IntEnum):
-    """How a run uses the machine."""
-
-    ALONE = 0
-    """On one thread, nothing beside it: its wall time is what the run costs."""
-    TOGETHER = 1
-    """Others on the other threads; its wall time means nothing."""
-    WIDE = 2
-    """One scene on all threads."""
+from mpm.simulate import LARGE, simulate_many
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +29,13 @@ class Run:
     """A run that a study asks for."""
 
     scene: Scene
-    precision: Precision
-    way: Way
+    precision: Precision = "f32"
+    until_rest: bool = False
+
+    @property
+    def large(self) -> bool:
+        """Whether it takes all threads; small runs go side by side, one per thread."""
+        return particle_count(self.scene) >= LARGE
 
     def path(self, folder: Path) -> Path:
         """Where its deposit is kept."""
@@ -51,31 +45,53 @@ class Run:
             for each in dataclasses.fields(self.scene)
             if getattr(self.scene, each.name) != each.default
         }
-        text = f"{sorted(told.items())} {self.precision} {'timed' if self.way is Way.ALONE else ''}"
+        text = f"{sorted(told.items())} {self.precision} {'until rest' if self.until_rest else ''}"
         return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}.npz"
 
 
+def missing(runs: Sequence[Run], folder: Path) -> list[Run]:
+    """Those of `runs`, each once, that `folder` does not have yet."""
+    return [run for run in dict.fromkeys(runs) if not run.path(folder).exists()]
+
+
 def compute(runs: Sequence[Run], folder: Path) -> None:
-    """Make the deposits of `runs` that `folder` does not have yet, with a bar that counts point-steps."""
-    missing = [run for run in dict.fromkeys(runs) if not run.path(folder).exists()]
-    # Taichi starts anew for another precision or another number of threads: few changes, cheap runs first.
-    missing.sort(key=lambda run: (run.way, run.precision))
-    total = sum(particle_steps(run.scene) for run in missing)
-    with tqdm(total=total, unit="point-step", unit_scale=True, disable=total == 0) as bar:
-        for (way, precision), group in groupby(missing, key=lambda run: (run.way, run.precision)):
+    """Make the deposits of `runs` that `folder` does not have yet, with a bar that counts particle-steps.
+
+    Runs that need the same kernel follow one another, cheap ones first; those side by side cost about the same.
+    """
+    left = sorted(missing(runs, folder), key=lambda run: (kernel_key(run), particle_steps(run.scene)))
+    total = sum(particle_steps(run.scene) for run in left)
+    with tqdm(total=total, unit="particle-step", unit_scale=True, disable=total == 0) as bar:
+        for key, group in groupby(left, key=kernel_key):
             alike = list(group)
-            size = (os.cpu_count() or 1) if way is Way.TOGETHER else 1
+            size = 1 if key[0] else processors()
             for first in range(0, len(alike), size):
                 batch = alike[first : first + size]
-                scenes = [run.scene for run in batch]
-                if way is Way.TOGETHER:
-                    flows = simulate_many(scenes, precision=precision, record=LAST)
-                else:
-                    threads = 1 if way is Way.ALONE else None
-                    flows = [simulate(scenes[0], precision=precision, threads=threads, record=LAST)]
+                flows = simulate_many(
+                    [run.scene for run in batch],
+                    precision=batch[0].precision,
+                    until_rest=batch[0].until_rest,
+                    record=LAST,
+                )
                 for run, flow in zip(batch, flows, strict=True):
                     flow.save(run.path(folder))
                     bar.update(particle_steps(run.scene))
+
+
+def kernel_key(run: Run) -> tuple[bool, bool, str, int, bool, bool, bool, bool, bool]:
+    """What decides which kernel a run needs; large runs first."""
+    scene = run.scene
+    return (
+        run.large,
+        run.until_rest,
+        run.precision,
+        scene.dimension,
+        scene.relaxation > 0.0,
+        scene.damping > 0.0,
+        scene.material.cohesion > 0.0,
+        bool(scene.baffles),
+        scene.volume_correction,
+    )
 
 
 def read_all(runs: Sequence[Run], folder: Path) -> list[Trajectory]:

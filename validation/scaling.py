@@ -1,12 +1,12 @@
 """python -m validation.scaling --out DIR: how far columns run over their aspect ratio, beside the experiments."""
 
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from datasets.command_line import run
 from datasets.files import write_text
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.recording import LAST
@@ -25,7 +25,7 @@ OTHER_ANGLES = (25.0, 35.0)
 
 def collapse(scenes: Sequence[Scene], aspects: Sequence[float]) -> tuple[Deposit, ...]:
     """Let columns go until they rest: small ones side by side, large ones one after the other."""
-    sizes = [sum(math.prod(mass.size) for mass in scene.masses) / scene.particle_volume for scene in scenes]
+    sizes = [particle_count(scene) for scene in scenes]
     small = [index for index, size in enumerate(sizes) if size < LARGE]
     flows: dict[int, Trajectory] = {}
     if small:

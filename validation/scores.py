@@ -11,10 +11,10 @@ from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Profile
-from mpm.resolution import Resolution
+from mpm.resolution import Resolution, characteristic_length
 
-SPACING = 0.01
-"""Of the stations of a profile [m]."""
+STATIONS = 10.0
+"""Of a profile across the smallest side of the body."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +22,6 @@ class Truth:
     """What deposits of a scene are held against: the mean of its reference runs."""
 
     front: float
-    """[m]."""
-    runout: float
     """[m]."""
     shares: NDArray[np.float64]
     """Where equal shares of the deposit lie along x [m], shape [20]."""
@@ -35,28 +33,27 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A resolution on one scene; all but the last three over the reach [-]."""
+    """A resolution on one scene; errors over the reach [-]."""
 
     bias: float
     """Mean over the seeds of the front, less the reference's."""
-    runout_bias: float
-    """The same of the largest x."""
     scatter: float
-    """Standard deviation of the front over the seeds."""
-    front_error: float
-    """Of one run: root mean square over the seeds."""
+    """Standard deviation of the front over the seeds; nan of one."""
+    errors: tuple[float, ...]
+    """Of each run: the larger of its front's and of the transport distance between the deposits, one per seed."""
     profile_error: float
-    """The same of the transport distance between the deposits, the rms distance of equal shares."""
-    seconds: float
-    """Of a run alone on one thread [s]."""
+    """Root mean square over the seeds of that distance, the rms distance along x of equal shares."""
     particle_steps: float
-    fronts: tuple[float, ...]
-    """[m], one per seed."""
 
     @property
     def error(self) -> float:
-        """What a tolerance is compared with."""
-        return max(self.front_error, self.profile_error)
+        """Root mean square over the seeds."""
+        return float(np.sqrt(np.mean(np.square(self.errors))))
+
+    @property
+    def largest(self) -> float:
+        """Of the worst seed."""
+        return max(self.errors)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,23 +65,13 @@ class Outcome:
 
     @property
     def error(self) -> float:
-        """Root mean square over the scenes: what to expect of a scene like them."""
+        """Root mean square over scenes and seeds."""
         return float(np.sqrt(np.mean([score.error**2 for score in self.scores.values()])))
 
     @property
-    def worst(self) -> float:
-        """Of the worst scene."""
-        return max(score.error for score in self.scores.values())
-
-    @property
-    def scatter(self) -> float:
-        """Of the worst scene."""
-        return max(score.scatter for score in self.scores.values())
-
-    @property
-    def seconds(self) -> float:
-        """Mean over the scenes [s]."""
-        return float(np.mean([score.seconds for score in self.scores.values()]))
+    def largest(self) -> float:
+        """Of the worst scene and seed."""
+        return max(score.largest for score in self.scores.values())
 
     @property
     def particle_steps(self) -> float:
@@ -99,7 +86,6 @@ def truth(flows: Sequence[Trajectory]) -> Truth:
     front = float(np.mean(fronts))
     return Truth(
         front=front,
-        runout=float(np.mean([measures.runout(flow.positions[-1]) for flow in flows])),
         shares=np.mean([equal_shares(scene, flow) for flow in flows], axis=0),
         scatter=float(np.std(fronts, ddof=1)) if len(flows) > 1 else math.nan,
         reach=front - min(mass.lower[0] for mass in scene.masses),
@@ -107,27 +93,23 @@ def truth(flows: Sequence[Trajectory]) -> Truth:
 
 
 def score(flows: Sequence[Trajectory], reference: Truth) -> Score:
-    """Runs of one scene at one resolution, one per seed, the first of them timed, against the reference."""
+    """Runs of one scene at one resolution, one per seed, against the reference."""
     fronts = np.array([measures.front(flow.positions[-1]) for flow in flows])
-    runouts = np.array([measures.runout(flow.positions[-1]) for flow in flows])
-    distances = [
-        np.sqrt(np.mean((equal_shares(flow.scene, flow) - reference.shares) ** 2)) / reference.reach for flow in flows
-    ]
     off = (fronts - reference.front) / reference.reach
+    distances = np.array(
+        [np.sqrt(np.mean((equal_shares(flow.scene, flow) - reference.shares) ** 2)) / reference.reach for flow in flows]
+    )
     first = flows[0].summary
     return Score(
         bias=float(off.mean()),
-        runout_bias=float(runouts.mean() - reference.runout) / reference.reach,
         scatter=float(off.std(ddof=1)) if len(flows) > 1 else math.nan,
-        front_error=float(np.sqrt(np.mean(off**2))),
-        profile_error=float(np.sqrt(np.mean(np.square(distances)))),
-        seconds=first["wall_s"],
+        errors=tuple(np.maximum(np.abs(off), distances).tolist()),
+        profile_error=float(np.sqrt(np.mean(distances**2))),
         particle_steps=first["steps"] * first["particles"],
-        fronts=tuple(fronts.tolist()),
     )
 
 
 def equal_shares(scene: Scene, flow: Trajectory) -> NDArray[np.float64]:
     """The x [m] of twenty equal shares of a deposit, shape [20]."""
     # The last one is the front, which is judged by itself.
-    return Profile(scene, SPACING).exact(flow.positions[-1])[:-1]
+    return Profile(scene, characteristic_length(scene) / STATIONS).exact(flow.positions[-1])[:-1]

@@ -1,94 +1,92 @@
-"""What the accuracy of the MPM is measured on: scenes, resolutions, the reference; and the runs themselves."""
+"""What the accuracy of the MPM is measured on: scenes, resolutions, the reference; the runs; and what they promise."""
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from datasets.library import read_scene
+import numpy as np
+from scipy import stats
+
 from datasets.scene import Scene
-from mpm.layout import Precision
-from mpm.resolution import Measured, Resolution, at, particle_steps
-from validation import deposits, pareto
-from validation.deposits import Run, Way
+from mpm.resolution import COVERAGE, Measured, Resolution, at
+from validation import deposits
+from validation.deposits import Run
+from validation.flows import MEASURED, OWN_STEP
 from validation.scores import Outcome, Truth, score, truth
 
-POINTS = (1, 2, 3)
-"""Material points per axis that are tried."""
-STEPS = (0.9, 0.4, 0.2)
-OWN_POINTS, OWN_STEP = 2, 0.9
-"""Of the reference, and where the precisions are compared; the scenes' own."""
-OTHER_STEP = 0.4
-"""Of a second reference: how far the first one moves with its step."""
-FEWEST_POINTS = 2
-"""Per axis, of what a tolerance may pick: with one, columns tear apart, the more the finer the grid."""
-FRAMES_AS_ONE = 10
-"""The reference records this much less: a step then comes closer to its fraction, which frames round down."""
+OWN_PARTICLES = 2
+"""Particles per axis of the reference and of most that is tried."""
+OTHER_PARTICLES, OTHER_STEP = 3, 0.4
+"""What else is tried, on `Study.checked`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
     """Scenes of one dimension, and what is tried on them."""
 
-    title: str
     dimension: int
-    names: tuple[str, ...]
-    """Of shipped scenes."""
+    scenes: Mapping[str, Scene]
     cells: tuple[float, ...]
-    """Across the characteristic length; the reference has at least twice the finest."""
+    """Across the smallest side."""
+    checked: tuple[float, ...]
+    """Where another step and other particles per axis are tried too."""
     reference: float
-    """The same of the reference: a quarter of the scenes' own cell."""
+    """Cells of the reference."""
     seeds: int
-    """Of the reference."""
-    steps: bool
-    """Whether a second reference at another step is affordable."""
-    dearest: float
-    """What is tried costs at most this share of the reference's point-steps."""
-    remark: str
-    """What is to be known of the scenes, for the report."""
+    """Jitters of what is tried."""
 
-    def tried(self, scene: Scene) -> Iterator[Resolution]:
-        """Every resolution that is compared with the reference."""
-        most = self.dearest * particle_steps(at(scene, own(self.reference, "f64")))
-        for cells, points, step in product(self.cells, POINTS, STEPS):
-            each = Resolution(cells=cells, particles_per_axis=points, step_fraction=step, precision="f32")
-            if particle_steps(at(scene, each)) <= most:
-                yield each
+    def tried(self) -> Iterator[Resolution]:
+        """Every resolution that is compared with the reference, the coarse ones first."""
         for cells in self.cells:
-            yield own(cells, "f64")
+            yield own(cells)
+        for cells in self.checked:
+            yield own(cells, step_fraction=OTHER_STEP)
+            yield own(cells, particles_per_axis=OTHER_PARTICLES)
 
 
-STUDIES = (
-    Study(
-        title="2D: the paper's four columns",
-        dimension=2,
-        names=("column-short-21", "column-short-42", "column-tall-21", "column-tall-42"),
-        cells=(5.0, 10.0, 15.0, 20.0, 30.0, 40.0),
-        reference=80.0,
-        seeds=3,
-        steps=True,
-        dearest=0.3,
-        remark="""
-            Sand of 42 degrees with cohesion breaks along bands that have no width of their own, only the grid's, which
-            is the likely reason why the front of the short column goes on moving.
-        """,
-    ),
-    Study(
-        title="3D: a mass thrown at two baffles",
-        dimension=3,
-        names=("baffles-2",),
-        cells=(4.0, 5.0, 6.4, 8.0, 10.0, 12.8),
-        reference=25.6,
-        seeds=1,
-        steps=False,
-        dearest=0.08,
-        remark="""
-            The furthest points of this flow stand at the far wall, 2 m from the other one, which holds them there. It
-            is one scene: what holds for it may not for another.
-        """,
-    ),
-)
+def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = OWN_PARTICLES) -> Resolution:
+    """A resolution with the reference's step and particles per axis, unless told."""
+    return Resolution(cells=cells, particles_per_axis=particles_per_axis, step_fraction=step_fraction, precision="f32")
+
+
+def full() -> tuple[Study, ...]:
+    """What ships is measured by."""
+    return (
+        Study(
+            dimension=2,
+            scenes={name: flow.scene() for name, flow in MEASURED[2].items()},
+            cells=(5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0),
+            checked=(7.0, 14.0),
+            reference=80.0,
+            seeds=3,
+        ),
+        Study(
+            dimension=3,
+            scenes={name: flow.scene() for name, flow in MEASURED[3].items()},
+            cells=(4.0, 5.0, 7.0, 10.0, 14.0),
+            checked=(5.0,),
+            reference=24.0,
+            seeds=2,
+        ),
+    )
+
+
+def quick() -> tuple[Study, ...]:
+    """The same on a few cells of a few scenes, to try the command."""
+    return tuple(
+        dataclasses.replace(
+            study,
+            scenes=dict(list(study.scenes.items())[:3]),
+            cells=study.cells[:2],
+            checked=study.cells[:1],
+            reference=10.0 if study.dimension == 2 else 7.0,
+            seeds=2,
+        )
+        for study in full()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,75 +94,83 @@ class Findings:
     """What a study found."""
 
     study: Study
-    scenes: Mapping[str, Scene]
     truths: Mapping[str, Truth]
-    other_step: Mapping[str, Truth]
-    """The reference at `OTHER_STEP`, where the study affords it."""
     outcomes: Sequence[Outcome]
 
-    def at_own(self, cells: float, precision: Precision, step_fraction: float = OWN_STEP) -> Outcome:
-        """The outcome with the reference's points and, unless told, its step."""
-        what = own(cells, precision, step_fraction)
-        return next(each for each in self.outcomes if each.resolution == what)
+    def at(self, resolution: Resolution) -> Outcome:
+        """The outcome at a resolution that was tried."""
+        return next(each for each in self.outcomes if each.resolution == resolution)
+
+    def lasting(self, resolution: Resolution) -> dict[str, float]:
+        """The largest error of each scene here and on all finer grids that differ in nothing else.
+
+        Where errors of both signs cancel, one is small by luck; on finer grids it shows.
+        """
+        finer = [
+            each
+            for each in self.outcomes
+            if each.resolution.cells >= resolution.cells
+            and dataclasses.replace(each.resolution, cells=resolution.cells) == resolution
+        ]
+        return {name: max(each.scores[name].largest for each in finer) for name in self.study.scenes}
+
+    def promised(self, resolution: Resolution) -> float:
+        """The error that a further scene of this kind is promised to stay within: see `promise`."""
+        return promise(list(self.lasting(resolution).values()))
 
 
-def own(cells: float, precision: Precision, step_fraction: float = OWN_STEP) -> Resolution:
-    """A resolution with the reference's points per axis and, unless told, its step."""
-    return Resolution(cells=cells, particles_per_axis=OWN_POINTS, step_fraction=step_fraction, precision=precision)
+def promise(errors: Sequence[float]) -> float:
+    """The error that one more scene stays within with probability COVERAGE, from those of the measured scenes.
+
+    The upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s
+    the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
+    the largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution.
+    """
+    count = len(errors)
+    if count < 2:
+        return max(errors)
+    t = float(stats.t.ppf(COVERAGE, count - 1))
+    limit = float(np.mean(errors)) + t * float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    return max(limit, *errors)
 
 
-def trials(scene: Scene, each: Resolution, seeds: int) -> list[Run]:
-    """Runs of `scene` at a resolution, one per seed; the first has the machine to itself and is timed."""
-    finer = at(scene, each)
-    return [
-        Run(
-            scene=dataclasses.replace(finer, seed=seed),
-            precision=each.precision,
-            way=Way.TOGETHER if seed else Way.ALONE,
-        )
-        for seed in range(seeds)
-    ]
+def trials(scene: Scene, resolution: Resolution, seeds: int) -> list[Run]:
+    """Runs of `scene` at a resolution, one per seed."""
+    finer = at(scene, resolution)
+    return [Run(scene=dataclasses.replace(finer, seed=seed), precision=resolution.precision) for seed in range(seeds)]
 
 
-def references(scene: Scene, cells: float, step_fraction: float, seeds: int) -> list[Run]:
-    """The reference runs of `scene`, one per seed, on frames of their own."""
-    frame_dt = scene.frame_dt * FRAMES_AS_ONE
-    frames = scene.duration / frame_dt
-    if abs(frames - round(frames)) > 1e-6:
-        frame_dt = scene.frame_dt
-    finest = dataclasses.replace(at(scene, own(cells, "f64", step_fraction)), frame_dt=frame_dt)
-    return [Run(scene=dataclasses.replace(finest, seed=seed), precision="f64", way=Way.WIDE) for seed in range(seeds)]
+def all_runs(study: Study) -> list[Run]:
+    """What a study asks for."""
+    pairs = product(study.scenes.values(), study.tried())
+    tried = [run for scene, each in pairs for run in trials(scene, each, study.seeds)]
+    best = [run for scene in study.scenes.values() for run in references(study, scene)]
+    return tried + best
 
 
-def carry_out(study: Study, seeds: int, folder: Path) -> Findings:
+def references(study: Study, scene: Scene) -> list[Run]:
+    """The reference run of a scene."""
+    return trials(scene, own(study.reference), 1)
+
+
+def carry_out(study: Study, folder: Path) -> Findings:
     """Make all runs of a study that `folder` does not have yet, and score them."""
-    scenes = {name: read_scene(name) for name in study.names}
-    tried = [list(study.tried(scene)) for scene in scenes.values()]
-    common = [each for each in tried[0] if all(each in others for others in tried)]
-    runs = {(name, each): trials(scene, each, seeds) for name, scene in scenes.items() for each in common}
-    best = {name: references(scene, study.reference, OWN_STEP, study.seeds) for name, scene in scenes.items()}
-    other = {name: references(scene, study.reference, OTHER_STEP, 1) for name, scene in scenes.items() if study.steps}
-    wanted = [*runs.values(), *best.values(), *other.values()]
-    deposits.compute([run for group in wanted for run in group], folder)
-    truths = {name: truth(deposits.read_all(group, folder)) for name, group in best.items()}
+    deposits.compute(all_runs(study), folder)
+    truths = {name: truth(deposits.read_all(references(study, scene), folder)) for name, scene in study.scenes.items()}
     return Findings(
         study=study,
-        scenes=scenes,
         truths=truths,
-        other_step={name: truth(deposits.read_all(group, folder)) for name, group in other.items()},
         outcomes=[
             Outcome(
                 resolution=each,
-                scores={name: score(deposits.read_all(runs[name, each], folder), truths[name]) for name in scenes},
+                scores={
+                    name: score(deposits.read_all(trials(scene, each, study.seeds), folder), truths[name])
+                    for name, scene in study.scenes.items()
+                },
             )
-            for each in common
+            for each in study.tried()
         ],
     )
-
-
-def worth(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """The Pareto front: what nothing cheaper beats, by a tenth of a per cent or more."""
-    return pareto.front(outcomes, lambda each: each.seconds, lambda each: round(each.error, 3))
 
 
 def measured(findings: Sequence[Findings]) -> tuple[Measured, ...]:
@@ -173,11 +179,10 @@ def measured(findings: Sequence[Findings]) -> tuple[Measured, ...]:
         Measured(
             dimension=each.study.dimension,
             resolution=outcome.resolution,
-            error=float(f"{outcome.error:.3g}"),
-            worst=float(f"{outcome.worst:.3g}"),
-            seconds=float(f"{outcome.seconds:.3g}"),
+            expected=float(f"{outcome.error:.3g}"),
+            promised=float(f"{each.promised(outcome.resolution):.3g}"),
+            particle_steps=float(f"{outcome.particle_steps:.3g}"),
         )
         for each in findings
         for outcome in each.outcomes
-        if outcome.resolution.particles_per_axis >= FEWEST_POINTS
     )

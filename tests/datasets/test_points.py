@@ -1,14 +1,15 @@
-"""Material points: as many as the volume asks for, inside their masses, each mass from its own stream."""
+"""Particles: exactly the volume of their masses, inside them, each mass from its own stream."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.particles import initial_particles, particle_count
-from datasets.scene import Mass, Scene
+from datasets.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
+from datasets.scene import Domain, Mass, Scene
 
 
 @pytest.mark.parametrize("name", ["column-tall-21", "layers-10"])
@@ -22,13 +23,84 @@ def test_points_lie_inside_their_masses(name: str) -> None:
     assert np.all(inside == 1)
 
 
-@pytest.mark.parametrize("size", [(0.04, 0.02), (0.043, 0.028), (0.1, 0.0024)])
-def test_points_stand_for_the_volume_of_the_mass(scene: Scene, size: tuple[float, float]) -> None:
+@pytest.mark.parametrize("size", [(0.04, 0.02), (0.043, 0.028), (0.1, 0.0024), (0.05, 1.0e-3), (1.0e-3, 1.0e-3)])
+def test_points_have_the_volume_of_the_mass(scene: Scene, size: tuple[float, float]) -> None:
     scene = dataclasses.replace(scene, masses=(Mass(lower=(0.05, 0.0), size=size),))
     points = initial_particles(scene)
-    # To the nearest row of points across the longest axis.
-    row = points.volume * max(1, round(min(size) / 0.005))
-    assert abs(points.volume * len(points.positions) - size[0] * size[1]) <= 0.51 * row
+    assert points.volume.shape == (len(points.positions),)
+    assert points.volume.sum() == pytest.approx(math.prod(size), rel=1e-12)
+    assert points.common_volume == points.volume[0]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
+    stream = np.random.default_rng(3)
+    domain = Domain(size=(1.0,) * dimension, cell=0.05)
+    for _ in range(40):
+        # From a fiftieth of a cell to ten cells along each axis, two boxes of different density side by side.
+        sizes = 0.05 * np.exp(stream.uniform(np.log(0.02), np.log(8.0), (2, dimension)))
+        masses = tuple(
+            Mass(
+                lower=(0.5 * number, *[0.0] * (dimension - 1)),
+                size=tuple(size.tolist()),
+                material=Material(friction_deg=30.0, density=1000.0 + 700.0 * number),
+            )
+            for number, size in enumerate(sizes)
+        )
+        scene = Scene(domain=domain, material=Material(friction_deg=30.0), masses=masses)
+        points = initial_particles(scene)
+        assert len(points.volume) == len(points.positions) == particle_count(scene)
+        for number, mass in enumerate(masses):
+            mine = points.mass == number
+            found = math.fsum(points.volume[mine] * points.density[mine])
+            assert found == pytest.approx(math.prod(mass.size) * (1000.0 + 700.0 * number), rel=1e-12)
+        np.testing.assert_array_equal(particle_volumes(scene, len(points.volume)), points.volume)
+
+
+def test_a_thin_layer_is_spaced_as_its_cell_asks(scene: Scene) -> None:
+    # 1 mm in cells of 10 mm: one row of points half a cell apart, not a handful that stands for the mass.
+    points = initial_particles(dataclasses.replace(scene, masses=(Mass(lower=(0.0, 0.0), size=(0.2, 1.0e-3)),)))
+    assert len(points.positions) == 40
+    assert np.diff(np.sort(points.positions[:, 0])).max() < 2 * 0.005
+
+
+def test_volumes_equal_to_rounding_are_one_number(scene: Scene) -> None:
+    # 0.03 / 6 and 0.07 / 14 are not the same double.
+    masses = tuple(Mass(lower=(x, 0.0), size=(size, 0.03)) for x, size in ((0.0, 0.03), (0.03, 0.07), (0.1, 0.09)))
+    points = initial_particles(dataclasses.replace(scene, masses=masses))
+    assert points.common_volume == scene.particle_volume
+    odd = Mass(lower=(0.0, 0.0), size=(0.031, 0.03))
+    twins = (odd, dataclasses.replace(odd, lower=(0.1, 0.0)))
+    points = initial_particles(dataclasses.replace(scene, masses=twins))
+    assert points.common_volume == pytest.approx(0.031 * 0.03 / 36, rel=1e-12)
+    points = initial_particles(dataclasses.replace(scene, masses=(twins[0], masses[2])))
+    assert points.common_volume is None
+
+
+@pytest.mark.parametrize("name", ["column-tall-42", "column-short-21"])
+def test_masses_that_fit_the_lattice_are_as_ever(name: str) -> None:
+    scene = read_scene(name)
+    points = initial_particles(scene)
+    share = scene.domain.cell / scene.particles_per_axis
+    assert points.common_volume == scene.particle_volume == share**2
+    counts = [round(length / share) for length in scene.masses[0].size]
+    lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
+    offset = np.random.default_rng([scene.seed, 0]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
+    spacing = np.array(scene.masses[0].size) / counts
+    np.testing.assert_array_equal(points.positions, (lattice + 0.5 + offset) * spacing + scene.masses[0].lower)
+
+
+def test_a_mass_thinner_than_a_cell_is_warned_of(scene: Scene) -> None:
+    thin = Mass(lower=(0.1, 0.0), size=(0.05, 0.001))
+    with pytest.warns(UserWarning, match=r"masses\[1\]: 0.001 m thick in cells of 0.01 m.*0.00025 to 0.00033 m would"):
+        warn_if_unresolved(dataclasses.replace(scene, masses=(*scene.masses, thin)))
+    # Two half cells of one material on top of each other are a whole one; of two materials they are not.
+    half = (Mass(lower=(0.1, 0.0), size=(0.05, 0.005)), Mass(lower=(0.1, 0.005), size=(0.05, 0.005)))
+    one_point = Mass(lower=(0.0, 0.05), size=(0.005, 0.005))
+    warn_if_unresolved(dataclasses.replace(scene, masses=(*scene.masses, *half, one_point)))
+    other = dataclasses.replace(half[1], material=Material(friction_deg=20.0))
+    with pytest.warns(UserWarning, match=r"masses\[0\], masses\[1\]: 0.005 m thick"):
+        warn_if_unresolved(dataclasses.replace(scene, masses=(half[0], other)))
 
 
 def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
@@ -67,3 +139,25 @@ def test_the_count_is_known_beforehand() -> None:
     for name in ("column-tall-42", "layers-10", "baffles-2"):
         scene = read_scene(name)
         assert particle_count(scene) == len(initial_particles(scene).positions)
+
+
+def test_a_mass_that_turns(scene: Scene) -> None:
+    """v = v0 + omega (-(y - yc), x - xc); sum over a lattice is v0, and the velocity gradient is the spin."""
+    mass = dataclasses.replace(scene.masses[0], angular_velocity=3.0)
+    particles = initial_particles(dataclasses.replace(scene, masses=(mass,)))
+    x, y = (particles.positions - [0.07, 0.01]).T
+    np.testing.assert_allclose(particles.velocities, np.stack([0.1 - 3.0 * y, -0.2 + 3.0 * x], axis=1), atol=1e-15)
+    np.testing.assert_array_equal(particles.velocity_gradients[0], [[0.0, -3.0], [3.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("given", "omega"), [(2.0, (0.0, 0.0, 2.0)), ((1.0, -2.0, 0.5), (1.0, -2.0, 0.5)), (None, (0.0, 0.0, 0.0))]
+)
+def test_a_mass_that_turns_in_3d(given: float | tuple[float, ...] | None, omega: tuple[float, ...]) -> None:
+    mass = Mass(lower=(0.1, 0.0, 0.1), size=(0.1, 0.1, 0.2), angular_velocity=given)
+    scene = Scene(domain=Domain(size=(0.4, 0.4, 0.4), cell=0.05), material=Material(friction_deg=30.0), masses=(mass,))
+    particles = initial_particles(scene)
+    arm = particles.positions - [0.15, 0.05, 0.2]
+    np.testing.assert_allclose(particles.velocities, np.cross(omega, arm), atol=1e-15)
+    np.testing.assert_allclose(np.einsum("nij, nj -> ni", particles.velocity_gradients, arm), np.cross(omega, arm))
+    assert Scene.from_json(scene.to_json()) == scene

@@ -57,6 +57,13 @@ MISTAKES = {
     "mass of the wrong dimension": ("size = [0.2, 0.1]", "size = [0.2, 0.1, 0.1]", "masses[0].size", "2 lengths"),
     "flat mass": ("size = [0.2, 0.1]", "size = [0.2, 0.0]", "masses[0].size", "positive"),
     "velocity of the wrong dimension": ("velocity = [1, 0]", "velocity = [1]", "masses[0].velocity", "2 finite"),
+    "spin about two axes": ("velocity = [1, 0]", "angular_velocity = [1, 0]", "masses[0].angular_velocity", "in 3D"),
+    "spin about three axes in 2D": (
+        "velocity = [1, 0]",
+        "angular_velocity = [1, 0, 0]",
+        "masses[0].angular_velocity",
+        "in 3D",
+    ),
     "mass of a wrong material": (
         "velocity = [1, 0]",
         "material = { friction_deg = 30.0, density = 0.0 }",

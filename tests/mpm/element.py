@@ -13,8 +13,8 @@ from datasets.material import Material
 from mpm import runtime
 from mpm.batch import aligned, properties_row
 from mpm.layout import Features, Precision, Property
-from mpm.mohr_coulomb import return_principal
-from mpm.stress import plastic_return, trial_stress
+from mpm.mohr_coulomb import return_principal, softened
+from mpm.stress import plastic_return, stress_step
 
 Vector = NDArray[np.float64]
 
@@ -23,82 +23,145 @@ XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 @cache
 def path_kernel(needs: Features) -> Callable[..., None]:
-    """(stress, gradients, history, properties): one element along a path of displacement-gradient increments."""
+    """(stress, gradients, history, properties, cell): one element along a path of displacement-gradient increments.
+
+    `stress` ends with the plastic strain and what is remembered of opened cracks.
+    """
     real = ti.f32 if needs.precision == "f32" else ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+    width = needs.stresses + 2
 
     @ti.kernel
-    def follow_path(stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray()):
+    def follow_path(stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray(), cell: real):
         for _ in range(1):
             for step in range(gradients.shape[0]):
-                trial = trial_stress(
-                    [stress[k] for k in ti.static(range(needs.stresses))],
-                    [gradients[step, k] + 0.0 * stress[0] for k in ti.static(range(needs.dimension**2))],
-                    m[Property.LAME],
-                    m[Property.SHEAR],
-                    needs.dimension,
+                zero = 0.0 * stress[0]
+                strain, gap = stress[ti.static(needs.stresses)], stress[ti.static(needs.stresses + 1)]
+                peak = (
+                    m[Property.SIN_PHI] + zero,
+                    m[Property.SIN_PSI] + zero,
+                    m[Property.STRENGTH] + zero,
+                    m[Property.LIMIT] + zero,
                 )
-                new = plastic_return(
-                    trial,
-                    m[Property.SIN_PHI],
-                    m[Property.SIN_PSI],
-                    m[Property.STRENGTH],
-                    m[Property.LIMIT],
-                    m[Property.LAME],
-                    m[Property.SHEAR],
-                    needs,
-                )
+                sin_phi, sin_psi, strength, limit = peak
+                if ti.static(needs.softens):
+                    residual = (
+                        m[Property.RESIDUAL_SIN_PHI],
+                        m[Property.RESIDUAL_STRENGTH],
+                        m[Property.RESIDUAL_LIMIT],
+                    )
+                    sin_phi, sin_psi, strength, limit = softened(
+                        strain, m[Property.SOFTENING] * cell, peak, residual, needs
+                    )
+                old = [stress[k] for k in ti.static(range(needs.stresses))]
+                lame, shear = m[Property.LAME], m[Property.SHEAR]
+                increment = [gradients[step, k] + zero for k in ti.static(range(needs.dimension**2))]
+                new = stress_step(old, increment, gap, sin_phi, sin_psi, strength, limit, lame, shear, needs)
                 for k in ti.static(range(needs.stresses)):
                     stress[k] = new[k]
-                    history[step * ti.static(needs.stresses + 1) + k] = new[k]
-                history[step * ti.static(needs.stresses + 1) + ti.static(needs.stresses)] = new[needs.stresses]
+                stress[ti.static(needs.stresses)] = strain + new[needs.stresses]
+                stress[ti.static(needs.stresses + 1)] = new[needs.stresses + 1]
+                for k in ti.static(range(width)):
+                    history[step * width + k] = stress[k]
 
     return follow_path
 
 
 @cache
-def return_kernel(dilates: bool) -> Callable[..., None]:
-    """(stresses, properties): principal stresses, three blocks of eight lanes after another, returned in place."""
-    blocks = ti.types.ndarray(dtype=ti.types.vector(8, ti.f64), ndim=1)
+def tensor_kernel(needs: Features) -> Callable[..., None]:
+    """(stresses, properties): tensors, a block of lanes per component, returned in place."""
+    real = ti.f32 if needs.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
 
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
-        for e in range(s.shape[0] // 3):
-            t1, t2, t3, _ = return_principal(
-                s[3 * e],
-                s[3 * e + 1],
-                s[3 * e + 2],
+        for e in range(s.shape[0] // ti.static(needs.stresses)):
+            new = plastic_return(
+                [s[e * ti.static(needs.stresses) + k] for k in ti.static(range(needs.stresses))],
                 m[Property.SIN_PHI],
                 m[Property.SIN_PSI],
                 m[Property.STRENGTH],
                 m[Property.LIMIT],
                 m[Property.LAME],
                 m[Property.SHEAR],
-                dilates,
+                needs,
             )
-            s[3 * e], s[3 * e + 1], s[3 * e + 2] = t1, t2, t3
+            for k in ti.static(range(needs.stresses)):
+                s[e * ti.static(needs.stresses) + k] = new[k]
 
     return return_all
+
+
+@cache
+def return_kernel(needs: Features) -> Callable[..., None]:
+    """(stresses, properties): principal stresses, four blocks of lanes after another, returned in place.
+
+    The fourth of each is overwritten with what opening cost.
+    """
+    real = ti.f32 if needs.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+
+    @ti.kernel
+    def return_all(s: blocks, m: ti.types.ndarray()):
+        for e in range(s.shape[0] // 4):
+            t1, t2, t3, opened = return_principal(
+                s[4 * e],
+                s[4 * e + 1],
+                s[4 * e + 2],
+                m[Property.SIN_PHI],
+                m[Property.SIN_PSI],
+                m[Property.STRENGTH],
+                m[Property.LIMIT],
+                m[Property.LAME],
+                m[Property.SHEAR],
+                needs,
+            )
+            s[4 * e], s[4 * e + 1], s[4 * e + 2], s[4 * e + 3] = t1, t2, t3, opened
+
+    return return_all
+
+
+def follow_states(
+    material: Material,
+    gradients: Vector,
+    start: Vector | None = None,
+    *,
+    precision: Precision = "f64",
+    corrected: bool = False,
+    cohesive: bool = True,
+    cell: float = 1.0,
+) -> tuple[Vector, Vector, Vector]:
+    """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
+    increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens."""
+    runtime.start(precision)
+    needs = Features(
+        dimension=gradients.shape[1],
+        precision=precision,
+        dilates=True,
+        cohesive=cohesive,
+        fields=True,
+        corrected=corrected,
+        softens=material.softening_length is not None,
+    )
+    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    width = needs.stresses + 2
+    stress = aligned((width, needs.lanes), real)
+    if start is not None:
+        stress[: needs.stresses] = np.asarray(start)[:, None]
+    history = aligned((len(gradients) * width, needs.lanes), real)
+    increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
+    path_kernel(needs)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell)
+    assert np.all(history == history[:, :1])
+    series = history[:, 0].reshape(len(gradients), width).astype(np.float64)
+    return series[:, :-2], series[:, -2], series[:, -1]
 
 
 def follow_whole(
     material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64"
 ) -> tuple[Vector, Vector]:
     """Stress [Pa], shape [S, 4 or 6], and plastic strain increment [-], shape [S], along increments [S, D, D] [-]."""
-    runtime.start(precision)
-    needs = Features(
-        dimension=gradients.shape[1], precision=precision, dilates=True, cohesive=True, strain_recorded=True
-    )
-    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
-    stress = aligned((needs.stresses, needs.lanes), real)
-    if start is not None:
-        stress[:] = np.asarray(start)[:, None]
-    history = aligned((len(gradients) * (needs.stresses + 1), needs.lanes), real)
-    increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
-    path_kernel(needs)(stress, increments, history, np.array(properties_row(material), real))
-    assert np.all(history == history[:, :1])
-    series = history[:, 0].reshape(len(gradients), needs.stresses + 1).astype(np.float64)
-    return series[:, :-1], series[:, -1]
+    stress, strain, _ = follow_states(material, gradients, start, precision=precision)
+    return stress, np.diff(strain, prepend=0.0)
 
 
 def follow(material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64") -> Vector:
@@ -126,16 +189,48 @@ def follow_controlled(
     return np.array(history)
 
 
-def returned(material: Material, stresses: Vector, *, limit: float = np.inf) -> Vector:
-    """Sorted principal stresses [Pa], shape [E, 3], returned to the hexagon; tension stops at `limit` [Pa]."""
-    runtime.start("f64")
-    blocks = aligned((-(-len(stresses) // 8), 3, 8), np.dtype(np.float64))
-    padded = np.concatenate([stresses, np.zeros((8 * len(blocks) - len(stresses), 3))])
-    blocks[:] = np.moveaxis(padded.reshape(-1, 8, 3), 1, 2)
-    properties = np.array(properties_row(material))
-    properties[Property.LIMIT] = limit
-    return_kernel(material.dilation_deg > 0.0)(blocks.reshape(-1, 8), properties)
-    return np.moveaxis(blocks, 1, 2).reshape(-1, 3)[: len(stresses)].copy()
+def returned(material: Material, stresses: Vector, *, limit: float | None = None) -> Vector:
+    """Sorted principal stresses [Pa], shape [E, 3], returned; `limit` [Pa] replaces the material's tension limit."""
+    return returned_whole(material, stresses, limit=limit)[0]
+
+
+def returned_whole(
+    material: Material,
+    stresses: Vector,
+    *,
+    limit: float | None = None,
+    precision: Precision = "f64",
+    cohesive: bool = True,
+) -> tuple[Vector, Vector]:
+    """What `returned` does, and the mean stress that opening cost [Pa], shape [E]."""
+    runtime.start(precision)
+    needs = Features(dimension=2, precision=precision, dilates=material.dilation_deg > 0.0, cohesive=cohesive)
+    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    count, lanes = len(stresses), needs.lanes
+    blocks = aligned((-(-count // lanes), 4, lanes), real)
+    padded = np.zeros((len(blocks) * lanes, 4))
+    padded[:count, :3] = stresses
+    blocks[:] = np.moveaxis(padded.reshape(-1, lanes, 4), 1, 2)
+    properties = np.array(properties_row(material, 1.0), real)
+    if limit is not None:
+        properties[Property.LIMIT] = limit
+    return_kernel(needs)(blocks.reshape(-1, lanes), properties)
+    result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count].astype(np.float64)
+    return result[:, :3], result[:, 3]
+
+
+def returned_tensors(material: Material, stresses: Vector, *, precision: Precision = "f64") -> Vector:
+    """Trial stresses [Pa], shape [E, 4 or 6], returned."""
+    runtime.start(precision)
+    count, width = stresses.shape
+    needs = Features(dimension=2 if width == 4 else 3, precision=precision, dilates=True, cohesive=True)
+    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    blocks = aligned((-(-count // needs.lanes), width, needs.lanes), real)
+    padded = np.zeros((len(blocks) * needs.lanes, width))
+    padded[:count] = stresses
+    blocks[:] = np.moveaxis(padded.reshape(-1, needs.lanes, width), 1, 2)
+    tensor_kernel(needs)(blocks.reshape(-1, needs.lanes), np.array(properties_row(material, 1.0), real))
+    return np.moveaxis(blocks, 1, 2).reshape(-1, width)[:count].astype(np.float64)
 
 
 def yield_function(material: Material, stresses: Vector) -> Vector:

@@ -85,12 +85,16 @@ def test_pure_tension_stops_at_the_cutoff() -> None:
     assert np.all(np.diff(history[:, YY]) > -1e-6)
 
 
-def test_the_apex_carries_the_cutoff_in_all_directions() -> None:
+def test_where_all_directions_open_all_carry_the_limit() -> None:
+    """In plane strain only two open: the third keeps nu (s1 + s2), for nothing has strained it."""
     history = follow(SAND, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
-    np.testing.assert_allclose(history[-1], [5e3, 5e3, 5e3, 0.0], rtol=1e-9)
+    np.testing.assert_allclose(history[-1], [5e3, 5e3, 2 * SAND.poisson * 5e3, 0.0], rtol=1e-9)
+    history = follow(SAND, np.tile(np.eye(3) * 1e-3, (20, 1, 1)))
+    np.testing.assert_allclose(history[-1], [5e3, 5e3, 5e3, 0.0, 0.0, 0.0], rtol=1e-9)
     weak = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=1e9)
-    history = follow(weak, np.tile(np.eye(2) * 1e-3, (20, 1, 1)))
-    np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
+    for dimension in (2, 3):
+        history = follow(weak, np.tile(np.eye(dimension) * 1e-3, (20, 1, 1)))
+        np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
 
 
 def test_cohesionless_sand_bears_no_tension() -> None:
@@ -118,7 +122,7 @@ def test_the_return_lands_on_the_hexagon_or_leaves_alone(dilation_deg: float) ->
 
 def test_without_dilation_the_mean_stress_is_kept() -> None:
     trial = trial_states(3.0e5)
-    result = returned(SAND, trial)
+    result = returned(SAND, trial, limit=np.inf)
     np.testing.assert_allclose(result.sum(axis=1), trial.sum(axis=1), atol=1e-4)
 
 
@@ -267,3 +271,58 @@ def test_plastic_strain_of_shear_is_what_elasticity_does_not_hold() -> None:
     shear[:, 0, 1] = 1e-5
     _, increments = follow_whole(weak, shear, np.array([-1e3, -1e3, -1e3, 0.0, 0.0, 0.0]))
     assert increments.sum() == pytest.approx(1e-2 / np.sqrt(3.0), rel=0.01)
+
+
+def invariants(stress: np.ndarray) -> np.ndarray:
+    """Trace, trace of the square and determinant of stresses [S, 4 or 6] [Pa, Pa^2, Pa^3], shape [S, 3]."""
+    padded = np.zeros((len(stress), 6))
+    padded[:, : stress.shape[1]] = stress
+    full = tensor(padded)
+    square = np.einsum("sij,sji->s", full, full)
+    return np.stack([np.trace(full, axis1=1, axis2=2), square, np.linalg.det(full)], axis=1)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_thousand_turns_keep_the_invariants(dimension: int) -> None:
+    """A rigid spin: invariants to 1e-9, and an angle of 2 atan(w / 2) a step (Hughes & Winget 1980)."""
+    firm = Material(friction_deg=45.0, cohesion=1e9, tension_cutoff=1e9)
+    axis = np.array([0.0, 0.0, 1.0]) if dimension == 2 else np.array([2.0, -1.0, 0.5]) / np.sqrt(5.25)
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    start = np.array([3e4, -1e4, 2e3, 5e3, -4e3, 1e3][: 4 if dimension == 2 else 6])
+    per_turn = 40
+    step = 2.0 * np.tan(np.pi / per_turn)
+    spin = np.tile(step * cross[:dimension, :dimension], (1000 * per_turn, 1, 1))
+    history = follow(firm, spin, start)
+    expected = invariants(start[None])
+    np.testing.assert_allclose(invariants(history), np.tile(expected, (len(history), 1)), rtol=1e-9)
+    np.testing.assert_allclose(history[-1], start, atol=1e-7 * 3e4)
+    # The angle of a step that the velocity gradient means is w: 2 atan(w / 2) = w - w^3 / 12.
+    errors = []
+    for steps in (50, 100):
+        coarse = np.tile(np.pi / 2 / steps * cross[:dimension, :dimension], (steps, 1, 1))
+        turn = np.eye(3) + cross + cross @ cross
+        padded = np.zeros(6)
+        padded[: len(start)] = start
+        wanted = components(turn @ tensor(padded) @ turn.T)[: len(start)]
+        errors.append(np.abs(follow(firm, coarse, start)[-1] - wanted).max())
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.01)
+    assert errors[1] < 2e-4 * 3e4
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_simple_shear_is_jaumanns(dimension: int) -> None:
+    """tau = G sin gamma, sigma_xx = -sigma_yy = G (1 - cos gamma) in the limit of small steps."""
+    firm = Material(friction_deg=45.0, cohesion=1e9, tension_cutoff=1e9)
+    errors = []
+    for steps in (2000, 4000):
+        path = np.zeros((steps, dimension, dimension))
+        path[:, 0, 1] = 2.0 / steps
+        gamma = 2.0 * np.arange(1, steps + 1) / steps
+        history = follow(firm, path)
+        g = firm.shear_modulus
+        np.testing.assert_allclose(history[:, XX] + history[:, YY], 0.0, atol=1e-9 * g)
+        miss = np.abs(history[:, XY] - g * np.sin(gamma)), np.abs(history[:, XX] - g * (1 - np.cos(gamma)))
+        errors.append(max(miss[0].max(), miss[1].max()) / g)
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.02)
+    assert errors[1] < 5e-4

@@ -28,10 +28,10 @@ def at_rest(scene: Scene | None = None, **changes: Any) -> Trajectory:
     scene = scene or scene_of()
     points = initial_particles(scene)
     count, dimension = points.positions.shape
-    density = np.array([material.density for material in points.materials])[points.material]
+    mass = points.density * points.volume
     time = np.arange(scene.frames) * scene.frame_dt
-    weight = density.sum() * points.volume * np.array(scene.gravity_vector)
-    potential = -float(density @ (points.positions @ np.array(scene.gravity_vector))) * points.volume
+    weight = mass.sum() * np.array(scene.gravity_vector)
+    potential = -float(mass @ (points.positions @ np.array(scene.gravity_vector)))
     summary = {
         "precision": "f64",
         "steps": 1000,

@@ -16,7 +16,8 @@ from tests.validation.sand_at_rest import at_rest
 from validation.stability import __main__ as stability
 from validation.stability import expectations as expect
 from validation.stability import flows
-from validation.stability.cases import CASES, Case
+from validation.stability.case import Case
+from validation.stability.cases import CASES
 
 
 def with_rows(monkeypatch: pytest.MonkeyPatch, *cases: Case) -> None:
@@ -38,7 +39,7 @@ def test_a_row_for_real(tmp_path: Path) -> None:
     assert "## Red rows" not in page
 
 
-def still(scenes: Sequence[Scene], *, precision: str, fields: bool) -> list[Trajectory]:
+def still(scenes: Sequence[Scene], *, precision: str, fields: bool, until_rest: bool) -> list[Trajectory]:
     """A solver in which nothing moves."""
     assert fields
     flows = [at_rest(scene) for scene in scenes]
@@ -69,7 +70,7 @@ def test_a_run_that_blows_up_is_red_and_the_others_are_told(tmp_path: Path, monk
     def simulate(scene: Scene, **options: Any) -> Trajectory | WorkFailed:
         if scene.material.friction_deg == 48.0:
             return WorkFailed("the simulation blew up at t = 0.1 s")
-        return still([scene], precision=options["precision"], fields=True)[0]
+        return still([scene], **{**options, "fields": True, "until_rest": False})[0]
 
     def simulate_each(scenes: Sequence[Scene], **options: Any) -> list[Trajectory | WorkFailed]:
         return [simulate(scene, **options) for scene in scenes]

@@ -15,8 +15,9 @@ from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, at_rest, scene_of
 from validation.stability import expectations as expect
-from validation.stability.cases import CASES, SCENES
-from validation.stability.deposit import FEWEST_CUBES, core_counts
+from validation.stability.case import SCENES
+from validation.stability.cases import CASES
+from validation.stability.deposit import FEWEST_CUBES, core_volumes
 from validation.stability.invariants import INVARIANTS
 
 BY_NAME = {case.name: case for case in CASES}
@@ -84,7 +85,7 @@ def test_the_scenes_are_what_their_rows_say() -> None:
 def test_a_row_that_asks_for_volume_has_a_core(name: str) -> None:
     flow = at_rest(BY_NAME[name].scene)
     fallen = lifted(flow, np.array([0.0, -flow.positions[:, :, 1].min() + 0.005, 0.0][: flow.scene.dimension]))
-    assert core_counts(fallen)[1].sum() >= FEWEST_CUBES
+    assert core_volumes(fallen)[1].sum() >= FEWEST_CUBES
 
 
 def test_the_cuts_are_at_their_fractions_of_the_critical_height() -> None:

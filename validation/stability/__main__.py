@@ -11,7 +11,8 @@ from datasets.command_line import WorkFailed, run
 from datasets.errors import InputError
 from datasets.files import write_text
 from mpm.layout import Precision
-from validation.stability.cases import CASES, Case
+from validation.stability.case import Case
+from validation.stability.cases import CASES
 from validation.stability.flows import Flow, simulate_scenes
 from validation.stability.probes import probe
 from validation.stability.report import document
@@ -31,12 +32,13 @@ def command(*names: str, out: Path | None = None) -> None:
     began = time.perf_counter()
     cases = chosen(names)
     scenes = {case.name: case.scene for case in cases}
+    until_rest = {case.name for case in cases if case.until_rest}
     with tqdm(total=2 * len(cases), unit="row", desc="hard cases") as bar:
         flows: dict[Precision, dict[str, Flow]] = {precision: {} for precision in PRECISIONS}
         for precision in PRECISIONS:
             for dimension in (2, 3):
                 alike = {name: scene for name, scene in scenes.items() if scene.dimension == dimension}
-                flows[precision] |= simulate_scenes(alike, precision, bar)
+                flows[precision] |= simulate_scenes(alike, precision, bar, until_rest)
         verdicts = [judge(case, flows) for case in cases]
         red = [verdict.case for verdict in verdicts if not verdict.all_green]
         probes = probe(red, bar)

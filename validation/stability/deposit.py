@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.measures import front
+from datasets.particles import particle_volumes
 from datasets.trajectory import Trajectory
 from validation.stability.finding import Finding
 
@@ -56,21 +57,24 @@ def volume(flow: Trajectory) -> Finding | None:
     From the points in cubes of two cells that lie at least a cube under the surface, their own and their neighbours',
     and beside no wall. Sand at psi = 0 flows at constant volume. None where there are fewer than ten such cubes.
     """
-    counts, core = core_counts(flow)
+    sand, core = core_volumes(flow)
     if core.sum() < FEWEST_CUBES:
         return None
-    full = (CUBE * flow.scene.particles_per_axis) ** flow.scene.dimension
-    return Finding(
-        check="volume", value=float(full * core.sum() / max(1.0, counts[core].sum()) - 1.0), least=-VOLUME, most=VOLUME
-    )
+    full = (CUBE * flow.scene.domain.cell) ** flow.scene.dimension
+    held = max(sand[core].sum(), flow.scene.particle_volume)
+    return Finding(check="volume", value=float(full * core.sum() / held - 1.0), least=-VOLUME, most=VOLUME)
 
 
-def core_counts(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Points in each cube of the last frame, and which cubes are deep inside the deposit; axes as in the box."""
+def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Initial volume of the particles in each cube of the last frame [m^D], and which cubes are deep in the deposit.
+
+    Axes as in the box.
+    """
     scene, edge = flow.scene, CUBE * flow.scene.domain.cell
     counts = [round(length / scene.domain.cell) // CUBE for length in scene.domain.size]
     ranges = [(0.0, count * edge) for count in counts]
-    number, _ = np.histogramdd(flow.positions[-1].astype(np.float64), bins=counts, range=ranges)
+    positions = flow.positions[-1].astype(np.float64)
+    sand, _ = np.histogramdd(positions, bins=counts, range=ranges, weights=particle_volumes(scene, len(positions)))
     lowest = np.nan_to_num(topmost(flow))
     for axis, count in enumerate([counts[0], *counts[2:]]):
         parts = np.split(np.take(lowest, range(count * CUBE), axis=axis), count, axis=axis)
@@ -78,7 +82,7 @@ def core_counts(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_
     around = np.lib.stride_tricks.sliding_window_view(np.pad(lowest, 1), (3,) * lowest.ndim)
     level = np.expand_dims(around.min(axis=tuple(range(lowest.ndim, 2 * lowest.ndim))), 1)
     cover = (np.arange(counts[1]) + 2.0) * edge
-    return number, np.asarray(level >= cover.reshape(1, -1, *(1,) * (lowest.ndim - 1)))
+    return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (lowest.ndim - 1)))
 
 
 def topmost(flow: Trajectory) -> NDArray[np.float64]:

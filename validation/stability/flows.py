@@ -1,6 +1,6 @@
 """Scenes -> trajectories, side by side, each in the kernel that it would get alone."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from tqdm import tqdm
 
@@ -17,18 +17,26 @@ Flow = Trajectory | WorkFailed
 """What a scene came to: a trajectory with fields, or the message of a run that blew up."""
 
 
-def simulate_scenes(scenes: Mapping[str, Scene], precision: Precision, bar: "tqdm[None]") -> dict[str, Flow]:
-    """What each scene came to; `bar` counts them.
+def simulate_scenes(
+    scenes: Mapping[str, Scene], precision: Precision, bar: "tqdm[None]", until_rest: Collection[str] = ()
+) -> dict[str, Flow]:
+    """What each scene came to; `bar` counts them, those named in `until_rest` end when they rest.
 
     Scenes that need the same code run together, so that the bar moves in between.
     """
     groups: dict[Features, dict[str, Scene]] = {}
     for name, scene in scenes.items():
-        needs = features_of([scene], [initial_particles(scene)], precision, record=with_usual_fields(ALL))
+        needs = features_of(
+            [scene],
+            [initial_particles(scene)],
+            precision,
+            record=with_usual_fields(ALL),
+            until_rest=name in until_rest,
+        )
         groups.setdefault(needs, {})[name] = scene
     flows: dict[str, Flow] = {}
-    for group in groups.values():
-        outcomes = simulate_each(list(group.values()), precision=precision, fields=True)
+    for needs, group in groups.items():
+        outcomes = simulate_each(list(group.values()), precision=precision, fields=True, until_rest=needs.rests)
         flows.update(zip(group, outcomes, strict=True))
         bar.update(len(group))
     return {name: flows[name] for name in scenes}

@@ -9,6 +9,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.particles import particle_volumes
 from datasets.scene import TOLERANCE
 from datasets.trajectory import Trajectory
 from validation.stability.finding import Finding
@@ -62,7 +63,7 @@ def mass(flow: Trajectory) -> Finding:
     scene = flow.scene
     inside = in_masses(flow)
     boxes = np.array([np.prod(mass.size) for mass in scene.masses])
-    worst = np.abs(inside.sum(axis=1) * scene.particle_volume / boxes - 1.0).max()
+    worst = np.abs(inside @ particle_volumes(scene, inside.shape[1]) / boxes - 1.0).max()
     astray = np.abs(inside.sum(axis=0) - 1).mean()
     return Finding(check="mass", value=float(max(worst, astray)), most=EXACT_MASS)
 
@@ -70,8 +71,8 @@ def mass(flow: Trajectory) -> Finding:
 def momentum(flow: Trajectory) -> Finding | None:
     """Momentum that nobody gave or took: P(t) - P(0) - M g t + impulses on walls and baffles, the worst frame.
 
-    Relative to the larger of M g t and the largest momentum of the flow. Damping takes momentum, so a damped flow has
-    no such balance.
+    Relative to the larger of M g t and the largest momentum of the flow; in free space, where a body that spins or
+    rings has none, to the sum of m |v| at the start. Damping takes momentum, so a damped flow has no such balance.
     """
     if flow.scene.damping > 0.0:
         return None
@@ -79,11 +80,16 @@ def momentum(flow: Trajectory) -> Finding | None:
     weights = point_masses(flow)
     total = np.einsum("n, tnd -> td", weights, flow.velocities.astype(np.float64))
     gravity = weights.sum() * np.array(flow.scene.gravity_vector)
+    # Frames after the end repeat the last one that was computed.
+    end = flow.summary.get("end_time") or flow.summary.get("rest_time")
+    time = flow.time if end is None else np.minimum(flow.time, end)
     taken = wall_impulse(flow)
     if flow.baffle_impulse is not None:
         taken = taken + flow.baffle_impulse.sum(axis=1)
-    astray = np.linalg.norm(total - total[0] - flow.time[:, None] * gravity + taken, axis=1)
-    scale = np.maximum(flow.time * np.linalg.norm(gravity), np.linalg.norm(total, axis=1).max())
+    astray = np.linalg.norm(total - total[0] - time[:, None] * gravity + taken, axis=1)
+    scale = np.maximum(time * np.linalg.norm(gravity), np.linalg.norm(total, axis=1).max())
+    if flow.scene.gravity == 0.0:
+        scale = np.full_like(scale, weights @ np.linalg.norm(flow.velocities[0].astype(np.float64), axis=1))
     worst = np.max(np.divide(astray, scale, out=np.zeros_like(astray), where=astray > 0.0))
     return Finding(check="momentum", value=float(worst), most=MOMENTUM[flow.summary["precision"]])
 
@@ -121,7 +127,8 @@ def point_masses(flow: Trajectory) -> NDArray[np.float64]:
     """Mass of each point [kg, per metre of width in 2D], shape [N]: its box's density times its volume."""
     scene = flow.scene
     density = np.array([scene.material_of(box).density for box in scene.masses])
-    return np.asarray(scene.particle_volume * density[in_masses(flow).argmax(axis=0)])
+    inside = in_masses(flow)
+    return np.asarray(particle_volumes(scene, inside.shape[1]) * density[inside.argmax(axis=0)])
 
 
 def total_energy(flow: Trajectory) -> NDArray[np.float64]:

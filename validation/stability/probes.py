@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from tqdm import tqdm
 
 from datasets.scene import Domain, Scene
-from validation.stability.cases import Case
+from validation.stability.case import Case
 from validation.stability.flows import simulate_scenes
 from validation.stability.verdict import Verdict, judge
 
@@ -46,7 +46,7 @@ def probe(cases: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
         changed = {case.name: variant(case.scene) for case in cases if case.scene.dimension in dimensions}
         changed = {case.name: changed[case.name] for case in cases if changed.get(case.name, case.scene) != case.scene}
         bar.total = (bar.total or 0) + len(changed)
-        flows = simulate_scenes(changed, "f64", bar)
+        flows = simulate_scenes(changed, "f64", bar, {case.name for case in cases if case.until_rest})
         for case in cases:
             if case.name in flows:
                 # What a row is compared with was not changed: without it.

@@ -1,0 +1,88 @@
+"""Materials: what may be combined, and the constants that follow."""
+
+import math
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.strict import from_mapping
+
+
+def test_tresca_needs_a_cohesion_and_has_no_apex() -> None:
+    clay = Material(friction_deg=0.0, cohesion=2.0e4, tension_cutoff=3.0e4)
+    assert clay.friction == 0.0
+    assert clay.tension_limit == 3.0e4
+    with pytest.raises(
+        InputError, match=r"material\.friction_deg: expected an angle above 0 degrees where there is no"
+    ):
+        Material(friction_deg=0.0)
+    with pytest.raises(InputError, match=r"material\.friction_deg.*\[0, 90\)"):
+        Material(friction_deg=90.0)
+    with pytest.raises(InputError, match=r"material\.dilation_deg"):
+        Material(friction_deg=0.0, cohesion=1.0, dilation_deg=1.0)
+
+
+def test_the_apex_limits_the_cutoff() -> None:
+    soil = Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=1.0e6)
+    assert soil.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(30.0)))
+    assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == 0.0
+
+
+def test_the_residual_material() -> None:
+    """What is not given stays; what remains of the cohesion is the same share of it at every depth."""
+    plain = Material(friction_deg=30.0, cohesion=1.0e3)
+    assert plain.residual is plain
+    soil = Material(
+        friction_deg=40.0,
+        dilation_deg=10.0,
+        cohesion=4.0e3,
+        strength_gradient=1.0e3,
+        tension_cutoff=500.0,
+        softening_length=0.05,
+        residual_friction_deg=30.0,
+        residual_cohesion=1.0e3,
+    )
+    residual = soil.residual
+    assert residual == Material(
+        friction_deg=30.0, cohesion=1.0e3, strength_gradient=250.0, tension_cutoff=500.0, density=soil.density
+    )
+    depth = np.array([0.0, 2.0])
+    np.testing.assert_allclose(residual.cohesion_at(depth), 0.25 * soil.cohesion_at(depth))
+    assert residual.residual is residual
+    assert Material(friction_deg=40.0, softening_length=0.1).residual.friction_deg == 40.0
+
+
+def test_depth_alone_makes_a_material_cohesive() -> None:
+    assert Material(friction_deg=30.0, strength_gradient=10.0).cohesive
+    assert Material(friction_deg=30.0, strength_gradient=10.0).cohesion_at(3.0) == 30.0
+    assert not Material(friction_deg=30.0).cohesive
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [
+        ({"residual_friction_deg": 31.0, "softening_length": 1.0}, "residual_friction_deg"),
+        ({"residual_cohesion": 1001.0, "softening_length": 1.0}, "residual_cohesion"),
+        ({"residual_cohesion": -1.0, "softening_length": 1.0}, "residual_cohesion"),
+        ({"residual_tension_cutoff": 1.0, "softening_length": 1.0}, "residual_tension_cutoff"),
+        ({"residual_cohesion": 10.0}, "residual_cohesion"),
+        ({"softening_length": 0.0}, "softening_length"),
+        ({"strength_gradient": -1.0}, "strength_gradient"),
+        (
+            {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0},
+            "residual_friction_deg",
+        ),
+    ],
+)
+def test_what_cannot_be_is_named(wrong: dict[str, float], key: str) -> None:
+    with pytest.raises(InputError, match=rf"material\.{key}"):
+        Material(friction_deg=30.0, cohesion=1000.0, **wrong)
+
+
+def test_a_file_may_say_all_of_it() -> None:
+    data = {"friction_deg": 30, "cohesion": 100.0, "residual_cohesion": 0.0, "softening_length": 0.2}
+    assert from_mapping(Material, data).residual.cohesion == 0.0
+    with pytest.raises(InputError, match="did you mean 'softening_length'"):
+        from_mapping(Material, {"friction_deg": 30.0, "softening_lenght": 0.1})

@@ -1,0 +1,55 @@
+"""Rows whose outcome is an exact solution."""
+
+import math
+from functools import partial
+
+from validation.stability import exact
+from validation.stability import expectations as expect
+from validation.stability.case import Case
+
+EXACT_CASES = (
+    Case(
+        name="spin",
+        what="an elastic square turns three times in free space",
+        checks=(exact.spins_on, exact.keeps_angular_momentum),
+    ),
+    Case(
+        name="bar-mode",
+        what="a free elastic bar rings, particles on a lattice",
+        rings=True,
+        checks=(partial(exact.bar_decrement, most=1.0e-3),),
+    ),
+    Case(
+        name="bar-mode-jitter",
+        what="the same, particles jittered",
+        rings=True,
+        checks=(partial(exact.bar_decrement, most=2.0 * math.pi * exact.DAMPING_OF_SAND),),
+        remark="Jittered particles at free surfaces damp it, in proportion to the cell over the bar's thickness and at "
+        "any step. Asked for is less damping than sand has: a damping ratio of 0.5 %, a decrement of 2 pi times that.",
+    ),
+    Case(name="far-slow", what="10 mm/s in free space, 2 km away", checks=(exact.moves_on,)),
+    Case(name="far-stiff", what="1 mm/s in free space, 100 MPa, 100 m away", checks=(exact.moves_on,)),
+    Case(
+        name="cohesive-column",
+        what="a column of soil of 1 MPa without tension",
+        checks=(exact.stands,),
+    ),
+    Case(
+        name="thrown-rest",
+        what="sand thrown up: when does it rest?",
+        until_rest=True,
+        checks=(exact.rests_after_landing,),
+    ),
+    Case(
+        name="bed-ringing", what="a bed that swings: when does it rest?", until_rest=True, checks=(exact.rests_settled,)
+    ),
+    Case(name="stiff-2e7", what="a column of 20 MPa", rests=True, checks=(expect.spreads,)),
+    Case(
+        name="stiff",
+        what="a column of 2 GPa",
+        rests=True,
+        checks=(expect.spreads,),
+        beside="stiff-2e7",
+        comparisons=(partial(expect.as_far_as, within=0.03),),
+    ),
+)
