@@ -47,7 +47,7 @@ class Meshes:
             known: NDArray[np.float64] = initial_particles(trajectory.scene).positions
             if known.shape == trajectory.positions[0].shape:
                 return known
-        return trajectory.positions[0].astype(np.float64)
+        return np.asarray(trajectory.positions[0], np.float64)
 
     @cached_property
     def material(self) -> NDArray[np.int32]:

@@ -21,6 +21,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.statistics import MOVING_SPEED, motion_statistics
 from datasets.strict import from_mapping
 from datasets.trajectory import Trajectory
+from mpm.checkpoint import ARRAYS, PLAIN
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
@@ -49,11 +50,29 @@ def test_the_scene_on_the_page_loads() -> None:
 
 
 def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> None:
-    shapes = {"velocities": (3, 5, 2), "pressure": (3, 5), "plastic_strain": (3, 5), "baffle_impulse": (3, 0, 2)}
+    shapes = {
+        "velocities": (3, 5, 2),
+        "stress": (3, 5, 4),
+        "pressure": (3, 5),
+        "density": (3, 5),
+        "plastic_strain": (3, 5),
+        "baffle_impulse": (3, 0, 2),
+    }
     fields = {key: np.zeros(shape) for key, shape in shapes.items()}
     dataclasses.replace(trajectory, **fields).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
         assert set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE)) == set(file.files)
+
+
+def test_every_key_of_a_checkpoint(tmp_path: Path) -> None:
+    assert set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", section("Checkpoint (NPZ)"), re.M)))) == {
+        *ARRAYS,
+        "scene",
+        "recording",
+        "features",
+        "run",
+    }
+    assert all(f"`{key}`" in section("Checkpoint (NPZ)") for key in PLAIN)
 
 
 def test_every_key_of_the_metadata() -> None:

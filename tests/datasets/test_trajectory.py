@@ -35,7 +35,9 @@ def with_baffles(trajectory: Trajectory) -> Trajectory:
         trajectory,
         scene=dataclasses.replace(trajectory.scene, baffles=baffles),
         velocities=stream.random((3, 5, 2), np.float32),
+        stress=stream.random((3, 5, 4), np.float32),
         pressure=stream.random((3, 5), np.float32),
+        density=stream.random((3, 5), np.float32),
         plastic_strain=stream.random((3, 5), np.float32),
         baffle_impulse=stream.random((3, 2, 2)),
     )
@@ -60,7 +62,9 @@ def test_fields_that_were_recorded(tmp_path: Path, with_baffles: Trajectory, rec
     ("key", "value", "expected"),
     [
         ("velocities", np.zeros((3, 5)), "expected shape (3, 5, 2), got (3, 5)"),
+        ("stress", np.zeros((3, 5, 6)), "expected shape (3, 5, 4), got (3, 5, 6)"),
         ("pressure", np.zeros((2, 5)), "expected shape (3, 5), got (2, 5)"),
+        ("density", np.zeros((3, 5, 1)), "expected shape (3, 5), got (3, 5, 1)"),
         ("plastic_strain", np.zeros((3, 5), int), "floating-point"),
         ("baffle_impulse", np.zeros((3, 1, 2)), "expected shape (3, 2, 2), got (3, 1, 2)"),
     ],

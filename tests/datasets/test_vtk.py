@@ -120,6 +120,38 @@ def test_velocity_as_recorded(tmp_path: Path, flow: Trajectory) -> None:
         np.testing.assert_array_equal(points["velocity"], recorded[frame])
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_stress_and_density_as_recorded(tmp_path: Path, flow: Trajectory, dimension: int) -> None:
+    stream, width = np.random.default_rng(4), 4 if dimension == 2 else 6
+    stress, density = stream.random((5, 4, width), np.float32), stream.random((5, 4), np.float32)
+    write_vtk(dataclasses.replace(flow if dimension == 3 else flat(flow), stress=stress, density=density), tmp_path)
+    for frame, (points, *_) in enumerate(read(tmp_path).values()):
+        assert points["stress"].shape == (4, 6)
+        np.testing.assert_array_equal(points["stress"][:, :width], stress[frame])
+        np.testing.assert_array_equal(points["stress"][:, width:], 0.0)
+        np.testing.assert_array_equal(points["density"], density[frame])
+
+
+def test_a_last_frame_alone_knows_where_it_began(tmp_path: Path, flow: Trajectory) -> None:
+    """Its first frame is not the start: materials and displacements are by the scene's own particles."""
+    start = initial_particles(flow.scene)
+    moved = start.positions[None].astype(np.float32) + np.float32(0.03)
+    count = len(start.positions)
+    last = Trajectory(
+        positions=moved,
+        time=np.array([0.5]),
+        velocity0=start.velocities.astype(np.float32),
+        friction=start.friction,
+        scene=flow.scene,
+    )
+    write_vtk(last, tmp_path)
+    ((points, *_),) = read(tmp_path).values()
+    assert points.n_points == count
+    np.testing.assert_allclose(points["displacement"], 0.03, atol=1e-6)
+    np.testing.assert_array_equal(points["material"], start.material)
+    assert "velocity" not in points.point_data
+
+
 def test_baffles_are_closed_and_know_what_hit_them(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
     for frame, (_, baffles, _) in enumerate(read(tmp_path).values()):
@@ -272,7 +304,8 @@ def test_every_file_and_array_is_on_the_page(tmp_path: Path, flow: Trajectory) -
     page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## VTK series (folder)\n")[1].split("\n## ")[0]
     named = set(re.findall(r"`([\w.-]+)`", section))
-    write_vtk(flow, tmp_path)
+    recorded = {"stress": np.zeros((5, 4, 6), np.float32), "density": np.zeros((5, 4), np.float32)}
+    write_vtk(dataclasses.replace(flow, **recorded), tmp_path)
     files = {re.sub(r"-\d+", "-NNNN", file.name) for file in tmp_path.iterdir()}
     arrays = {name for part in read(tmp_path)[0.0] for name in part.array_names}
     assert named - {"baffles.vtp", "DIR"} == files | arrays

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,6 +120,14 @@ def test_the_stress_in_a_settled_bed_is_the_weight_above(bed: dict[bool, Traject
     assert roughness(flow.positions[-1], flow.stress[-1, :, 1]) < 0.02
     assert roughness(raw.positions[-1], raw.stress[-1, :, 1]) > 0.1
     np.testing.assert_allclose(flow.pressure, -flow.stress[:, :, :3].mean(axis=2), rtol=1e-4, atol=1.0)
+
+
+def test_the_page_lists_every_key_of_a_summary(bed: dict[bool, Trajectory]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = page.split("\n## Summary (JSON)\n")[1].split("\n## ")[0]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert {key for row in rows for key in re.findall(r"`(\w+)`", row)} == bed[False].summary.keys()
+    assert all(f"`{kind}`" in section for kind in bed[False].summary["energy"])
 
 
 def test_the_density_of_a_settled_bed_is_the_initial_one(bed: dict[bool, Trajectory]) -> None:
