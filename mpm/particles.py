@@ -106,7 +106,7 @@ def update_stress(scene, block, dt, arrays: ti.template()):
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     increment = midpoint_increment(gradient, features.dimension)
-    opened = 0.0
+    opened = 0.0 * stress[0]
     if ti.static(features.corrected):
         opened = arrays.state[first + features.gap]
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
