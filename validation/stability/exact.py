@@ -96,6 +96,43 @@ def stands(flow: Trajectory) -> Finding:
     return Finding(check="height lost", value=float(lost) / flow.scene.domain.cell, unit="cells", most=0.05)
 
 
+def stays_at_rest(flow: Trajectory) -> Finding:
+    """Largest speed of any particle in any frame [m/s]: 0 in geostatic equilibrium.
+
+    In f32 a stress of sigma = rho g H is known to eps sigma, eps = 6e-8, and so the force of a cell to eps sigma A, an
+    acceleration of eps g H / dx, which acts until the cell's own elasticity balances it, for dx / c at the most:
+    eps g H / c for a rounding, times the some ten that a node sums.
+    """
+    assert flow.velocities is not None
+    scene = flow.scene
+    height = scene.masses[0].size[1]
+    rounding = 10.0 * 2.0**-24 * scene.gravity * height / scene.material.wave_speed
+    most = 1.0e-6 if flow.summary["precision"] == "f64" else 1.0e-6 + rounding
+    speed = np.linalg.norm(flow.velocities.astype(np.float64), axis=2).max()
+    return Finding(check="speed", value=float(speed), unit="m/s", most=most)
+
+
+def weighs_what_lies_above(flow: Trajectory) -> Finding:
+    """Largest error of the mean stress of a layer of a cell at the end over (1 + 2 K0) / 3 rho g z, relative.
+
+    z is the depth of the layer's middle; the two layers at the floor and at the surface are left out, where recorded
+    stress, sent through the grid, is that of half a neighbourhood.
+    """
+    assert flow.pressure is not None
+    scene, mass = flow.scene, flow.scene.masses[0]
+    k0 = mass.k0
+    assert isinstance(k0, float)
+    layers = round(mass.size[1] / scene.domain.cell)
+    height = flow.positions[-1, :, 1].astype(np.float64)
+    layer = (height / scene.domain.cell).astype(int)
+    exact = (1.0 + 2.0 * k0) / 3.0 * scene.material.density * scene.gravity * (mass.size[1] - height)
+    errors = [
+        flow.pressure[-1, layer == each].mean(dtype=np.float64) / exact[layer == each].mean() - 1.0
+        for each in range(2, layers - 2)
+    ]
+    return Finding(check="stress over weight", value=float(np.abs(errors).max()), most=0.01)
+
+
 def rests_after_landing(flow: Trajectory) -> Finding:
     """Time at which the solver calls a heap that was thrown up at rest, over that of its landing.
 

@@ -9,6 +9,50 @@ from validation.stability.case import Case
 
 EXACT_CASES = (
     Case(
+        name="block-24",
+        what="a block on an incline of 24°, mu = 0.5",
+        checks=(partial(expect.creeps, since=0.0, cells=0.05),),
+    ),
+    Case(name="block-29", what="a block on an incline of 29°, mu = 0.5", checks=(exact.slides,)),
+    Case(name="block-35", what="a block on an incline of 35°, mu = 0.5", checks=(exact.slides,)),
+    Case(
+        name="bed-k0",
+        what="a bed in geostatic stress",
+        checks=(exact.stays_at_rest, exact.weighs_what_lies_above),
+    ),
+    Case(
+        name="layer-mode",
+        what="a layer in geostatic stress rings",
+        checks=(partial(exact.layer_decrement, most=2.0 * math.pi * exact.DAMPING_OF_SAND),),
+    ),
+    Case(name="thin-body", what="a layer of 1 mm in cells of 20 mm", checks=(exact.moves_on,)),
+    Case(
+        name="cut-critical-holds",
+        what="a cut without tension at 0.9 of its critical height",
+        checks=(
+            partial(expect.over_critical_height, ratio=0.9),
+            expect.stands_but_for_spall,
+        ),
+    ),
+    Case(
+        name="cut-critical-fails",
+        what="the same at 1.1",
+        checks=(partial(expect.over_critical_height, ratio=1.1), expect.fails_as_a_wedge),
+    ),
+    Case(
+        name="undrained-cut-holds",
+        what="a cut in clay, phi = 0, at 0.8 of its critical height",
+        checks=(
+            partial(expect.over_critical_height, ratio=0.8),
+            expect.stands_but_for_spall,
+        ),
+    ),
+    Case(
+        name="undrained-cut-fails",
+        what="the same at 1.2",
+        checks=(partial(expect.over_critical_height, ratio=1.2), expect.fails_as_a_wedge),
+    ),
+    Case(
         name="spin",
         what="an elastic square turns three times in free space",
         checks=(exact.spins_on, exact.keeps_angular_momentum),

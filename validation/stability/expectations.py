@@ -135,13 +135,41 @@ def runs_out(flow: Trajectory, *, cells: float) -> Finding:
     return Finding(check="front moved", value=moved / flow.scene.domain.cell, unit="cells", least=cells)
 
 
+def stands_but_for_spall(flow: Trajectory) -> Finding:
+    """Share of the particles that moved by a cell or more, what spalls off a face without tension."""
+    return Finding(check="moved a cell", value=moved_share(flow), most=0.05)
+
+
+def fails_as_a_wedge(flow: Trajectory) -> Finding:
+    """Share of the particles that moved by a cell or more: half of Rankine's H^2 tan(45 - phi / 2) / 2 or more."""
+    length, height = flow.scene.masses[0].size
+    wedge = 0.5 * height / length * math.tan(math.radians(45.0 - 0.5 * flow.scene.material.friction_deg))
+    return Finding(check="moved a cell", value=moved_share(flow), least=0.5 * wedge)
+
+
+def moved_share(flow: Trajectory) -> float:
+    """Share of the particles that lie a cell or more from where they began."""
+    moved = np.linalg.norm((flow.positions[-1] - flow.positions[0]).astype(np.float64), axis=1)
+    return float((moved >= flow.scene.domain.cell).mean())
+
+
 def over_critical_height(flow: Trajectory, *, ratio: float) -> Finding:
-    """Height of the cut over the critical height 4 c / gamma tan(45 + phi / 2): that the scene is what it says."""
-    material, scene = flow.scene.material, flow.scene
-    angle = math.radians(45.0 + 0.5 * material.friction_deg)
-    critical = 4.0 * material.cohesion / (material.density * scene.gravity) * math.tan(angle)
-    value = scene.masses[0].size[1] / critical
+    """Height of the cut over its critical height (`critical_height`): that the scene is what it says."""
+    value = flow.scene.masses[0].size[1] / critical_height(flow.scene)
     return Finding(check="H over critical H", value=value, least=ratio - 0.001, most=ratio + 0.001)
+
+
+def critical_height(scene: Scene) -> float:
+    """Critical height [m] of a vertical cut, N c / gamma tan(45 + phi / 2).
+
+    N = 2 for soil without tension: a slice beside the face, cut off by a crack, stands on its unconfined strength
+    (Drucker 1953); N = 4, a wedge on a plane, for soil with tension up to the apex of its cone (Fellenius 1927).
+    """
+    material = scene.material
+    angle = math.radians(45.0 + 0.5 * material.friction_deg)
+    carries = material.tension_limit > 0.0
+    unit_weight = material.density * scene.gravity
+    return (4.0 if carries else 2.0) * material.cohesion / unit_weight * math.tan(angle)
 
 
 def settles(flow: Trajectory) -> Finding:

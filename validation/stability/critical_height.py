@@ -1,0 +1,89 @@
+"""The height at which a vertical cut fails, by bisection, over the critical height of theory.
+
+`python -m validation.stability.critical_height SCENE`: the soil's cohesion is changed and the scene kept, because the
+number gamma H / c alone decides. A cut has failed if more than FAILED of it moved by a cell or more by the end: the
+wedge behind a cut as wide as it is high holds a quarter of it, and what only falls off the face is less.
+"""
+
+import dataclasses
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from datasets.command_line import run
+from datasets.library import read_scene
+from datasets.scene import Scene
+from mpm.simulate import simulate
+from validation.stability.case import SCENES
+from validation.stability.expectations import critical_height, moved_share
+
+FAILED = 0.05
+"""Share of the particles of a cut that moved by a cell, from which on it has failed."""
+WITHIN = 1.05
+"""How close the bounds of the bracket lie, one over the other."""
+BETWEEN = (0.4, 1.6)
+"""Heights over the critical one between which the bisection begins."""
+SCENE = str(SCENES / "cut-critical-holds.toml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bracket:
+    """Heights over the critical one: the highest cut that held, the lowest that failed; nan where none did."""
+
+    holds: float
+    fails: float
+    runs: int
+
+
+def fails(scene: Scene) -> bool:
+    """Whether the cut of a scene has failed at its end."""
+    return moved_share(simulate(scene, precision="f64", threads=1)) >= FAILED
+
+
+def at_ratio(scene: Scene, ratio: float) -> Scene:
+    """The scene with such a cohesion that its height is `ratio` of the critical one, N c / gamma tan(45 + phi / 2)."""
+    cohesion = scene.material.cohesion * scene.masses[0].size[1] / (critical_height(scene) * ratio)
+    return dataclasses.replace(scene, material=dataclasses.replace(scene.material, cohesion=cohesion))
+
+
+def bracket(scene: Scene, judge: Callable[[Scene], bool] = fails) -> Bracket:
+    """Bisection in the logarithm of the height, from BETWEEN to WITHIN; both ends are tried first."""
+    low, high = BETWEEN
+    runs = 2
+    if judge(at_ratio(scene, low)):
+        return Bracket(holds=math.nan, fails=low, runs=1)
+    if not judge(at_ratio(scene, high)):
+        return Bracket(holds=high, fails=math.nan, runs=runs)
+    while high > WITHIN * low:
+        middle, runs = math.sqrt(low * high), runs + 1
+        if judge(at_ratio(scene, middle)):
+            high = middle
+        else:
+            low = middle
+    return Bracket(holds=low, fails=high, runs=runs)
+
+
+def sentence(scene: Scene, found: Bracket) -> str:
+    """What was found, for the page."""
+    number = found.holds * 2.0 * math.tan(math.radians(45.0 + 0.5 * scene.material.friction_deg))
+    return (
+        f"The highest cut that holds is {found.holds:.2f}, the lowest that fails {found.fails:.2f} of the critical "
+        f"height of theory, by bisection in {found.runs} runs: gamma H / c >= {number:.2f}."
+    )
+
+
+def command(scene: str = SCENE) -> None:
+    """Bracket the critical height of a vertical cut.
+
+    Parameters
+    ----------
+    scene
+        Scene file of a cut; its cohesion is changed.
+    """
+    given = read_scene(scene)
+    print(sentence(given, bracket(given)))
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m validation.stability.critical_height"))
