@@ -238,20 +238,6 @@ class Batch:
         """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""
         return self.frames_of(self.fields, index, self.features.recorded)
 
-    def fields_by_name(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """What was recorded of one scene besides its positions, by the names of `datasets.trajectory`; views."""
-        features, values = self.features, self.recorded_fields(index)
-        fields = {}
-        if features.velocity_recorded:
-            fields["velocities"] = values[:, :, : features.dimension]
-        if features.stress_recorded:
-            fields["stress"] = values[:, :, features.recorded_stress :][:, :, : features.stresses]
-        if features.pressure_recorded:
-            fields["pressure"] = values[:, :, features.recorded_stress]
-        if features.strain_recorded:
-            fields["plastic_strain"] = values[:, :, features.recorded_strain]
-        return fields
-
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
