@@ -123,6 +123,15 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        if any(mass.k0 is not None for mass in scene.masses):
+            # Imported here: most runs begin without stress and need no sparse solver.
+            from mpm.initial_stress import initial_stress
+
+            stress = initial_stress(scene, particles, particles.positions.astype(state.dtype))
+            put(features.stress, stress)
+            if features.fields:
+                self.recorded_fields(index)[0, :, features.dimension + Field.PRESSURE] = -stress[:, :3].mean(axis=1)
+            self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
             properties = np.array([properties_row(m, 0.0) for m in particles.materials])[particles.material]
             properties[:, Property.VOLUME] = particles.volume
@@ -251,6 +260,15 @@ def features_of(
         shared=shared,
         gpu=gpu,
     )
+
+
+def elastic_energy(particles: Particles, stress: Array) -> float:
+    """Sum of V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E) [J]; stress [Pa], shape [N, 4 or 6]."""
+    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
+    square = (stress[:, :3] ** 2).sum(axis=1) + 2.0 * (stress[:, 3:] ** 2).sum(axis=1)
+    trace = stress[:, :3].sum(axis=1)
+    each = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
+    return float(particles.volume @ each)
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:

@@ -137,7 +137,7 @@ def test_point_steps_are_those_of_a_run() -> None:
     )
     summary = simulate(short, threads=1).summary
     assert particle_steps(short) == summary["particles"] * summary["steps"]
-    assert len(Batch([short], precision="f32").points[0].positions) == summary["particles"]
+    assert len(Batch([short], precision="f32").particles[0].positions) == summary["particles"]
 
 
 @pytest.mark.parametrize(
