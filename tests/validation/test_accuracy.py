@@ -150,6 +150,15 @@ def test_an_error_that_grows_again_on_finer_grids_counts_on_the_coarse_one() -> 
     assert promised[0] > promised[2] >= 0.02
 
 
+def test_what_is_left_beyond_the_reference_is_that_of_an_error_in_proportion_to_the_cell() -> None:
+    found = findings({20.0: (0.1, 0.1), 40.0: (0.1, 0.1)})
+    for outcome in found.outcomes:
+        bias = 0.8 * (1.0 / 80.0 - 1.0 / outcome.resolution.cells)
+        for name, each in outcome.scores.items():
+            outcome.scores[name] = dataclasses.replace(each, bias=bias)  # type: ignore[index]
+    assert accuracy_report.left_over(found) == pytest.approx(0.8 / 80.0)
+
+
 def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() -> None:
     for study in (*studies.full(), *studies.quick()):
         tried = list(study.tried())
