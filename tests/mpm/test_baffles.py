@@ -61,20 +61,19 @@ def test_momentum_goes_into_walls_and_baffles_alone() -> None:
 
 
 def test_a_block_on_a_plate_weighs_what_it_weighs() -> None:
-    """The force on a baffle that carries a layer at rest is the layer's weight."""
+    """The mean force on a baffle that carries a layer is the layer's weight; undamped, so that nothing else bears it."""
     plate = Baffle(lower=(0.0, 0.0), size=(0.4, 0.113))
     scene = flow(
         plate,
         domain=Domain(size=(0.4, 0.6), cell=CELL),
         masses=(Mass(lower=(0.0, 0.113), size=(0.4, 0.1)),),
-        damping=0.2,
         duration=1.0,
     )
     trajectory = simulate(scene)
     assert trajectory.baffle_impulse is not None
     force = (trajectory.baffle_impulse[-1] - trajectory.baffle_impulse[-31])[0] / 0.3
     weight = 0.4 * 0.1 * SAND.density * 9.81
-    assert force[1] == pytest.approx(-weight, rel=0.1)
+    assert force[1] == pytest.approx(-weight, rel=0.03)
     assert abs(force[0]) < 0.01 * weight
     # And it stays there, within a cell.
     assert (trajectory.positions[0] - trajectory.positions[-1])[:, 1].mean() < CELL
@@ -97,11 +96,14 @@ def test_moving_a_baffle_moves_the_deposit_by_degrees() -> None:
 
 
 def test_a_wall_of_baffle_is_a_wall() -> None:
-    """A baffle as high as the box, at a wall's place, leaves the deposit that the wall leaves."""
+    """A baffle as high as the box, at a wall's place, leaves the deposit that the wall leaves.
+
+    Within 0.4 cells: a wall acts at the nodes, up to a cell early, a baffle at the particles.
+    """
     walled = flow(domain=Domain(size=(0.6, 0.6), cell=CELL), wall_friction=0.4)
     blocked = flow(Baffle(lower=(0.6, 0.0), size=(0.2, 0.6)), wall_friction=0.4)
     one, other = simulate_many([walled, blocked])
-    np.testing.assert_allclose(one.positions[-1].mean(axis=0), other.positions[-1].mean(axis=0), atol=0.35 * CELL)
+    np.testing.assert_allclose(one.positions[-1].mean(axis=0), other.positions[-1].mean(axis=0), atol=0.4 * CELL)
     assert inside(other) == 0
 
 

@@ -169,7 +169,7 @@ def test_only_softening_pays_for_it() -> None:
     assert soft.block == Features(dimension=2, precision="f32").block + 1
     scene = block(residual_cohesion=400.0, softening_length=0.1)
     assert features_of([scene], [], "f32").softens is False
-    for count in (properties_row(scene.material), properties_row(block().material)):
+    for count in (properties_row(scene.material, 1.0), properties_row(block().material, 1.0)):
         assert len(count) == len(Property)
 
 
@@ -190,7 +190,7 @@ def test_strength_that_grows_with_depth() -> None:
     np.testing.assert_allclose(rows[:, Property.STRENGTH], 2.0 * cohesion * np.cos(phi))
     np.testing.assert_allclose(rows[:, Property.LIMIT], np.minimum(cohesion / np.tan(phi), 2.0e4))
     np.testing.assert_allclose(rows[:, Property.RESIDUAL_STRENGTH], 0.2 * 2.0 * cohesion * np.cos(phi))
-    np.testing.assert_array_equal(rows[0], properties_row(soil))
+    np.testing.assert_array_equal(rows[0], properties_row(soil, 1.0))
     unchanged = [c for c in Property if "STRENGTH" not in c.name and "LIMIT" not in c.name]
     np.testing.assert_array_equal(rows[:, unchanged], np.tile(rows[0, unchanged], (3, 1)))
     clay = Material(friction_deg=0.0, cohesion=5.0e3, strength_gradient=1.5e3, tension_cutoff=1.0e3)
