@@ -50,7 +50,7 @@ class Mass(Strict):
     k0: float | str | None = None
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; none where absent."""
     release: float | str | None = None
-    """Time [s] until which smooth vertical gates hold its lateral faces, or "settled"; free from the start if absent."""
+    """Time [s] until which smooth vertical gates hold its sides, or "settled"; free from the start where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -121,7 +121,7 @@ class Scene(Strict):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]: as given, or in proportion to the time of a fall through a cell; inf in free space."""
+        """The relaxation time [s]: as given, or in proportion to that of a fall through a cell; inf without gravity."""
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf

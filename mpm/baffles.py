@@ -11,8 +11,8 @@ happens in steps of a cell and the flow is a continuous function of where the ba
 3. In that layer a particle takes the velocity of the grid as it is (`mpm.transfer` with tau = 0), and the baffle the
    difference of momentum: else a layer on a baffle gains height, 20 mm in 2 s.
 
-The momentum that leaves the material by 1 and 3 is what the baffle takes: its rate is the impact force. Material on either
-side of a baffle meets on the same nodes where it is thinner than three cells.
+The momentum that leaves the material by 1 and 3 is what the baffle takes: its rate is the impact force. Material on
+either side of a baffle meets on the same nodes where it is thinner than three cells.
 """
 
 import taichi as ti

@@ -61,7 +61,7 @@ def test_momentum_goes_into_walls_and_baffles_alone() -> None:
 
 
 def test_a_block_on_a_plate_weighs_what_it_weighs() -> None:
-    """The mean force on a baffle that carries a layer is the layer's weight; undamped, so that nothing else bears it."""
+    """The mean force on a baffle that carries a layer is the layer's weight; undamped: nothing else bears it."""
     plate = Baffle(lower=(0.0, 0.0), size=(0.4, 0.113))
     scene = flow(
         plate,

@@ -277,7 +277,7 @@ def test_a_cube_slides_down_an_incline(slope_deg: float, friction: float) -> Non
 
 
 def test_a_slice_between_smooth_walls_flows_as_in_two_dimensions() -> None:
-    """Plane strain, made in 3D by two smooth walls; means over jitters, which scatter a front by a quarter of a cell."""
+    """Plane strain, made in 3D by two smooth walls; means over jitters, which scatter fronts by a quarter of a cell."""
     sand, cell = Material(friction_deg=35.0), 0.02
     flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)), material=sand, duration=0.5, floor_friction=0.4)
     deep = box(
