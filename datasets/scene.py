@@ -47,6 +47,10 @@ class Mass(Strict):
     vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
     """Its own material; the scene's where absent."""
+    k0: float | str | None = None
+    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; none where absent."""
+    release: float | str | None = None
+    """Time [s] until which smooth vertical gates hold its sides, or "settled"; free from the start where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -117,7 +121,7 @@ class Scene(Strict):
 
     @property
     def relaxation(self) -> float:
-        """The relaxation time [s]: as given, or in proportion to the time of a fall through a cell; inf in free space."""
+        """The relaxation time [s]: as given, or in proportion to that of a fall through a cell; inf without gravity."""
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
@@ -233,12 +237,41 @@ def check(scene: Scene) -> None:
                 "a finite number in rad/s, in 3D that or 3 components",
                 list(parts),
             )
+        check_start(scene, mass, f"masses[{index}]")
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of several boxes
     if shared.any():
         first, second = np.argwhere(shared)[0]
         raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
+
+
+def check_start(scene: Scene, mass: Mass, key: str) -> None:
+    """Raise InputError for a mass that cannot begin as its `k0` and `release` ask."""
+
+    def require(ok: bool, name: str, expected: str, got: object) -> None:
+        if not ok:
+            raise InputError(f"expected {expected}, got {got}", key=f"{key}.{name}")
+
+    if isinstance(mass.k0, str):
+        require(mass.k0 == "elastic", "k0", "a ratio of stresses or 'elastic'", repr(mass.k0))
+    elif mass.k0 is not None:
+        require(mass.k0 >= 0.0, "k0", "a ratio of at least 0", mass.k0)
+    if isinstance(mass.release, str):
+        require(mass.release == "settled", "release", "a time in s or 'settled'", repr(mass.release))
+    elif mass.release is not None:
+        frames = mass.release / scene.frame_dt
+        require(
+            mass.release > 0.0 and abs(frames - round(frames)) < 1e-6 * max(frames, 1.0),
+            "release",
+            f"a positive whole number of frames of {scene.frame_dt:g} s",
+            mass.release,
+        )
+        require(
+            round(frames) < scene.frames - 1, "release", f"a time before the end at {scene.duration:g} s", mass.release
+        )
+    if mass.release is not None:
+        require(not any(mass.velocity or ()), "velocity", "a mass at rest behind its gates", list(mass.velocity or ()))
 
 
 def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:

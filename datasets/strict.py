@@ -19,6 +19,10 @@ RENAMED = {"points_per_axis": "particles_per_axis"}
 """Keys of older files, at any depth, and what they are called now."""
 
 
+TYPES = ("float", "str")
+"""Names of types in the path of an error at a key that takes either."""
+
+
 class Strict:
     """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan."""
 
@@ -37,7 +41,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         mistakes = error.errors(include_url=False)
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
-        path = dotted(first["loc"])
+        # Where a key takes one of several types, pydantic names the type that it tried last.
+        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.

@@ -141,9 +141,12 @@ class Cohesion(Strength):
         return self.material(scene).cohesion
 
     def changed(self, material: Material, value: float) -> Material:
-        # Where there is no cohesion there is no ratio: the cutoff stays as well.
+        # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
         ratio = value / material.cohesion if material.cohesion > 0.0 else 1.0
-        return dataclasses.replace(material, cohesion=value, tension_cutoff=ratio * material.tension_cutoff)
+        keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
+        known = {key: getattr(material, key) for key in keys}
+        scaled = {key: ratio * each for key, each in known.items() if each is not None}
+        return dataclasses.replace(material, cohesion=value, **scaled)
 
     def enter(self, launch: Launch, value: Tensor) -> Launch:
         known = launch.conditions.cohesion

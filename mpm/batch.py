@@ -131,6 +131,13 @@ class Batch:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
+        if any(mass.k0 is not None for mass in scene.masses):
+            # Imported here: most runs begin without stress and need no sparse solver.
+            from mpm.initial_stress import initial_stress
+
+            stress = initial_stress(scene, particles, particles.positions.astype(state.dtype))
+            put(features.stress, stress)
+            self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
             properties = properties_of(particles)
             put(features.properties, properties[:, : features.columns])
@@ -238,20 +245,6 @@ class Batch:
         """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""
         return self.frames_of(self.fields, index, self.features.recorded)
 
-    def fields_by_name(self, index: int) -> dict[str, NDArray[np.float32]]:
-        """What was recorded of one scene besides its positions, by the names of `datasets.trajectory`; views."""
-        features, values = self.features, self.recorded_fields(index)
-        fields = {}
-        if features.velocity_recorded:
-            fields["velocities"] = values[:, :, : features.dimension]
-        if features.stress_recorded:
-            fields["stress"] = values[:, :, features.recorded_stress :][:, :, : features.stresses]
-        if features.pressure_recorded:
-            fields["pressure"] = values[:, :, features.recorded_stress]
-        if features.strain_recorded:
-            fields["plastic_strain"] = values[:, :, features.recorded_strain]
-        return fields
-
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
@@ -317,6 +310,15 @@ def features_of(
         shared=shared,
         gpu=gpu,
     )
+
+
+def elastic_energy(particles: Particles, stress: Array) -> float:
+    """Sum of V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E) [J]; stress [Pa], shape [N, 4 or 6]."""
+    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
+    square = (stress[:, :3] ** 2).sum(axis=1) + 2.0 * (stress[:, 3:] ** 2).sum(axis=1)
+    trace = stress[:, :3].sum(axis=1)
+    each = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
+    return float(particles.volume @ each)
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:

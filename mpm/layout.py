@@ -1,8 +1,8 @@
 """Where the kernels find things: what a batch needs compiled, and the columns of the arrays that describe it.
 
-Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a particle
-(its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to and from
-the grid reach single lanes of the same memory through a second, scalar view of it.
+Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a
+particle (its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to
+and from the grid reach single lanes of the same memory through a second, scalar view of it.
 """
 
 from dataclasses import dataclass
@@ -104,7 +104,7 @@ class Worker(Column):
 
 
 class StepControl(Column):
-    """Columns of `step_control`, real, shape [scenes, len(StepControl)]: how a scene moves on, where each step is a launch."""
+    """Columns of `step_control`, real, shape [scenes, len(StepControl)]: the steps, where each is a launch."""
 
     DT = auto()  # of the next step [s]; 0 where the scene waits for others
     SPEED = auto()  # of its fastest particle [m/s]
@@ -127,7 +127,7 @@ class Features:
     dimension: int
     precision: Precision
     relaxed: bool = True
-    """Particles keep the velocity that the grid cannot represent for a while (AFLIP); else it is lost each step (APIC)."""
+    """Velocity that the grid cannot represent decays with a relaxation time (AFLIP); else it is lost each step (APIC)."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
@@ -233,7 +233,7 @@ class Features:
 
     @property
     def compensated(self) -> bool:
-        """Positions are summed with compensation (Kahan 1965): in f32 a slow particle far from the origin would freeze."""
+        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would freeze."""
         return self.precision == "f32"
 
     @property

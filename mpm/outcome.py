@@ -27,11 +27,20 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
 def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
     """The fields that were asked for of scene `index`, by the names of `datasets.trajectory.Trajectory`."""
     scene, particles, record = batch.scenes[index], batch.particles[index], batch.recording
-    positions, fields = batch.recorded(index), batch.fields_by_name(index)
+    positions, values, features = batch.recorded(index), batch.recorded_fields(index), batch.features
+    fields = {}
+    if features.velocity_recorded:
+        fields["velocities"] = values[:, :, : features.dimension]
+    if features.stress_recorded:
+        fields["stress"] = values[:, :, features.recorded_stress :][:, :, : features.stresses]
+    if features.pressure_recorded:
+        fields["pressure"] = values[:, :, features.recorded_stress]
+    if features.strain_recorded:
+        fields["plastic_strain"] = values[:, :, features.recorded_strain]
     if not record.raw:
         for name in fields.keys() & {"stress", "pressure"}:
             fields[name] = smoothed(fields[name], positions, particles.volume, scene)
-    if batch.features.stress_recorded and "pressure" in record.fields:
+    if features.stress_recorded and "pressure" in record.fields:
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
     if "density" in record.fields:
         fields["density"] = density(positions, particles.density * particles.volume, scene)

@@ -64,7 +64,7 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
         density = property_of(scene, block, Property.DENSITY, arrays)
         present = arrays.state[block * features.block + features.present]
         mass = property_of(scene, block, Property.VOLUME, arrays) * density * present
-        particles_against_baffles(block, mass, worker, scene, arrays)
+        particles_against_baffles(block, scratch, mass, worker, scene, arrays)
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]

@@ -58,12 +58,17 @@ def lowest_node(arrays: ti.template(), scratch, lane, grid, rows: ti.template())
 
 @ti.func
 def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
-    """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis."""
+    """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
+
+    A particle gives each node the same mass but for the weight: its slope is zero.
+    """
     features = arrays.features
     first = scratch + features.stencil + group * features.node
     return ti.Vector(
         [
-            arrays.scratch_lanes[(first + k) * features.lanes + lane] if k < features.used else 0.0
+            arrays.scratch_lanes[(first + k) * features.lanes + lane]
+            if k < features.used and (group == 0 or k != features.dimension)
+            else 0.0
             for k in ti.static(range(features.node))
         ]
     )

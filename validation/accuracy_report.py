@@ -50,10 +50,15 @@ def conclusion(
         d, finest = each.study.dimension, max(each.study.cells)
         five = pick(each, 0.05, measured)
         least = min(found.promised for found in measured if found.dimension == d)
-        asked = "no grid that was tried promises 5 %" if five is None else f"5 % takes {five.cells:.3g} cells"
+        asked = (
+            "no grid that was tried promises 5 %"
+            if five is None
+            else f"5 % takes {five.cells:.3g} cells across the smallest side"
+        )
+        lines.append(f"- **{d}D**: {asked}; the tightest promise is {percent(least)}, with up to {finest:g} cells.")
         lines.append(
-            f"- **{d}D**: {asked} across the smallest side of the body; the tightest promise is {percent(least)}, with"
-            f" up to {finest:g} cells."
+            f"- If errors fall in proportion to the cell, the references ({each.study.reference:g} cells) are"
+            f" themselves {percent(left_over(each))} rms from the limit in {d}D, which no promise counts."
         )
         lines.append(f"- {step_and_particles(each)}")
         best = spreads[d][0]
@@ -64,6 +69,16 @@ def conclusion(
         )
     lines.append(f"- {machine()}.")
     return [*lines, ""]
+
+
+def left_over(findings: Findings) -> float:
+    """The references' own distance from the limit, rms over the scenes, if errors are proportional to the cell [-].
+
+    From n to N cells a front then moves by k (1 / n - 1 / N), and k / N is left.
+    """
+    n, reference = max(findings.study.cells), findings.study.reference
+    moved = [score.bias for score in findings.at(own(n)).scores.values()]
+    return math.sqrt(sum(bias**2 for bias in moved) / len(moved)) * n / (reference - n)
 
 
 def factor(spreads: Sequence[Spread]) -> float:

@@ -66,7 +66,7 @@ def full() -> tuple[Study, ...]:
         Study(
             dimension=3,
             scenes={name: flow.scene() for name, flow in MEASURED[3].items()},
-            cells=(4.0, 5.0, 7.0, 10.0, 14.0),
+            cells=(4.0, 5.0, 7.0, 10.0, 14.0, 18.0),
             checked=(5.0,),
             reference=24.0,
             seeds=2,

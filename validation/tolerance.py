@@ -27,7 +27,7 @@ BAR = 18 / 20
 REFERENCE = {2: 80.0, 3: 24.0}
 """Cells across the smallest side, by dimension."""
 QUICK_REFERENCE = {2: 12.0, 3: 7.0}
-DEAREST = 0.3
+DEAREST = 0.35
 """What is tried costs at most this share of the reference's particle-steps."""
 SEED = 7
 """Of what is tried: not one of those that were measured."""

@@ -83,7 +83,7 @@ def test_the_eight_friction_problems_ship() -> None:
         ("value = 0.55", "value = 0.55\nnoise = -1.0", "target.noise"),
         ('"friction_deg"', '"frictoin_deg"', "unknowns[0].name"),
         ("initial = 30.0", "initial = 60.0", "unknowns[0].initial"),
-        ("lower = 12.0", "lower = 0.0", "unknowns[0].lower"),
+        ("lower = 12.0", "lower = -1.0", "unknowns[0].lower"),
         ("upper = 52.0", "upper = 90.0", "unknowns[0].upper"),
         ("upper = 52.0", "", "unknowns[0].upper"),
         ('"column-tall-42"', '"column-tall-43"', "column-tall-43"),

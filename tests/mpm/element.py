@@ -139,7 +139,7 @@ def follow_states(
         precision=precision,
         dilates=True,
         cohesive=cohesive,
-        fields=True,
+        strain_recorded=True,
         corrected=corrected,
         softens=material.softening_length is not None,
     )

@@ -61,7 +61,7 @@ def test_momentum_goes_into_walls_and_baffles_alone() -> None:
 
 
 def test_a_block_on_a_plate_weighs_what_it_weighs() -> None:
-    """The mean force on a baffle that carries a layer is the layer's weight; undamped, so that nothing else bears it."""
+    """The mean force on a baffle that carries a layer is the layer's weight; undamped: nothing else bears it."""
     plate = Baffle(lower=(0.0, 0.0), size=(0.4, 0.113))
     scene = flow(
         plate,
@@ -96,11 +96,14 @@ def test_moving_a_baffle_moves_the_deposit_by_degrees() -> None:
 
 
 def test_a_wall_of_baffle_is_a_wall() -> None:
-    """A baffle as high as the box, at a wall's place, leaves the deposit that the wall leaves."""
+    """A baffle as high as the box, at a wall's place, leaves the deposit that the wall leaves.
+
+    Within 0.4 cells: a wall acts at the nodes, up to a cell early, a baffle at the particles.
+    """
     walled = flow(domain=Domain(size=(0.6, 0.6), cell=CELL), wall_friction=0.4)
     blocked = flow(Baffle(lower=(0.6, 0.0), size=(0.2, 0.6)), wall_friction=0.4)
     one, other = simulate_many([walled, blocked])
-    np.testing.assert_allclose(one.positions[-1].mean(axis=0), other.positions[-1].mean(axis=0), atol=0.35 * CELL)
+    np.testing.assert_allclose(one.positions[-1].mean(axis=0), other.positions[-1].mean(axis=0), atol=0.4 * CELL)
     assert inside(other) == 0
 
 

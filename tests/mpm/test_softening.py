@@ -7,6 +7,7 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
+from mpm import runtime
 from mpm.batch import features_of, properties_at, properties_row
 from mpm.layout import Features, Property
 from mpm.simulate import simulate
@@ -158,6 +159,44 @@ def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
     assert firm + 0.01 < ends[0.05] < ends[1e-9] - 0.01
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_gpus_kernel_softens_alike(dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything of the law at once, two materials, with cracks that are remembered; a thread per particle or not."""
+    monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
+    soil = Material(
+        friction_deg=35.0,
+        dilation_deg=8.0,
+        cohesion=400.0,
+        tension_cutoff=100.0,
+        residual_friction_deg=28.0,
+        residual_cohesion=50.0,
+        residual_tension_cutoff=0.0,
+        softening_length=0.01,
+    )
+    depth = (0.2,) * (dimension - 2)
+    scene = Scene(
+        domain=Domain(size=(0.8, 0.4, *depth), cell=0.05),
+        material=soil,
+        masses=(
+            Mass(lower=(0.0,) * dimension, size=(0.3, 0.2, *depth), velocity=(2.0,) + (0.0,) * (dimension - 1)),
+            Mass(
+                lower=(0.0, 0.2) + (0.0,) * (dimension - 2),
+                size=(0.3, 0.1, *depth),
+                material=Material(friction_deg=30.0),
+            ),
+        ),
+        volume_correction=True,
+        duration=0.05,
+        frame_dt=0.005,
+    )
+    cpu, gpu = (simulate(scene, precision="f64", fields=True, arch=arch) for arch in ("cpu", "cuda"))
+    assert cpu.plastic_strain is not None
+    assert gpu.plastic_strain is not None
+    assert cpu.plastic_strain.max() > 0.1
+    np.testing.assert_allclose(gpu.positions, cpu.positions, atol=1e-5)
+    np.testing.assert_allclose(gpu.plastic_strain, cpu.plastic_strain, atol=1e-4)
+
+
 def test_only_softening_pays_for_it() -> None:
     plain, soft = (
         Features(dimension=2, precision="f32", heterogeneous=True),
@@ -169,7 +208,7 @@ def test_only_softening_pays_for_it() -> None:
     assert soft.block == Features(dimension=2, precision="f32").block + 1
     scene = block(residual_cohesion=400.0, softening_length=0.1)
     assert features_of([scene], [], "f32").softens is False
-    for count in (properties_row(scene.material), properties_row(block().material)):
+    for count in (properties_row(scene.material, 1.0), properties_row(block().material, 1.0)):
         assert len(count) == len(Property)
 
 
@@ -190,7 +229,7 @@ def test_strength_that_grows_with_depth() -> None:
     np.testing.assert_allclose(rows[:, Property.STRENGTH], 2.0 * cohesion * np.cos(phi))
     np.testing.assert_allclose(rows[:, Property.LIMIT], np.minimum(cohesion / np.tan(phi), 2.0e4))
     np.testing.assert_allclose(rows[:, Property.RESIDUAL_STRENGTH], 0.2 * 2.0 * cohesion * np.cos(phi))
-    np.testing.assert_array_equal(rows[0], properties_row(soil))
+    np.testing.assert_array_equal(rows[0], properties_row(soil, 1.0))
     unchanged = [c for c in Property if "STRENGTH" not in c.name and "LIMIT" not in c.name]
     np.testing.assert_array_equal(rows[:, unchanged], np.tile(rows[0, unchanged], (3, 1)))
     clay = Material(friction_deg=0.0, cohesion=5.0e3, strength_gradient=1.5e3, tension_cutoff=1.0e3)

@@ -43,6 +43,12 @@ def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
     )
 
 
+def kept(flow: Trajectory, record: Recording) -> Trajectory:
+    """The frames of a flow that were asked for."""
+    frames = record.kept(len(flow.time))
+    return dataclasses.replace(flow, positions=flow.positions[frames], time=flow.time[frames])
+
+
 @dataclass
 class FakeMpm:
     """Deposits by the formula, with a scatter that depends on the jitter seed."""
@@ -54,7 +60,7 @@ class FakeMpm:
     """All that was simulated."""
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
-        return [self.run(scene) for scene in scenes]
+        return [kept(self.run(scene), record) for scene in scenes]
 
     def run(self, scene: Scene) -> Trajectory:
         if len(self.scenes) >= self.killed_after:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,18 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.strict import from_mapping, read_toml
 from datasets.trajectory import Trajectory
-from mpm.resolution import Measurements, Resolution, at, particle_steps, resolved
-from validation import accuracy, accuracy_report, bodies, deposits, pareto, studies
+from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
+from validation import accuracy, accuracy_report, bodies, deposits, flows, pareto, studies, tolerance
 from validation.bodies import Trial
-from validation.deposits import Run, Way
-from validation.scores import equal_shares, score, truth
-from validation.studies import Study
+from validation.deposits import Run
+from validation.flows import Flow
+from validation.scores import Outcome, Score, equal_shares, score, truth
+from validation.studies import Findings, Study
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
 
 
-def deposit(scene: Scene, length: float, *, shift: float = 0.0, seconds: float = 1.0) -> Trajectory:
+def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
     """A layer of even height from x = `shift` to `shift` + `length` [m]."""
     x = shift + length * (np.arange(1000) + 0.5) / 1000
     positions = np.stack([x, np.full(1000, 0.05)], axis=1)[None].astype(np.float32)
@@ -32,7 +34,7 @@ def deposit(scene: Scene, length: float, *, shift: float = 0.0, seconds: float =
         velocity0=np.zeros((1000, 2), np.float32),
         friction=np.zeros(1000, np.float32),
         scene=scene,
-        summary={"wall_s": seconds, "steps": 7, "particles": 1000},
+        summary={"steps": 7, "particles": 1000},
     )
 
 
@@ -51,19 +53,20 @@ def test_a_deposit_that_is_further_by_a_hundredth_is_off_by_it() -> None:
     reference = truth([deposit(COLUMN, 0.6)])
     assert reference.reach == pytest.approx(0.6 * 0.995, abs=1e-3)
     assert math.isnan(reference.scatter)
-    found = score([deposit(COLUMN, 0.6, shift=0.01, seconds=3.0)], reference)
+    found = score([deposit(COLUMN, 0.6, shift=0.01)], reference)
     assert found.bias == pytest.approx(0.01 / reference.reach, rel=1e-3)
-    assert found.front_error == pytest.approx(found.bias)
+    assert found.errors == pytest.approx((found.bias,))
     assert found.profile_error == pytest.approx(0.01 / reference.reach, rel=0.05)
-    assert (found.seconds, found.particle_steps) == (3.0, 7000)
+    assert found.particle_steps == 7000
 
 
 def test_scatter_counts_as_error_but_not_as_bias() -> None:
     reference = truth([deposit(COLUMN, 0.6)])
     found = score([deposit(COLUMN, 0.6, shift=shift) for shift in (-0.01, 0.01)], reference)
     assert found.bias == pytest.approx(0.0, abs=1e-5)
-    assert found.front_error == pytest.approx(0.01 / reference.reach, rel=1e-3)
-    assert found.scatter == pytest.approx(math.sqrt(2.0) * found.front_error, rel=1e-3)
+    assert found.error == pytest.approx(0.01 / reference.reach, rel=1e-2)
+    assert found.largest == pytest.approx(found.error, rel=2e-2)
+    assert found.scatter == pytest.approx(math.sqrt(2.0) * 0.01 / reference.reach, rel=1e-3)
 
 
 def test_a_profile_can_be_off_where_the_front_is_not() -> None:
@@ -71,107 +74,158 @@ def test_a_profile_can_be_off_where_the_front_is_not() -> None:
     bent = deposit(COLUMN, 0.6)
     bent.positions[0, :900, 0] *= 0.9
     found = score([bent], reference)
-    assert found.front_error == pytest.approx(0.0, abs=1e-6)
+    assert found.bias == pytest.approx(0.0, abs=1e-6)
     assert found.error == found.profile_error > 0.02
 
 
-def test_the_reference_is_a_quarter_of_the_scenes_own_cell() -> None:
-    for study in studies.STUDIES:
-        for name in study.names:
-            scene = read_scene(name)
-            finest = studies.references(scene, study.reference, studies.OWN_STEP, 1)[0].scene
-            assert finest.domain.cell == pytest.approx(scene.domain.cell / 4.0)
-            assert finest.step_fraction == scene.step_fraction == studies.OWN_STEP
-            assert finest.particles_per_axis == scene.particles_per_axis == studies.OWN_POINTS
-            assert finest.duration == scene.duration
+SCENES = [flow.scene() for group in (flows.MEASURED, flows.UNSEEN) for kind in group.values() for flow in kind.values()]
 
 
-def test_nothing_that_is_tried_is_dearer_than_allowed() -> None:
-    study = studies.STUDIES[1]
-    scene = read_scene(study.names[0])
-    tried = list(study.tried(scene))
-    most = study.dearest * particle_steps(at(scene, studies.own(study.reference, "f64")))
-    assert max(particle_steps(at(scene, each)) for each in tried) <= most
-    assert len(tried) == len(set(tried)) > 30
-    # Each fits the box without becoming another.
-    assert len({at(scene, each).domain.cell for each in tried}) == len(study.cells)
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("cells", [4.0, 7.0, 14.0, 80.0])
+def test_every_whole_number_of_cells_fits_the_box_of_a_flow(scene: Scene, cells: float) -> None:
+    finer = at(scene, studies.own(cells))
+    assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_a_tolerance_is_tried_on_was_not_measured(dimension: int) -> None:
+    measured, unseen = flows.MEASURED[dimension], flows.UNSEEN[dimension]
+    assert not set(measured) & set(unseen)
+    assert not set(measured.values()) & set(unseen.values())
+    assert len(unseen) == {2: 14, 3: 6}[dimension]
+
+
+def test_a_flow_of_another_size_is_the_same_in_numbers_without_units() -> None:
+    flow = Flow(aspect=2.0, friction_deg=30.0, cohesion=0.02, velocity=0.5)
+    small, large = flow.scene(), dataclasses.replace(flow, smallest=1.0).scene()
+    assert large.masses[0].size == pytest.approx([10.0 * side for side in small.masses[0].size])
+    assert large.duration == pytest.approx(math.sqrt(10.0) * small.duration)
+    assert large.material.young == pytest.approx(10.0 * small.material.young)
+    assert large.material.cohesion == pytest.approx(10.0 * small.material.cohesion)
+    assert small.masses[0].velocity is not None
+    assert large.masses[0].velocity is not None
+    assert large.masses[0].velocity[0] == pytest.approx(math.sqrt(10.0) * small.masses[0].velocity[0])
+
+
+def test_one_more_scene_keeps_the_promise_as_often_as_it_says() -> None:
+    chance = np.random.default_rng(5)
+    drawn = np.abs(0.05 + 0.02 * chance.normal(size=(2000, 10)))
+    kept = [float(errors[-1]) <= studies.promise(errors[:-1].tolist()) for errors in drawn]
+    assert COVERAGE - 0.01 < np.mean(kept) < COVERAGE + 0.05
+
+
+def test_a_promise_is_no_less_than_what_was_seen() -> None:
+    assert studies.promise([0.01] * 9 + [0.5]) >= 0.5
+    assert studies.promise([0.03]) == 0.03
+
+
+def findings(errors: dict[float, Sequence[float]]) -> Findings:
+    """Made-up errors by cells, one per scene."""
+    names = ("a", "b")
+    study = Study(
+        dimension=2, scenes=dict.fromkeys(names, COLUMN), cells=tuple(errors), checked=(), reference=80.0, seeds=1
+    )
+    return Findings(
+        study=study,
+        truths={},
+        outcomes=[
+            Outcome(
+                resolution=studies.own(cells),
+                scores={
+                    name: Score(bias=0.0, scatter=0.0, errors=(value,), profile_error=0.0, particle_steps=cells**3)
+                    for name, value in zip(names, values, strict=True)
+                },
+            )
+            for cells, values in errors.items()
+        ],
+    )
+
+
+def test_an_error_that_grows_again_on_finer_grids_counts_on_the_coarse_one() -> None:
+    found = findings({5.0: (0.01, 0.1), 10.0: (0.06, 0.03), 20.0: (0.02, 0.01)})
+    assert found.lasting(studies.own(5.0)) == {"a": 0.06, "b": 0.1}
+    assert found.lasting(studies.own(20.0)) == {"a": 0.02, "b": 0.01}
+    promised = [each.promised for each in studies.measured([found])]
+    assert promised[0] > promised[2] >= 0.02
+
+
+def test_what_is_left_beyond_the_reference_is_that_of_an_error_in_proportion_to_the_cell() -> None:
+    found = findings({20.0: (0.1, 0.1), 40.0: (0.1, 0.1)})
+    for outcome in found.outcomes:
+        bias = 0.8 * (1.0 / 80.0 - 1.0 / outcome.resolution.cells)
+        for name, each in outcome.scores.items():
+            outcome.scores[name] = dataclasses.replace(each, bias=bias)  # type: ignore[index]
+    assert accuracy_report.left_over(found) == pytest.approx(0.8 / 80.0)
+
+
+def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() -> None:
+    for study in (*studies.full(), *studies.quick()):
+        tried = list(study.tried())
+        assert len(tried) == len(set(tried)) == len(study.cells) + 2 * len(study.checked)
+        assert max(study.cells) < study.reference
+        assert set(study.checked) <= set(study.cells)
 
 
 def test_a_run_that_is_kept_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = dataclasses.replace(at(COLUMN, studies.own(5.0, "f32")), duration=0.01)
-    runs = [Run(scene=dataclasses.replace(small, seed=seed), precision="f32", way=Way.TOGETHER) for seed in range(3)]
+    small = dataclasses.replace(at(COLUMN, studies.own(5.0)), duration=0.01)
+    runs = [Run(scene=dataclasses.replace(small, seed=seed)) for seed in range(3)]
+    assert len(deposits.missing([*runs, *runs], tmp_path)) == 3
     deposits.compute(runs, tmp_path)
+    assert deposits.missing(runs, tmp_path) == []
     first = deposits.read_all(runs, tmp_path)
     assert [flow.scene.seed for flow in first] == [0, 1, 2]
     assert all(flow.positions.shape[0] == 1 and flow.time[-1] == 0.01 for flow in first)
     monkeypatch.setattr(deposits, "simulate_many", lambda *_, **__: pytest.fail("ran again"))
     deposits.compute(runs, tmp_path)
-    # A timed run is another one: what ran beside others has no time of its own.
-    assert dataclasses.replace(runs[0], way=Way.ALONE).path(tmp_path) != runs[0].path(tmp_path)
-    assert dataclasses.replace(runs[0], way=Way.WIDE).path(tmp_path) == runs[0].path(tmp_path)
+    assert dataclasses.replace(runs[0], until_rest=True).path(tmp_path) != runs[0].path(tmp_path)
+    assert dataclasses.replace(runs[0], precision="f64").path(tmp_path) != runs[0].path(tmp_path)
 
 
 def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() -> None:
-    trials = tuple(
-        Trial(
-            name="",
-            scene=at(scene, studies.own(cells, "f32")),
-            cells=cells,
-            error=scene.masses[0].size[1] ** -2 / cells,
-            bias=0.0,
-            scatter=0.0,
-        )
-        for scene in bodies.bodies().values()
-        for cells in (5.0, 10.0)
-    )
-    lengths = {name: bodies.spread(name, of, trials) for name, of in bodies.LENGTHS.items()}
-    errors = np.array([trial.scene.domain.cell / (0.05 * trial.scene.masses[0].size[0]) for trial in trials])
-    exact = bodies.spread(
-        "length",
-        bodies.LENGTHS["length"],
-        tuple(dataclasses.replace(trial, error=float(error)) for trial, error in zip(trials, errors, strict=True)),
-    )
-    assert exact.exponent == pytest.approx(-1.0)
-    assert exact.factor == pytest.approx(1.0)
-    assert min(spread.factor for spread in lengths.values()) > 1.1
+    scenes = [flow.scene() for flow in flows.MEASURED[2].values()]
+    trials = [
+        Trial(scene=finer, error=finer.domain.cell / (0.05 * finer.masses[0].size[0]))
+        for finer in (at(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0))
+    ]
+    found = {name: bodies.spread(name, of, trials) for name, of in bodies.LENGTHS.items()}
+    assert found["length"].exponent == pytest.approx(-1.0)
+    assert found["length"].factor == pytest.approx(1.0)
+    assert min(found[name].factor for name in found if name != "length") > 1.1
 
 
-def test_the_command_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("square, 20°", "high, 30°")
     tiny = Study(
-        title="A tenth of a second",
         dimension=2,
-        names=("column-short-21", "column-tall-42"),
-        cells=(2.5, 5.0),
+        scenes={name: flows.shortened(flows.MEASURED[2][name], 0.2).scene() for name in names},
+        cells=(2.0, 5.0),
+        checked=(2.0,),
         reference=10.0,
         seeds=2,
-        steps=True,
-        dearest=0.5,
-        remark="A remark.",
     )
-    monkeypatch.setattr(studies, "STUDIES", (tiny,))
-    monkeypatch.setattr(studies, "read_scene", lambda name: dataclasses.replace(read_scene(name), duration=0.1))
-    monkeypatch.setattr(bodies, "compare", lambda folder: [])
-    arguments = ["mpm", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--seeds", "2"]
-    assert run(accuracy.command, "test", arguments) == 0
+    monkeypatch.setattr(studies, "full", lambda: (tiny,))
+    where = ["--out", str(tmp_path), "--keep", str(tmp_path / "keep")]
+    assert run(accuracy.command, "test", ["mpm", *where]) == 0
     text = (tmp_path / "accuracy.md").read_text()
-    assert "column-tall-42" in text
-    assert "A tenth of a second" in text
+    assert text.splitlines()[2].startswith("- **2D**")
+    assert "high, 30°" in text
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     assert (tmp_path / "accuracy-scenes.png").exists()
     found = from_mapping(Measurements, read_toml(tmp_path / "resolution.toml")).measured
-    assert Resolution(cells=5.0, particles_per_axis=2, step_fraction=0.9, precision="f64") in [
-        each.resolution for each in found
-    ]
-    assert min(each.resolution.particles_per_axis for each in found) == studies.FEWEST_POINTS
-    # Coarser is worse, and the file is what a tolerance reads.
-    errors = {
-        each.resolution.cells: each.error
-        for each in found
-        if each.resolution == studies.own(each.resolution.cells, "f32")
-    }
-    assert errors[2.5] > errors[5.0] > 0.0
-    picked = resolved(read_scene("column-short-21"), 1.05 * min(errors.values()), found)
-    assert picked.error <= 1.05 * min(errors.values())
+    assert [each.resolution for each in found] == list(tiny.tried())
+    # Coarser promises less, and the file is what a tolerance reads.
+    promised = {each.resolution: each.promised for each in found}
+    assert promised[studies.own(2.0)] > promised[studies.own(5.0)] > 0.0
+    picked = resolved(read_scene("column-short-21"), 1.05 * promised[studies.own(5.0)], found)
+    assert picked.cells == pytest.approx(5.0)
+
+    monkeypatch.setattr(tolerance, "UNSEEN", {2: {"low, 25°": flows.UNSEEN[2]["low, 25°"]}})
+    monkeypatch.setattr(tolerance, "TOLERANCES", (0.9, 1e-6))
+    assert run(tolerance.command, "test", [*where, "--quick", "--measured", str(tmp_path / "resolution.toml")]) == 0
+    text = (tmp_path / "tolerance.md").read_text()
+    assert "- Asked for 90 %: 1 of 1 scenes are within it (bar: 90 %, met)" in text
+    assert "- 0.0001 % in 2D: no resolution that was measured promises it." in text
 
 
 def test_signs_and_per_cents() -> None:

@@ -34,7 +34,7 @@ from inverse.result import Result, Verdict
 from inverse.target import read_target
 from inverse.unknowns import Vector, kind
 from mpm.recording import ALL, Recording
-from tests.validation.conftest import at_rest
+from tests.validation.conftest import at_rest, kept
 from validation.loop import solve
 from validation.solved import Solved
 
@@ -69,7 +69,7 @@ class Flow:
         return np.asarray(self.x0 + self.push @ unknowns + self.bend * self.push @ unknowns**2)
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
-        return [self.run(scene) for scene in scenes]
+        return [kept(self.run(scene), record) for scene in scenes]
 
     def run(self, scene: Scene) -> Trajectory:
         if len(self.scenes) >= self.killed_after:
