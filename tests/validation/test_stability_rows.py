@@ -46,7 +46,7 @@ def test_a_row_starts_as_it_should(case: object) -> None:
     flow = at_rest(case.scene)  # type: ignore[attr-defined]
     assert all(finding.ok for check in INVARIANTS if (finding := check(flow)) is not None)
     assert len(flow.positions[0]) <= 10_000
-    if flow.scene.dimension == 2:
+    if flow.scene.dimension == 2 and not case.name.startswith("far-"):  # type: ignore[attr-defined]
         assert 0.01 <= flow.scene.domain.cell <= 0.02
 
 
