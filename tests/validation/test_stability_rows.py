@@ -45,7 +45,7 @@ def test_a_row_starts_as_it_should(case: object) -> None:
     flow = at_rest(case.scene)  # type: ignore[attr-defined]
     assert all(finding.ok for check in INVARIANTS if (finding := check(flow)) is not None)
     assert len(flow.positions[0]) <= 10_000
-    if flow.scene.dimension == 2:
+    if flow.scene.dimension == 2 and not case.name.startswith("far-"):  # type: ignore[attr-defined]
         assert 0.01 <= flow.scene.domain.cell <= 0.02
 
 
@@ -258,8 +258,8 @@ def test_a_step_that_is_not_used_is_found() -> None:
 
 def test_another_front_is_found() -> None:
     flow = at_rest()
-    assert expect.as_far_as(flow, flow).ok
-    assert not expect.as_far_as(lifted(flow, np.array([0.03, 0.0])), flow).ok
+    assert expect.as_far_as(flow, flow, within=0.05).ok
+    assert not expect.as_far_as(lifted(flow, np.array([0.03, 0.0])), flow, within=0.05).ok
 
 
 ROOM = Domain(size=(0.4, 0.2, 0.4), cell=0.02)
