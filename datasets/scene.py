@@ -45,7 +45,7 @@ class Mass(Strict):
     k0: float | str | None = None
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; none where absent."""
     release: float | str | None = None
-    """Time [s] until which smooth vertical gates hold its lateral faces, or "settled"; free from the start if absent."""
+    """Time [s] until which smooth vertical gates hold its lateral faces, or "settled"; free at once where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)

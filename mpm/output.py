@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from mpm.gates import free_since, measure_held, open_gates
 from mpm.lanes import add, lane_maximum, lane_sum, larger
 from mpm.layout import Energy, Field, Offset, Property, Setting, Worker
 from mpm.transfer import particles_in, property_of
@@ -72,6 +73,8 @@ def record_scene(scene, frame, arrays: ti.template()):
     """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
     if ti.static(arrays.features.impulses):
         record_impulses(scene, frame, arrays)
+    if ti.static(arrays.features.gated):
+        open_gates(scene, frame, arrays)
     if ti.static(arrays.features.rests):
         detect_rest(scene, frame, arrays)
 
@@ -88,6 +91,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
+    if ti.static(features.gated):
+        measure_held(scene, block, arrays)
     vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
     for k in ti.static(range(features.dimension)):
         vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
@@ -148,10 +153,12 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Note where the kinetic energy of a frame has fallen to nothing beside the largest so far."""
-    line = arrays.offsets[scene, Offset.ENERGY]
-    peak = arrays.energy[line * ti.static(len(Energy)) + Energy.KINETIC]
-    for earlier in range(frame):
+    """Note where the kinetic energy of a frame has fallen to nothing beside the largest since all masses are free."""
+    line, since = arrays.offsets[scene, Offset.ENERGY], 0
+    if ti.static(arrays.features.gated):
+        since = free_since(scene, arrays)
+    peak = 0.0 * arrays.energy[line * ti.static(len(Energy)) + Energy.KINETIC]
+    for earlier in range(since, frame):
         peak = ti.max(peak, arrays.energy[(line + earlier) * ti.static(len(Energy)) + Energy.KINETIC])
     if arrays.energy[(line + frame) * ti.static(len(Energy)) + Energy.KINETIC] < REST * peak:
         arrays.offsets[scene, Offset.REST] = frame

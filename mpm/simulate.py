@@ -144,6 +144,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
             steps=int(offset[Offset.STEPS]),
             clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
             rest_time=rest * scene.frame_dt if rest else None,
+            release_time=batch.release_times(index),
             wall_impulse=None if fields is None else impulses[:, -1],
             wall_s=wall_s,
             compile_s=compile_s,

@@ -17,6 +17,7 @@ def summarise(
     steps: int,
     clamped: int,
     rest_time: float | None,
+    release_time: list[float | None] | None,
     wall_impulse: NDArray[np.float64] | None,
     wall_s: float,
     compile_s: float,
@@ -26,7 +27,8 @@ def summarise(
     """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
 
     Lengths in metres; `energy` is a series per frame; `clamped` counts how often a particle was put back into the box;
-    `rest_time` [s] is when the deposit came to rest, where the run was to end there; `wall_impulse` [N s] the momentum
+    `rest_time` [s] is when the deposit came to rest, where the run was to end there; `release_time` [s]
+    when each mass was let go, where gates hold one; `wall_impulse` [N s] the momentum
     that floor and walls have taken up to each frame, where fields are recorded; `wall_s` is the batch's, compilation
     apart.
     """
@@ -44,6 +46,8 @@ def summarise(
         "arch": arch,
         "precision": precision,
     }
+    if release_time is not None:
+        summary["release_time"] = release_time
     if wall_impulse is not None:
         summary["wall_impulse"] = [[float(f"{p:.6g}") for p in row] for row in wall_impulse]
     return summary
