@@ -17,6 +17,9 @@ from mpm.layout import (
     PADDING,
     Energy,
     Features,
+    Gate,
+    Held,
+    Holding,
     Offset,
     Precision,
     Property,
@@ -25,6 +28,7 @@ from mpm.layout import (
     Worker,
 )
 from mpm.recording import ALL, Recording
+from mpm.release import gate_rows, held_rows, holding_rows, release_times
 
 Array = NDArray[Any]
 
@@ -61,6 +65,7 @@ class Batch:
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
+        self.add_gates()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         block = node = impulse = line = baffle = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
@@ -114,6 +119,24 @@ class Batch:
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
+
+    def add_gates(self) -> None:
+        """The lines of `gates`, `held` and `holding` of all scenes."""
+        gates: list[list[int]] = []
+        held: list[list[int]] = []
+        holding: list[list[float]] = []
+        for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
+            offset[Offset.GATE], offset[Offset.HELD] = len(gates), len(held)
+            gates += gate_rows(scene, len(held))
+            held += held_rows(scene, particles)
+            holding += holding_rows(scene, particles)
+            offset[Offset.GATES], offset[Offset.HELDS] = (
+                len(gates) - offset[Offset.GATE],
+                len(held) - offset[Offset.HELD],
+            )
+        self.gates = np.array(gates or [[0] * len(Gate)], np.int32)
+        self.held = np.array(held or [[0] * len(Held)], np.int32)
+        self.holding = np.array(holding or [[0.0] * len(Holding)], np.float64)
 
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record where that is kept."""
@@ -215,6 +238,9 @@ class Batch:
             "clamped": self.clamped,
             "owner": self.owner,
             "step_control": self.step_control,
+            "gates": self.gates,
+            "held": self.held,
+            "holding": self.holding,
         }
 
     @property
@@ -248,6 +274,12 @@ class Batch:
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
+
+    def release_times(self, index: int) -> list[float | None] | None:
+        """When each mass of one scene was let go [s]; see `mpm.release.release_times`."""
+        first = self.offsets[index, Offset.HELD]
+        opened = self.held[first : first + self.offsets[index, Offset.HELDS], Held.OPENED]
+        return release_times(self.scenes[index], opened)
 
     def energies(self, index: int) -> NDArray[np.float64]:
         """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
@@ -306,6 +338,7 @@ def features_of(
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,
+        gated=any(mass.release is not None for scene in scenes for mass in scene.masses),
         rests=until_rest,
         shared=shared,
         gpu=gpu,

@@ -14,6 +14,7 @@ Only the bounding box of the material is cleared and updated.
 import taichi as ti
 
 from mpm.boundary import against_walls
+from mpm.gates import against_gates
 from mpm.lanes import add
 from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
 
@@ -173,6 +174,8 @@ def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
         arrays.settings[scene, Setting.FLOOR_FRICTION],
         arrays.settings[scene, Setting.WALL_FRICTION],
     )
+    if ti.static(features.gated):
+        held = against_gates(held, index, scene, dt, arrays)
     if ti.static(features.walls_recorded):
         # What the walls take is counted behind the baffles.
         for axis in ti.static(range(features.dimension)):

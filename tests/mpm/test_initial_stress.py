@@ -130,7 +130,8 @@ def test_an_elastic_bed_has_the_ratio_of_poisson() -> None:
     stress = stress_of(scene)
     rows = rows_of(scene, stress[:, 0]) / rows_of(scene, stress[:, 1])
     np.testing.assert_allclose(rows[2:-2], 0.3 / 0.7, rtol=0.01)
-    np.testing.assert_allclose(stress[:, 2], 0.3 * (stress[:, 0] + stress[:, 1]), atol=1e-6)
+    below = initial_particles(scene).positions[:, 1] < 0.38  # single particles of the surface yield
+    np.testing.assert_allclose(stress[below, 2], 0.3 * (stress[below, 0] + stress[below, 1]), atol=1e-6)
 
 
 @pytest.mark.parametrize("floor_friction", [0.0, 0.6])
