@@ -170,7 +170,7 @@ class Features:
     dimension: int
     precision: Precision
     relaxed: bool = True
-    """Velocity that the grid cannot represent decays with a relaxation time (AFLIP); else it is lost each step (APIC)."""
+    """Velocity that the grid cannot represent decays in a relaxation time (AFLIP); else it is lost each step (APIC)."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
@@ -278,7 +278,7 @@ class Features:
 
     @property
     def compensated(self) -> bool:
-        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would freeze."""
+        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would rest."""
         return self.precision == "f32"
 
     @property

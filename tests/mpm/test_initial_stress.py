@@ -72,7 +72,7 @@ def test_in_3d_too(precision: str) -> None:
 
 
 def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
-    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: it is said how much misses.
+    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: it says how much misses.
     with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
         flow = simulate(dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, fields=True)
     assert flow.velocities is not None
