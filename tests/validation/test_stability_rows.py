@@ -14,6 +14,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, at_rest, scene_of
+from validation.stability import exact
 from validation.stability import expectations as expect
 from validation.stability.case import SCENES
 from validation.stability.cases import CASES
@@ -89,16 +90,27 @@ def test_a_row_that_asks_for_volume_has_a_core(name: str) -> None:
 
 
 def test_the_cuts_are_at_their_fractions_of_the_critical_height() -> None:
-    for name, ratio in (("cut-holds", 0.6), ("cut-fails", 1.6)):
+    for name, ratio in (
+        ("cut-holds", 0.6),
+        ("cut-fails", 1.6),
+        ("cut-critical-holds", 0.9),
+        ("cut-critical-fails", 1.1),
+        ("undrained-cut-holds", 0.8),
+        ("undrained-cut-fails", 1.2),
+    ):
         assert expect.over_critical_height(at_rest(BY_NAME[name].scene), ratio=ratio).ok
         assert not expect.over_critical_height(at_rest(BY_NAME[name].scene), ratio=1.0).ok
 
 
 def test_critical_height_by_hand() -> None:
-    """c = 1 kPa, gamma = 17.658 kN/m^3, phi = 30: 4 / 17.658 * tan 60 = 0.3924 m."""
+    """c = 1 kPa, gamma = 17.658 kN/m^3, phi = 30: 4 / 17.658 * tan 60 = 0.3924 m, half of that without tension."""
     soil = Material(friction_deg=30.0, cohesion=1000.0, tension_cutoff=1e6)
     found = expect.over_critical_height(at_rest(scene_of(material=soil)), ratio=1.0)
     assert found.value == pytest.approx(0.2 / 0.39236, rel=1e-4)
+    cracked = dataclasses.replace(soil, tension_cutoff=0.0)
+    assert expect.critical_height(scene_of(material=cracked)) == pytest.approx(0.39236 / 2.0, rel=1e-4)
+    clay = dataclasses.replace(cracked, friction_deg=0.0)
+    assert expect.critical_height(scene_of(material=clay)) == pytest.approx(2000.0 / 17658.0)
 
 
 def test_spread_needs_a_heap_no_steeper_than_friction() -> None:
@@ -289,7 +301,8 @@ def test_every_expectation_is_asked_of_a_row() -> None:
     asked = {(check.func if isinstance(check, partial) else check).__name__ for check in checks}
     made = {
         name
-        for name, value in vars(expect).items()
+        for module in (expect, exact)
+        for name, value in vars(module).items()
         if callable(value) and getattr(value, "__annotations__", {}).get("return") is expect.Finding
     } - {"Finding"}
     assert made <= asked

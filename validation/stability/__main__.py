@@ -13,6 +13,7 @@ from datasets.files import write_text
 from mpm.layout import Precision
 from validation.stability.case import Case
 from validation.stability.cases import CASES
+from validation.stability.critical_height import CRITICAL, bracket
 from validation.stability.flows import Flow, simulate_scenes
 from validation.stability.probes import probe
 from validation.stability.report import document
@@ -42,8 +43,9 @@ def command(*names: str, out: Path | None = None) -> None:
         verdicts = [judge(case, flows) for case in cases]
         red = [verdict.case for verdict in verdicts if not verdict.all_green]
         probes = probe(red, bar)
+    heights = [bracket(case.scene) for case in cases if case.name in CRITICAL]
     asked = " ".join(["python -m validation.stability", *names])
-    text = document(verdicts, probes, asked, time.perf_counter() - began)
+    text = document(verdicts, probes, heights, asked, time.perf_counter() - began)
     print(text, end="")
     if out is not None:
         write_text(out / "stability.md", text)

@@ -16,14 +16,14 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm.simulate import simulate
 from validation.stability.case import SCENES
-from validation.stability.expectations import critical_height, moved_share
+from validation.stability.expectations import FAILED, critical_height, moved_share
 
-FAILED = 0.05
-"""Share of the particles of a cut that moved by a cell, from which on it has failed."""
 WITHIN = 1.05
 """How close the bounds of the bracket lie, one over the other."""
 BETWEEN = (0.4, 1.6)
 """Heights over the critical one between which the bisection begins."""
+CRITICAL = ("cut-critical-holds", "undrained-cut-holds")
+"""Rows whose scene is bracketed for the page."""
 SCENE = str(SCENES / "cut-critical-holds.toml")
 
 
@@ -31,9 +31,20 @@ SCENE = str(SCENES / "cut-critical-holds.toml")
 class Bracket:
     """Heights over the critical one: the highest cut that held, the lowest that failed; nan where none did."""
 
+    friction_deg: float
     holds: float
     fails: float
     runs: int
+
+    @property
+    def sentence(self) -> str:
+        """What was found, for the page."""
+        number = 2.0 * math.tan(math.radians(45.0 + 0.5 * self.friction_deg))
+        return (
+            f"phi = {self.friction_deg:g}°: a cut of {self.holds:.2f} of the critical height holds, one of "
+            f"{self.fails:.2f} fails ({self.runs} runs); gamma H / c between {self.holds * number:.2f} and "
+            f"{self.fails * number:.2f}, in theory {number:.2f}."
+        )
 
 
 def fails(scene: Scene) -> bool:
@@ -50,27 +61,16 @@ def at_ratio(scene: Scene, ratio: float) -> Scene:
 def bracket(scene: Scene, judge: Callable[[Scene], bool] = fails) -> Bracket:
     """Bisection in the logarithm of the height, from BETWEEN to WITHIN; both ends are tried first."""
     low, high = BETWEEN
-    runs = 2
+    found = Bracket(friction_deg=scene.material.friction_deg, holds=low, fails=high, runs=2)
     if judge(at_ratio(scene, low)):
-        return Bracket(holds=math.nan, fails=low, runs=1)
+        return dataclasses.replace(found, holds=math.nan, fails=low, runs=1)
     if not judge(at_ratio(scene, high)):
-        return Bracket(holds=high, fails=math.nan, runs=runs)
-    while high > WITHIN * low:
-        middle, runs = math.sqrt(low * high), runs + 1
-        if judge(at_ratio(scene, middle)):
-            high = middle
-        else:
-            low = middle
-    return Bracket(holds=low, fails=high, runs=runs)
-
-
-def sentence(scene: Scene, found: Bracket) -> str:
-    """What was found, for the page."""
-    number = found.holds * 2.0 * math.tan(math.radians(45.0 + 0.5 * scene.material.friction_deg))
-    return (
-        f"The highest cut that holds is {found.holds:.2f}, the lowest that fails {found.fails:.2f} of the critical "
-        f"height of theory, by bisection in {found.runs} runs: gamma H / c >= {number:.2f}."
-    )
+        return dataclasses.replace(found, holds=high, fails=math.nan)
+    while found.fails > WITHIN * found.holds:
+        middle = math.sqrt(found.holds * found.fails)
+        failed = judge(at_ratio(scene, middle))
+        found = dataclasses.replace(found, runs=found.runs + 1, **{"fails" if failed else "holds": middle})
+    return found
 
 
 def command(scene: str = SCENE) -> None:
@@ -82,7 +82,7 @@ def command(scene: str = SCENE) -> None:
         Scene file of a cut; its cohesion is changed.
     """
     given = read_scene(scene)
-    print(sentence(given, bracket(given)))
+    print(bracket(given).sentence)
 
 
 if __name__ == "__main__":

@@ -7,13 +7,27 @@ from validation.stability import exact
 from validation.stability import expectations as expect
 from validation.stability.case import Case
 
+NO_TENSION = (
+    "Soil that carries no tension at all has nothing that holds a free face: the lateral stress of a column is 0, which "
+    "is its limit, and gravity that comes at once makes it ring. Lateral tension of jittered particles opens cracks; the "
+    "next compression is resisted although they are open, and so it spreads. Particles on a lattice and a Poisson's "
+    "ratio of 0, or a cutoff of 100 Pa, a ten-thousandth of the cohesion, keep it within 0.04 cells."
+)
+
 EXACT_CASES = (
     Case(
         name="block-24",
         what="a block on an incline of 24°, mu = 0.5",
         checks=(partial(expect.creeps, since=0.0, cells=0.05),),
     ),
-    Case(name="block-29", what="a block on an incline of 29°, mu = 0.5", checks=(exact.slides,)),
+    Case(
+        name="block-29",
+        what="a block on an incline of 29°, mu = 0.5",
+        checks=(exact.slides,),
+        remark="The formula is that of a rigid block, so this one is stiff, 20 MPa, without Poisson's ratio: with 0.3 "
+        "and 2 MPa it slides 17 % further. An elastic body that slides at a constant coefficient and that nothing damps "
+        "is unstable (Adams 1995); while parts of its base stick, the whole feels 0.47 instead of 0.5.",
+    ),
     Case(name="block-35", what="a block on an incline of 35°, mu = 0.5", checks=(exact.slides,)),
     Case(
         name="bed-k0",
@@ -37,7 +51,7 @@ EXACT_CASES = (
     Case(
         name="cut-critical-fails",
         what="the same at 1.1",
-        checks=(partial(expect.over_critical_height, ratio=1.1), expect.fails_as_a_wedge),
+        checks=(partial(expect.over_critical_height, ratio=1.1), expect.falls),
     ),
     Case(
         name="undrained-cut-holds",
@@ -50,7 +64,7 @@ EXACT_CASES = (
     Case(
         name="undrained-cut-fails",
         what="the same at 1.2",
-        checks=(partial(expect.over_critical_height, ratio=1.2), expect.fails_as_a_wedge),
+        checks=(partial(expect.over_critical_height, ratio=1.2), expect.falls),
     ),
     Case(
         name="spin",
@@ -76,6 +90,7 @@ EXACT_CASES = (
     Case(
         name="cohesive-column",
         what="a column of soil of 1 MPa without tension",
+        cause=NO_TENSION,
         checks=(exact.stands,),
     ),
     Case(

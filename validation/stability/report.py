@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from textwrap import fill
 
 from validation.stability import deposit, invariants
+from validation.stability.critical_height import Bracket
+from validation.stability.exact_cases import EXACT_CASES
+from validation.stability.expectations import FAILED
 from validation.stability.finding import Finding
 from validation.stability.probes import Probe
 from validation.stability.verdict import PRECISIONS, Verdict
@@ -23,15 +26,19 @@ WIDTH = 118
 ALWAYS = {"not finite", "outside the box", "inside a baffle", "mass", "motion left", *COLUMNS}
 
 
-def document(verdicts: Sequence[Verdict], probes: Sequence[Probe], command: str, seconds: float) -> str:
-    """The whole page."""
+def document(
+    verdicts: Sequence[Verdict], probes: Sequence[Probe], heights: Sequence[Bracket], command: str, seconds: float
+) -> str:
+    """The whole page; `heights` of the cuts whose critical height was bracketed."""
     red = [verdict for verdict in verdicts if not verdict.all_green]
     lines = [
         "# Hard cases",
         "",
+        *conclusion(verdicts, red, heights),
+        "",
         fill(
             f"`{command}`: {len(verdicts)} scenes, each in f32 and in f64; {os.cpu_count()} cores "
-            f"({platform.machine()}), {seconds:.0f} s with compilation. {outcome(verdicts, red)}",
+            f"({platform.machine()}), {seconds:.0f} s with compilation.",
             WIDTH,
         ),
         "",
@@ -44,6 +51,7 @@ def document(verdicts: Sequence[Verdict], probes: Sequence[Probe], command: str,
         *own_table(verdicts),
         "",
         *remarks(verdicts),
+        *critical_heights(heights),
         *explanation(),
     ]
     if red:
@@ -61,6 +69,34 @@ def outcome(verdicts: Sequence[Verdict], red: Sequence[Verdict]) -> str:
     if not red:
         return "All rows are green."
     return f"Red, and explained below: {', '.join(each.case.name for each in red)}; all others are green."
+
+
+def conclusion(verdicts: Sequence[Verdict], red: Sequence[Verdict], heights: Sequence[Bracket]) -> list[str]:
+    """What the page comes to, in five lines at the most."""
+    exact = [verdict for verdict in verdicts if verdict.case in EXACT_CASES]
+    lines = [outcome(verdicts, red)]
+    if exact:
+        agreed = sum(verdict.all_green for verdict in exact)
+        lines.append(f"Of {len(exact)} rows with an exact solution {agreed} agree with it in both precisions.")
+    if heights:
+        found = ", ".join(f"{each.holds:.2f} to {each.fails:.2f} (phi = {each.friction_deg:g}°)" for each in heights)
+        lines.append(f"Vertical cuts without tension fail at {found} of the critical height of theory.")
+    worst = [value for each in verdicts if (value := each.worst("energy")) is not None]
+    if worst:
+        lines.append(f"No flow gains more than {max(finding.value for finding in worst):.1e} of its energy.")
+    return bullets(lines)
+
+
+def critical_heights(heights: Sequence[Bracket]) -> list[str]:
+    """The section on the heights at which cuts fail."""
+    if not heights:
+        return []
+    text = (
+        "Critical height of a vertical cut in soil that carries no tension, 2 c / gamma tan(45 + phi / 2) (Drucker "
+        "1953), by bisection (`python -m validation.stability.critical_height`); failed is a cut of which "
+        f"{100.0 * FAILED:g} % has moved by a cell:"
+    )
+    return [fill(text, WIDTH), "", *bullets([each.sentence for each in heights]), ""]
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
