@@ -10,8 +10,8 @@ from validation.stability.case import Case
 NO_TENSION = (
     "Soil that carries no tension at all has nothing that holds a free face: the lateral stress of a column is 0, "
     "which is its limit, and gravity that comes at once makes it ring. Lateral tension of jittered particles opens "
-    "cracks; the next compression is resisted although they are open, and so it spreads. Particles on a lattice and a Poisson's "
-    "ratio of 0, or a cutoff of 100 Pa, a ten-thousandth of the cohesion, keep it within 0.04 cells."
+    "cracks; the next compression is resisted although they are open, and so it spreads. Particles on a lattice and a "
+    "Poisson's ratio of 0, or a cutoff of 100 Pa, a ten-thousandth of the cohesion, keep it within 0.04 cells."
 )
 
 EXACT_CASES = (
@@ -25,8 +25,8 @@ EXACT_CASES = (
         what="a block on an incline of 29°, mu = 0.5",
         checks=(exact.slides,),
         remark="The formula is that of a rigid block, so this one is stiff, 20 MPa, without Poisson's ratio: with "
-        "0.3 and 2 MPa it slides 17 % further. An elastic body that slides at a constant coefficient and that nothing damps "
-        "is unstable (Adams 1995); while parts of its base stick, the whole feels 0.47 instead of 0.5.",
+        "0.3 and 2 MPa it slides 17 % further. An elastic body that slides at a constant coefficient and that nothing "
+        "damps is unstable (Adams 1995); while parts of its base stick, the whole feels 0.47 instead of 0.5.",
     ),
     Case(name="block-35", what="a block on an incline of 35°, mu = 0.5", checks=(exact.slides,)),
     Case(
