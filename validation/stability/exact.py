@@ -23,7 +23,7 @@ def slides(flow: Trajectory) -> Finding:
     scene, slope = flow.scene, math.radians(flow.scene.slope_deg)
     acceleration = scene.gravity * (math.sin(slope) - scene.floor_friction * math.cos(slope))
     exact = 0.5 * acceleration * flow.time[-1] ** 2
-    return Finding(check="way over rigid block's", value=float(way(flow)[-1, 0]) / exact, least=0.99, most=1.01)
+    return Finding(check="way over rigid block's", value=float(way(flow)[-1, 0] / exact), least=0.99, most=1.01)
 
 
 def moves_on(flow: Trajectory) -> Finding:
