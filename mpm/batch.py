@@ -123,7 +123,10 @@ class Batch:
             gates += gate_rows(scene, len(held))
             held += held_rows(scene, particles)
             holding += holding_rows(scene, particles)
-            offset[Offset.GATES], offset[Offset.HELDS] = len(gates) - offset[Offset.GATE], len(held) - offset[Offset.HELD]
+            offset[Offset.GATES], offset[Offset.HELDS] = (
+                len(gates) - offset[Offset.GATE],
+                len(held) - offset[Offset.HELD],
+            )
         self.gates = np.array(gates or [[0] * len(Gate)], np.int32)
         self.held = np.array(held or [[0] * len(Held)], np.int32)
         self.holding = np.array(holding or [[0.0] * len(Holding)], np.float64)
