@@ -16,13 +16,13 @@ displacements u through the gradient that the kernel uses,
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
 would have to be pulled, nor across a gate (`mpm.release`); under an elastic mass a rough floor holds it altogether. A
-geostatic mass stands between smooth gates on all its lateral faces.
+geostatic mass stands between smooth gates on all its lateral faces. Baffles are no part of it.
 
 **Yield.** Where the corrected stress violates Mohr-Coulomb or the tension limit it is scaled towards its own mean
 stress until it does not (the mean stays, the directions stay; beyond the limit the mean is cut), and the force that
 this leaves unbalanced is distributed again, as in the initial stress method (Zienkiewicz, Valliappan & King 1969), here
-with theta_p a tenth of what it was for every particle that yielded, so that the others take the load: theta is the
-tangent's.
+with theta_p a tenth of what it was for every particle that yielded, so that the others take the load, as a tangent
+would have them do.
 
 **Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
 LU of the block of the nodes that few particles reach (surfaces and edges); in 2D of all nodes. Everything is in f64.
@@ -82,7 +82,7 @@ def initial_stress(scene: Scene, particles: Particles, positions: Floats | None 
     dimension = scene.dimension
     stress = np.zeros((len(particles.positions), 3, 3))
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
-    if chosen.any():
+    if chosen.any() and scene.gravity > 0.0:
         places = particles.positions if positions is None else np.asarray(positions, np.float64)
         problem = Equilibrium(scene, particles, places, np.flatnonzero(chosen))
         stress[chosen] = problem.solution(geostatic(scene, particles, places)[chosen])
@@ -214,7 +214,7 @@ class Equilibrium:
         return best
 
     def missing(self, stress: Floats) -> float:
-        """Unbalanced nodal forces over the weight [-], with those that no wall takes: pull, shear beyond friction."""
+        """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
         force = self.unbalanced(stress)
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
@@ -342,14 +342,14 @@ def quotient(top: Floats, bottom: Floats) -> Floats:
 def conjugate_gradients(
     matrix: Callable[[Floats], Floats], force: Floats, precondition: Callable[[Floats], Floats]
 ) -> tuple[Floats, int]:
-    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and in how many steps."""
+    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the number of steps."""
     solution, residual = np.zeros_like(force), force.copy()
     direction = toward = precondition(residual)
     product = float((residual * toward).sum())
     goal = ACCURACY * np.sqrt(product)
-    step = 0
-    while step < MOST_STEPS:
-        step += 1
+    steps = 0
+    while product > goal * goal and steps < MOST_STEPS:
+        steps += 1
         image = matrix(direction)
         curvature = float((direction * image).sum())
         if curvature <= 0.0:
@@ -358,7 +358,5 @@ def conjugate_gradients(
         residual = residual - product / curvature * image
         toward = precondition(residual)
         before, product = product, float((residual * toward).sum())
-        if product <= goal * goal:
-            break
         direction = toward + product / before * direction
-    return solution, step
+    return solution, steps

@@ -1,7 +1,7 @@
 """Where the gates of a held mass stand: which nodes of the grid they hold.
 
 A gate is a smooth vertical wall at a lateral face of a mass: the nodes from the face to `BEYOND` cells outside of it
-have no velocity across it. The nodes between are those to which the mass's own particles reach, so nothing of the mass
+have no velocity across it. These are all nodes beyond the face that the mass's own particles reach, so none of it
 passes. A face that lies on a wall of the box needs no gate.
 """
 

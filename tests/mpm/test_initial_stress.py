@@ -72,7 +72,7 @@ def test_in_3d_too(precision: str) -> None:
 
 
 def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
-    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: it says how much misses.
+    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: how much misses is said.
     with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
         flow = simulate(dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, fields=True)
     assert flow.velocities is not None
@@ -207,3 +207,7 @@ def test_without_a_release_the_gates_are_gone_at_the_start() -> None:
 def test_masses_without_k0_begin_without_stress() -> None:
     scene = with_masses(BED_2D, dataclasses.replace(BED_2D.masses[0], k0=None))
     assert not stress_of(scene).any()
+
+
+def test_without_gravity_there_is_no_stress() -> None:
+    assert not stress_of(dataclasses.replace(BED_2D, gravity=0.0)).any()
