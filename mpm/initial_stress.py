@@ -342,7 +342,7 @@ def quotient(top: Floats, bottom: Floats) -> Floats:
 def conjugate_gradients(
     matrix: Callable[[Floats], Floats], force: Floats, precondition: Callable[[Floats], Floats]
 ) -> tuple[Floats, int]:
-    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the number of steps."""
+    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the steps taken."""
     solution, residual = np.zeros_like(force), force.copy()
     direction = toward = precondition(residual)
     product = float((residual * toward).sum())
