@@ -87,6 +87,8 @@ def check(scene: Scene, settings: ModelSettings) -> None:
         raise InputError("expected a scene without baffles, the model knows none", key="baffles")
     if scene.slope_deg != 0.0:
         raise InputError("expected a level floor, the model knows no other", key="slope_deg")
+    if any(mass.release is not None for mass in scene.masses):
+        raise InputError("expected masses that are free from the start, the model knows no gates", key="masses")
     densities = {scene.material_of(mass).density for mass in scene.masses}
     if len(densities) > 1:
         got = " and ".join(f"{density:g}" for density in sorted(densities))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
 from mpm import rest
@@ -17,14 +16,17 @@ from mpm.layout import (
     PADDING,
     Energy,
     Features,
+    Gate,
+    Held,
+    Holding,
     Offset,
     Precision,
-    Property,
-    Setting,
     StepControl,
     Worker,
 )
+from mpm.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
 from mpm.recording import ALL, Recording
+from mpm.release import gate_rows, held_rows, holding_rows, release_times
 
 Array = NDArray[Any]
 
@@ -61,6 +63,7 @@ class Batch:
         boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
         self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
+        self.add_gates()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         block = node = impulse = line = baffle = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
@@ -114,6 +117,24 @@ class Batch:
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
+
+    def add_gates(self) -> None:
+        """The lines of `gates`, `held` and `holding` of all scenes."""
+        gates: list[list[int]] = []
+        held: list[list[int]] = []
+        holding: list[list[float]] = []
+        for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
+            offset[Offset.GATE], offset[Offset.HELD] = len(gates), len(held)
+            gates += gate_rows(scene, len(held))
+            held += held_rows(scene, particles)
+            holding += holding_rows(scene, particles)
+            offset[Offset.GATES], offset[Offset.HELDS] = (
+                len(gates) - offset[Offset.GATE],
+                len(held) - offset[Offset.HELD],
+            )
+        self.gates = np.array(gates or [[0] * len(Gate)], np.int32)
+        self.held = np.array(held or [[0] * len(Held)], np.int32)
+        self.holding = np.array(holding or [[0.0] * len(Holding)], np.float64)
 
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record where that is kept."""
@@ -215,6 +236,9 @@ class Batch:
             "clamped": self.clamped,
             "owner": self.owner,
             "step_control": self.step_control,
+            "gates": self.gates,
+            "held": self.held,
+            "holding": self.holding,
         }
 
     @property
@@ -248,6 +272,12 @@ class Batch:
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
+
+    def release_times(self, index: int) -> list[float | None] | None:
+        """When each mass of one scene was let go [s]; see `mpm.release.release_times`."""
+        first = self.offsets[index, Offset.HELD]
+        opened = self.held[first : first + self.offsets[index, Offset.HELDS], Held.OPENED]
+        return release_times(self.scenes[index], opened)
 
     def energies(self, index: int) -> NDArray[np.float64]:
         """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
@@ -306,19 +336,11 @@ def features_of(
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,
+        gated=any(mass.release is not None for scene in scenes for mass in scene.masses),
         rests=until_rest,
         shared=shared,
         gpu=gpu,
     )
-
-
-def elastic_energy(particles: Particles, stress: Array) -> float:
-    """Sum of V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E) [J]; stress [Pa], shape [N, 4 or 6]."""
-    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
-    square = (stress[:, :3] ** 2).sum(axis=1) + 2.0 * (stress[:, 3:] ** 2).sum(axis=1)
-    trace = stress[:, :3].sum(axis=1)
-    each = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
-    return float(particles.volume @ each)
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:
@@ -327,84 +349,3 @@ def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:
     memory = np.zeros(size + ALIGNMENT, np.uint8)
     offset = -memory.ctypes.data % ALIGNMENT
     return memory[offset : offset + size].view(real).reshape(shape)
-
-
-def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
-    """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
-
-    Fixed for a scene, because APIC's dissipation is per step; the kernel takes more in a frame whose particles move so
-    fast that (wave speed + speed) dt would leave the cell.
-    """
-    fastest = max(material.wave_speed for material in materials)
-    return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))
-
-
-def settings_row(scene: Scene, particles: Particles) -> list[float]:
-    """One line of `settings`, in the order of `Setting`."""
-    weight = float((particles.density * particles.volume).sum()) * scene.gravity
-    values = {
-        Setting.CELL: scene.domain.cell,
-        Setting.FRAME_DT: scene.frame_dt,
-        Setting.GRAVITY_X: scene.gravity_vector[0],
-        Setting.GRAVITY_Y: scene.gravity_vector[1],
-        Setting.FLOOR_FRICTION: scene.floor_friction,
-        Setting.WALL_FRICTION: scene.wall_friction,
-        Setting.BAFFLE_FRICTION: scene.baffle_friction,
-        Setting.DAMPING: scene.damping,
-        Setting.CORRECTED: float(scene.volume_correction),
-        Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
-        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
-        Setting.WEIGHT: weight,
-        Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
-    }
-    return [values[column] for column in Setting]
-
-
-def properties_row(material: Material, volume: float) -> list[float]:
-    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
-
-    Of a material whose strength grows with depth, that at its top.
-    """
-    friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
-    residual = material.residual
-    values = {
-        Property.VOLUME: volume,
-        Property.DENSITY: material.density,
-        Property.LAME: material.lame,
-        Property.SHEAR: material.shear_modulus,
-        Property.SIN_PHI: math.sin(friction),
-        Property.SIN_PSI: math.sin(dilation),
-        Property.STRENGTH: 2.0 * material.cohesion * math.cos(friction),
-        Property.LIMIT: material.tension_limit,
-        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
-        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
-        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
-        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
-        Property.RESIDUAL_LIMIT: residual.tension_limit,
-        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
-    }
-    return [values[column] for column in Property]
-
-
-def properties_of(particles: Particles) -> Array:
-    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
-    rows = np.empty((len(particles.material), len(Property)))
-    for index, material in enumerate(particles.materials):
-        here = particles.material == index
-        rows[here] = properties_at(material, particles.depth[here])
-    rows[:, Property.VOLUME] = particles.volume
-    return rows
-
-
-def properties_at(material: Material, depth: Array) -> Array:
-    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
-    rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
-    for state, strength, limit in (
-        (material, Property.STRENGTH, Property.LIMIT),
-        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
-    ):
-        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
-        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
-        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
-        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
-    return rows

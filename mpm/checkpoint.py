@@ -17,7 +17,7 @@ from mpm.batch import Batch
 from mpm.layout import Features, Offset
 from mpm.recording import Recording
 
-ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields")
+ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "held", "holding")
 PLAIN = ("frame", "rest", "steps", "clamped", "wall_s")
 
 
@@ -51,6 +51,10 @@ class Checkpoint:
     """Of the kept frames up to `frame` [m], shape [T, N, D]."""
     fields: NDArray[np.float32]
     """As the particles carry them, shape [T, N, `Features.recorded`]."""
+    held: NDArray[np.int32]
+    """Masses behind gates, a line each (`mpm.layout.Held`)."""
+    holding: NDArray[np.float64]
+    """What is known of how they settle, a line each (`mpm.layout.Holding`)."""
 
     @staticmethod
     def of(batch: Batch, *, wall_s: float) -> "Checkpoint":
@@ -75,6 +79,8 @@ class Checkpoint:
             .copy(),
             positions=batch.recorded(0)[:kept].copy(),
             fields=batch.recorded_fields(0)[:kept].copy(),
+            held=batch.held.copy(),
+            holding=batch.holding.copy(),
         )
 
     def restore(self, batch: Batch) -> None:
@@ -95,7 +101,7 @@ class Checkpoint:
         if key := difference(dataclasses.replace(self.features, shared=batch.features.shared), batch.features):
             mine, theirs = getattr(batch.features, key), getattr(self.features, key)
             raise InputError(f"expected {theirs} as in the checkpoint, got {mine}", key=key)
-        if self.state.shape != batch.state_of(0).shape:
+        if self.state.shape != batch.state_of(0).shape or self.held.shape != batch.held.shape:
             raise InputError("expected a checkpoint of this version of Talus, it holds another state", key="state")
         kept, solids = sum(number <= self.frame for number in batch.kept(0)), self.impulse.shape[1]
         offset, first = batch.offsets[0], int(batch.offsets[0, Offset.IMPULSE])
@@ -103,6 +109,7 @@ class Checkpoint:
         batch.computed = self.frame
         batch.state_of(0)[:] = self.state
         batch.order[:] = self.order
+        batch.held[:], batch.holding[:] = self.held, self.holding
         batch.energies(0)[: self.frame + 1] = self.energy
         batch.recorded_impulse[first:][: (self.frame + 1) * solids] = self.impulse.reshape(-1, self.impulse.shape[2])
         # The last frame of a shorter run may be none that a longer one keeps.

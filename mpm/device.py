@@ -16,7 +16,7 @@ from mpm.layout import Features, Offset, Setting, StepControl
 
 TWICE = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
 """With one lane a vector of lanes is a number: the second view of such memory is the first."""
-COME_BACK = ("state", "record", "fields", "energy", "recorded_impulse", "offsets", "clamped")
+COME_BACK = ("state", "record", "fields", "energy", "recorded_impulse", "offsets", "clamped", "held", "holding")
 
 
 def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:

@@ -14,6 +14,7 @@ Only the bounding box of the material is cleared and updated.
 import taichi as ti
 
 from mpm.boundary import against_walls
+from mpm.gates import against_gates
 from mpm.lanes import add
 from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
 
@@ -73,7 +74,9 @@ def update_own_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.grid[first + k]
                 if node[features.dimension] > 0.0:
-                    put_velocity(first + k, node, velocity_of(node, i, j, k, worker, scene, dt, arrays), kept, arrays)
+                    old = old_velocity(node, arrays)
+                    new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
+                    put_velocity(first + k, new, old, kept, arrays)
 
 
 @ti.func
@@ -98,10 +101,11 @@ def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
                         if covers(other, i, j, k, arrays):
                             node += arrays.grid[arrays.workers[other, Worker.NODE] + at]
                     if node[features.dimension] > 0.0:
-                        v = velocity_of(node, i, j, k, worker, scene, dt, arrays)
+                        old = old_velocity(node, arrays)
+                        new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
                         for other in range(count):
                             if covers(other, i, j, k, arrays):
-                                put_velocity(arrays.workers[other, Worker.NODE] + at, node, v, kept, arrays)
+                                put_velocity(arrays.workers[other, Worker.NODE] + at, new, old, kept, arrays)
 
 
 @ti.func
@@ -119,8 +123,9 @@ def update_node(n, scene, arrays: ti.template()):
         at = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
-            v = velocity_of(node, i, j, k, scene, scene, dt, arrays)
-            put_velocity(at, node, v, kept_of(scene, dt, arrays), arrays)
+            old = old_velocity(node, arrays)
+            new = velocity_of(node, old, i, j, k, scene, scene, dt, arrays)
+            put_velocity(at, new, old, kept_of(scene, dt, arrays), arrays)
 
 
 @ti.func
@@ -134,13 +139,21 @@ def covers(worker, i, j, k, arrays: ti.template()):
 
 
 @ti.func
-def put_velocity(n, node, v, kept, arrays: ti.template()):
-    """Store the velocity of node n in place of its momentum and, where relaxed, its change v - kept v_old."""
+def old_velocity(node, arrays: ti.template()):
+    """v_i [m/s] of a node (momentum, mass, force) before its forces act, shape [D]."""
+    features = arrays.features
+    per_mass = 1.0 / node[features.dimension]
+    return ti.Vector([node[axis] * per_mass for axis in ti.static(range(features.dimension))])
+
+
+@ti.func
+def put_velocity(n, new, old, kept, arrays: ti.template()):
+    """Store the new velocity of node n in place of its momentum and, where relaxed, its change new - kept old."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
-        arrays.grid[n][axis] = v[axis]
+        arrays.grid[n][axis] = new[axis]
         if ti.static(features.relaxed):
-            arrays.grid[n][features.change + axis] = v[axis] - kept * node[axis] / node[features.dimension]
+            arrays.grid[n][features.change + axis] = new[axis] - kept * old[axis]
 
 
 @ti.func
@@ -150,15 +163,15 @@ def kept_of(scene, dt, arrays: ti.template()):
 
 
 @ti.func
-def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
-    """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D]."""
+def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D], from its old one `v`."""
     features = arrays.features
     mass = node[features.dimension]
-    v = ti.Vector([node[axis] / mass for axis in ti.static(range(features.dimension))])
     gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
     a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
     if ti.static(features.forces):
-        a = a + ti.Vector([node[features.force + axis] / mass for axis in ti.static(range(features.dimension))])
+        per_mass = 1.0 / mass
+        a = a + ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
     if ti.static(features.damped):
         drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
         slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL]
@@ -173,6 +186,8 @@ def velocity_of(node, i, j, k, worker, scene, dt, arrays: ti.template()):
         arrays.settings[scene, Setting.FLOOR_FRICTION],
         arrays.settings[scene, Setting.WALL_FRICTION],
     )
+    if ti.static(features.gated):
+        held = against_gates(held, index, scene, dt, arrays)
     if ti.static(features.walls_recorded):
         # What the walls take is counted behind the baffles.
         for axis in ti.static(range(features.dimension)):

@@ -131,6 +131,9 @@ def kernel(features: Features) -> Callable[..., None]:
         clamped: integers,
         owner: integers,
         step_control: table,
+        gates: integer_table,
+        held: integer_table,
+        holding: double_table,
         first: ti.i32,
         last: ti.i32,
         phase: ti.template(),
@@ -161,6 +164,9 @@ def kernel(features: Features) -> Callable[..., None]:
                     clamped=clamped,
                     owner=owner,
                     step_control=step_control,
+                    gates=gates,
+                    held=held,
+                    holding=holding,
                 )
             ]
         )[0]

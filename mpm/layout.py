@@ -84,6 +84,10 @@ class Offset(Column):
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     STEPS = auto()  # recorded_impulse so far
     REST = auto()  # the frame in which it was found at rest, 0 while it moves
+    GATE = auto()  # its first line in `gates`
+    GATES = auto()  # how many
+    HELD = auto()  # its first line in `held` and `holding`
+    HELDS = auto()  # how many
 
 
 class Worker(Column):
@@ -120,6 +124,45 @@ class Energy(Column):
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
+class Gate(Column):
+    """Columns of `gates`, integers, shape [gates, len(Gate)]: a range of nodes that is held, [low, high)."""
+
+    HELD = auto()  # line of its mass in `held`
+    AXIS = auto()  # across which nodes are held; len(Gate): they are damped
+    LOW_X = auto()
+    LOW_Y = auto()
+    LOW_Z = auto()
+    HIGH_X = auto()
+    HIGH_Y = auto()
+    HIGH_Z = auto()
+
+
+class Held(Column):
+    """Columns of `held`, integers, shape [held masses, len(Held)]."""
+
+    FIRST = auto()  # its particles: [first, last) of the scene's
+    LAST = auto()
+    RELEASE = auto()  # the frame in which its gates open; 0: when it has settled
+    CALM = auto()  # frames in a row in which it was settled
+    OPENED = auto()  # the frame in which its gates opened; 0 while they are closed
+
+
+class Holding(Column):
+    """Columns of `holding`, real, shape [held masses, len(Holding)]."""
+
+    RATE = auto()  # of damping [1/s]
+    PARTICLE = auto()  # mass of a particle [kg, per metre of width in 2D]
+    MOST_KINETIC = auto()  # of a settled mass [J, per metre of width in 2D]
+    MOST_IMPULSE = auto()  # change of its momentum in a frame [N s]
+    KINETIC = auto()  # in the frame that is recorded
+    MOMENTUM_X = auto()
+    MOMENTUM_Y = auto()
+    MOMENTUM_Z = auto()
+    EARLIER_X = auto()  # momentum in the frame before
+    EARLIER_Y = auto()
+    EARLIER_Z = auto()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Features:
     """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
@@ -127,7 +170,7 @@ class Features:
     dimension: int
     precision: Precision
     relaxed: bool = True
-    """Velocity that the grid cannot represent decays with a relaxation time (AFLIP); else it is lost each step (APIC)."""
+    """Velocity that the grid cannot represent decays in a relaxation time (AFLIP); else it is lost each step (APIC)."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
@@ -151,6 +194,8 @@ class Features:
     """One scene, on several threads."""
     gpu: bool = False
     """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
+    gated: bool = False
+    """Masses stand behind gates until their release."""
     rests: bool = False
     """A scene ends when its deposit has come to rest."""
 
@@ -233,7 +278,7 @@ class Features:
 
     @property
     def compensated(self) -> bool:
-        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would freeze."""
+        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would rest."""
         return self.precision == "f32"
 
     @property

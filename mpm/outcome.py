@@ -86,6 +86,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
             rest_time=began * scene.frame_dt if rest else None,
             end_time=(rest or scene.frames - 1) * scene.frame_dt,
             relaxation_time=scene.relaxation,
+            release_time=batch.release_times(index),
             wall_impulse=impulses[:, -1] if record.wall_forces else None,
             wall_s=wall_s,
             compile_s=compile_s,

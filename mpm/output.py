@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from mpm.gates import free_since, measure_held, open_gates
 from mpm.lanes import add, lane_maximum, lane_sum, larger
 from mpm.layout import Energy, Offset, Property, Setting, Worker
 from mpm.transfer import particles_in, property_of
@@ -74,6 +75,8 @@ def record_scene(scene, frame, arrays: ti.template()):
     """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
     if ti.static(arrays.features.impulses):
         record_impulses(scene, frame, arrays)
+    if ti.static(arrays.features.gated):
+        open_gates(scene, frame, arrays)
     if ti.static(arrays.features.rests):
         detect_rest(scene, frame, arrays)
 
@@ -91,6 +94,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
+    if ti.static(features.gated):
+        measure_held(scene, block, arrays)
     vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
     for k in ti.static(range(features.dimension)):
         vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
@@ -189,16 +194,19 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Note a deposit that has been at rest over a whole window of frames (`mpm.rest`).
+    """Note a deposit that has been at rest over a whole window of frames (`mpm.rest`), since no gate holds a mass.
 
     In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
     unbalanced force was below BALANCED of the weight.
     """
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
-    if frame >= window:
+    since = 0
+    if ti.static(arrays.features.gated):
+        since = free_since(scene, arrays)
+    if frame - window >= since:
         peak = ti.cast(arrays.settings[scene, Setting.REST_ENERGY], ti.f64) / REST
         most, unbalanced = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
-        for earlier in range(frame + 1):
+        for earlier in range(since, frame + 1):
             at = (line + earlier) * ti.static(len(Energy))
             kinetic = arrays.energy[at + Energy.KINETIC]
             peak = ti.max(peak, kinetic)

@@ -22,8 +22,8 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
 from datasets.strict import Strict, from_mapping, read_toml
-from mpm.batch import substeps_per_frame
 from mpm.layout import Precision
+from mpm.properties import substeps_per_frame
 
 MEASURED = Path(__file__).with_suffix(".toml")
 COVERAGE = 0.9

@@ -19,6 +19,7 @@ def summarise(
     rest_time: float | None,
     end_time: float,
     relaxation_time: float,
+    release_time: list[float | None] | None,
     wall_impulse: NDArray[np.float64] | None,
     wall_s: float,
     compile_s: float,
@@ -29,9 +30,10 @@ def summarise(
 
     Lengths in metres; `energy` is a series with a value at every frame of the scene; `clamped` counts how often a
     particle was put back into the box; `rest_time` [s] is when the deposit came to rest, where the run may end there,
-    and `end_time` [s] until when it was computed; `relaxation_time` [s] that of the scene, its default worked out;
-    `wall_impulse` [N s] the momentum that floor and walls have taken up to each frame, where asked for; `wall_s` is
-    that of all scenes that ran together, compilation apart.
+    and `end_time` [s] until when it was computed; `release_time` [s] when each mass was let go, where gates hold one;
+    `relaxation_time` [s] that of the scene, its default worked out; `wall_impulse` [N s] the momentum that floor and
+    walls have taken up to each frame, where asked for; `wall_s` is that of all scenes that ran together, compilation
+    apart.
     """
     summary = {
         "runout": runout(deposit),
@@ -52,6 +54,8 @@ def summarise(
         "arch": arch,
         "precision": precision,
     }
+    if release_time is not None:
+        summary["release_time"] = release_time
     if wall_impulse is not None:
         summary["wall_impulse"] = [[float(f"{p:.6g}") for p in row] for row in wall_impulse]
     return summary

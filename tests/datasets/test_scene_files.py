@@ -10,6 +10,17 @@ from datasets.library import SCENES, read_scene
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 
+START = """
+[domain]
+size = [1.0, 0.5]
+cell = 0.05
+[material]
+friction_deg = 30.0
+[[masses]]
+lower = [0.0, 0.0]
+size = [0.2, 0.2]
+"""
+
 GOOD = """
 duration = 1.0
 
@@ -149,3 +160,31 @@ def test_json_that_is_no_scene() -> None:
     for text in ("", "{", "3", '{"domain": 3}'):
         with pytest.raises(InputError):
             Scene.from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("k0 = 'geostatic'", r"masses\[0\].k0: expected a ratio of stresses or 'elastic', got 'geostatic'"),
+        ("k0 = -0.5", r"masses\[0\].k0: expected a ratio of at least 0, got -0.5"),
+        ("k0 = [0.5]", r"masses\[0\].k0: expected a valid number, got \[0.5\]"),
+        ("release = 'open'", r"masses\[0\].release: expected a time in s or 'settled', got 'open'"),
+        ("release = 0.001", r"masses\[0\].release: expected a positive whole number of frames of 0.0025 s, got 0.001"),
+        ("release = 0.0", r"masses\[0\].release: expected a positive whole number of frames"),
+        ("release = 1.0", r"masses\[0\].release: expected a time before the end at 1 s, got 1.0"),
+        ("release = 0.5\nvelocity = [1.0, 0.0]", r"masses\[0\].velocity: expected a mass at rest behind its gates"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused(tmp_path: Path, keys: str, message: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(START + keys)
+    with pytest.raises(InputError, match=message):
+        read_scene(str(path))
+
+
+def test_a_start_is_read_and_kept(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(START + "k0 = 1\nrelease = 'settled'\n")
+    scene = read_scene(str(path))
+    assert (scene.masses[0].k0, scene.masses[0].release) == (1.0, "settled")
+    assert Scene.from_json(scene.to_json()) == scene

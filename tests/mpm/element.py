@@ -11,9 +11,10 @@ from scipy.optimize import root
 
 from datasets.material import Material
 from mpm import runtime
-from mpm.batch import aligned, properties_row
+from mpm.batch import aligned
 from mpm.layout import Features, Precision, Property
 from mpm.mohr_coulomb import return_principal, softened
+from mpm.properties import properties_row
 from mpm.stress import plastic_return, stress_step
 
 Vector = NDArray[np.float64]

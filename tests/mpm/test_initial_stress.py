@@ -72,7 +72,7 @@ def test_in_3d_too(precision: str) -> None:
 
 
 def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
-    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: it is said how much misses.
+    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: how much misses is said.
     with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
         flow = simulate(dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, fields=True)
     assert flow.velocities is not None
@@ -130,7 +130,8 @@ def test_an_elastic_bed_has_the_ratio_of_poisson() -> None:
     stress = stress_of(scene)
     rows = rows_of(scene, stress[:, 0]) / rows_of(scene, stress[:, 1])
     np.testing.assert_allclose(rows[2:-2], 0.3 / 0.7, rtol=0.01)
-    np.testing.assert_allclose(stress[:, 2], 0.3 * (stress[:, 0] + stress[:, 1]), atol=1e-6)
+    below = initial_particles(scene).positions[:, 1] < 0.38  # single particles of the surface yield
+    np.testing.assert_allclose(stress[below, 2], 0.3 * (stress[below, 0] + stress[below, 1]), atol=1e-6)
 
 
 @pytest.mark.parametrize("floor_friction", [0.0, 0.6])
@@ -206,3 +207,7 @@ def test_without_a_release_the_gates_are_gone_at_the_start() -> None:
 def test_masses_without_k0_begin_without_stress() -> None:
     scene = with_masses(BED_2D, dataclasses.replace(BED_2D.masses[0], k0=None))
     assert not stress_of(scene).any()
+
+
+def test_without_gravity_there_is_no_stress() -> None:
+    assert not stress_of(dataclasses.replace(BED_2D, gravity=0.0)).any()

@@ -365,7 +365,8 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         monkeypatch.setattr("mpm.simulate.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulate.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, fields=True)
-        np.testing.assert_allclose(shared.positions, alone.positions, atol=1e-6)
+        # Where principal stresses meet, half of the digits are lost (`mpm.principal`), and another order of sums shows.
+        np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], atol=1e-6)
         if scene.baffles:
             assert alone.baffle_impulse is not None
@@ -416,7 +417,8 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
     for scenes in (flat, deep):
         cpu, gpu = (simulate_many(scenes, precision="f64", fields=True, arch=arch) for arch in ("cpu", "cuda"))
         for one, other in zip(cpu, gpu, strict=True):
-            np.testing.assert_allclose(other.positions, one.positions, atol=1e-6)
+            # As above: half of the digits where principal stresses meet.
+            np.testing.assert_allclose(other.positions, one.positions, atol=5e-6)
             assert other.summary["steps"] == one.summary["steps"]
             for kind, series in one.summary["energy"].items():
                 np.testing.assert_allclose(other.summary["energy"][kind], series, rtol=1e-4, atol=1e-9)

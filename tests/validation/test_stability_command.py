@@ -98,7 +98,7 @@ def test_scenes_run_in_the_kernels_that_they_would_get_alone(monkeypatch: pytest
     scenes = {case.name: case.scene for case in CASES}
     with tqdm(disable=True) as bar:
         assert list(flows.simulate_scenes(scenes, "f32", bar)) == list(scenes)
-    assert len(batches) == 11
+    assert 1 < len(batches) < len(scenes)
     for batch in batches:
         assert len({scene.dimension for scene in batch}) == 1
         assert len({bool(scene.baffles) for scene in batch}) == 1

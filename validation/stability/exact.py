@@ -22,8 +22,8 @@ def slides(flow: Trajectory) -> Finding:
     """Way of the centre of a block down an incline, over g t^2 (sin a - mu cos a) / 2 of a rigid one."""
     scene, slope = flow.scene, math.radians(flow.scene.slope_deg)
     acceleration = scene.gravity * (math.sin(slope) - scene.floor_friction * math.cos(slope))
-    exact = 0.5 * acceleration * float(flow.time[-1]) ** 2
-    return Finding(check="way over rigid block's", value=float(way(flow)[-1, 0]) / exact, least=0.99, most=1.01)
+    exact = 0.5 * acceleration * flow.time[-1] ** 2
+    return Finding(check="way over rigid block's", value=float(way(flow)[-1, 0] / exact), least=0.99, most=1.01)
 
 
 def moves_on(flow: Trajectory) -> Finding:

@@ -24,8 +24,8 @@ EXACT_CASES = (
         name="block-29",
         what="a block on an incline of 29°, mu = 0.5",
         checks=(exact.slides,),
-        remark="The formula is that of a rigid block, so this one is stiff, 20 MPa, without Poisson's ratio: with 0.3 "
-        "and 2 MPa it slides 17 % further. An elastic body that slides at a constant coefficient and that nothing "
+        remark="The formula is that of a rigid block, so this one is stiff, 20 MPa, without Poisson's ratio: with "
+        "0.3 and 2 MPa it slides 17 % further. An elastic body that slides at a constant coefficient and that nothing "
         "damps is unstable (Adams 1995); while parts of its base stick, the whole feels 0.47 instead of 0.5.",
     ),
     Case(name="block-35", what="a block on an incline of 35°, mu = 0.5", checks=(exact.slides,)),
