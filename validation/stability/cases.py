@@ -10,8 +10,10 @@ from validation.stability.exact_cases import EXACT_CASES
 LOOSE = (
     "Sand that bounces parts in the air, at no stress, and a stress law of rates forgets by how much: the first "
     "compression after the flight is resisted although the gaps are still open, and the deposit stays as loose as it "
-    "flew. The volume correction remembers the gaps; without it see below. What is left falls with the cell; more "
-    "points per cell do not help."
+    "flew. The volume correction remembers the gaps; without it see below. What is left has two causes. The memory "
+    "differs from particle to particle in a cell: the third of them whose gaps close first bears everything, and the "
+    "others stay apart. And a particle alone among its nodes sees its own velocity gradient, not that of its "
+    "neighbours: after an impact the remembered gaps are four times the true ones in the mean."
 )
 
 CASES = (
