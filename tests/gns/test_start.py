@@ -84,6 +84,11 @@ REFUSED = [
     (SCENE, ModelSettings(dimension=3), "expected a 3D scene"),
     (dataclasses.replace(SCENE, slope_deg=10.0), SETTINGS, "slope_deg: expected a level floor"),
     (
+        dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),
+        SETTINGS,
+        "masses: expected masses that are free from the start",
+    ),
+    (
         dataclasses.replace(
             SCENE,
             masses=(
