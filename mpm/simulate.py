@@ -160,6 +160,7 @@ def run_one(
     scene: Scene, options: Options, resume: Checkpoint | None, stop: Callable[[], bool]
 ) -> tuple[Batch, float, float]:
     """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
+    warn_if_unresolved(scene)
     precision, arch, record = options.get("precision"), options.get("arch", "cpu"), recording(options)
     until_rest = options.get("until_rest")
     if resume is not None:
