@@ -37,6 +37,7 @@ class Setting(Column):
     BAFFLE_FRICTION = auto()  # [-]
     DAMPING = auto()  # [-]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
+    GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
     WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
@@ -345,4 +346,9 @@ class Features:
     @property
     def scratch(self) -> int:
         """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
+        return self.density + (1 + self.dimension if self.corrected else 0)
+
+    @property
+    def density(self) -> int:
+        """First of the 1 + D scratch vectors of the grid's mass at each particle and its slopes, where `corrected`."""
         return self.lowest + self.dimension * (3 if self.relaxed else 1)

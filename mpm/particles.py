@@ -3,6 +3,7 @@
 import taichi as ti
 
 from mpm.baffles import particles_against_baffles
+from mpm.gaps import gap_followed
 from mpm.lanes import add, between, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
 from mpm.mohr_coulomb import softened
@@ -38,7 +39,7 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
-    update_stress(scene, block, dt, arrays)
+    update_stress(scene, block, scratch, dt, arrays)
 
 
 @ti.func
@@ -78,7 +79,7 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
 
 
 @ti.func
-def update_stress(scene, block, dt, arrays: ti.template()):
+def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
 
     Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
@@ -92,7 +93,8 @@ def update_stress(scene, block, dt, arrays: ti.template()):
     increment = midpoint_increment(gradient, features.dimension)
     opened = 0.0 * stress[0]
     if ti.static(features.corrected):
-        opened = arrays.state[first + features.gap]
+        remembered = arrays.state[first + features.gap]
+        opened = gap_followed(remembered, limit, lame + shear * (2.0 / 3.0), scene, block, scratch, dt, arrays)
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]

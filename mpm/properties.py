@@ -15,11 +15,14 @@ from mpm.layout import Property, Setting
 
 Array = NDArray[Any]
 
+GAP_RATE = 20.0
+"""Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.gaps`)."""
+
 
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
     """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
 
-    Fixed for a scene, because APIC's dissipation is per step; the kernel takes more in a frame whose particles move so
+    The kernel takes more in a frame whose particles move so
     fast that (wave speed + speed) dt would leave the cell.
     """
     fastest = max(material.wave_speed for material in materials)
@@ -39,6 +42,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.BAFFLE_FRICTION: scene.baffle_friction,
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.volume_correction),
+        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,

@@ -182,7 +182,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 @ti.func
 def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.template()):
-    """Give every particle of a block the motion of the nodes from `grid` on: v and C."""
+    """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = block * features.block
     # Weights, and weights times distance, of three nodes along each axis.
@@ -215,6 +215,8 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
                 x_slope = x_slope + arrays.scratch_lanes[lever + a * lanes] * u
                 y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
             put_velocity_of(v, scratch, first, lane, arrays)
+            if ti.static(features.corrected):
+                put_density_of(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
             for i in ti.static(range(2)):
                 arrays.lanes[target + (features.affine + 2 * i) * lanes] = x_slope[i]
                 arrays.lanes[target + (features.affine + 2 * i + 1) * lanes] = y_slope[i]
@@ -236,6 +238,8 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
                 y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
                 z_slope = z_slope + arrays.scratch_lanes[weight + a * lanes] * t
             put_velocity_of(v, scratch, first, lane, arrays)
+            if ti.static(features.corrected):
+                put_density_of(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
             for i in ti.static(range(3)):
                 arrays.lanes[target + (features.affine + 3 * i) * lanes] = x_slope[i]
                 arrays.lanes[target + (features.affine + 3 * i + 1) * lanes] = y_slope[i]
@@ -253,6 +257,16 @@ def put_velocity_of(v, scratch, first, lane, arrays: ti.template()):
             arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
         else:
             arrays.lanes[(first + features.velocity + i) * lanes + lane] = v[i]
+
+
+@ti.func
+def put_density_of(mass, slopes: ti.template(), scratch, lane, arrays: ti.template()):
+    """Leave sum_i w_ip m_i [kg] of the particle in `lane`, and its D `slopes` 4 / dx^2 sum_i w_ip m_i x_ip [kg/m]."""
+    features, lanes = arrays.features, arrays.features.lanes
+    at = (scratch + features.density) * lanes + lane
+    arrays.scratch_lanes[at] = mass
+    for k in ti.static(range(features.dimension)):
+        arrays.scratch_lanes[at + (1 + k) * lanes] = slopes[k]
 
 
 @ti.func
