@@ -42,7 +42,7 @@ EXACT_CASES = (
     Case(name="thin-body", what="a layer of 1 mm in cells of 20 mm", checks=(exact.moves_on,)),
     Case(
         name="cut-critical-holds",
-        what="a cut without tension at 0.9 of its critical height",
+        what="a cut with hardly any tension at 0.9 of its critical height",
         checks=(
             partial(expect.over_critical_height, ratio=0.9),
             expect.stands_but_for_spall,
