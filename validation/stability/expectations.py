@@ -142,7 +142,7 @@ def runs_out(flow: Trajectory, *, cells: float) -> Finding:
 
 
 def stands_but_for_spall(flow: Trajectory) -> Finding:
-    """Share of the particles that moved by a cell or more: what spalls off a face without tension is less."""
+    """Share of the particles that moved by a cell or more: what spalls off a face with hardly any tension is less."""
     return Finding(check="moved a cell", value=moved_share(flow), most=FAILED)
 
 
