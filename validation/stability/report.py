@@ -80,9 +80,7 @@ def conclusion(verdicts: Sequence[Verdict], red: Sequence[Verdict], heights: Seq
         lines.append(f"Of {len(exact)} rows with an exact solution {agreed} agree with it in both precisions.")
     if heights:
         found = ", ".join(f"{each.holds:.2f} to {each.fails:.2f} (phi = {each.friction_deg:g}°)" for each in heights)
-        lines.append(
-            f"Vertical cuts with little tension fail at {found} of the critical height without any, of theory."
-        )
+        lines.append(f"Vertical cuts with little tension fail at {found} of the critical height of soil without.")
     worst = [value for each in verdicts if (value := each.worst("energy")) is not None]
     if worst:
         lines.append(f"No flow gains more than {max(finding.value for finding in worst):.1e} of its energy.")
