@@ -9,7 +9,7 @@
 | `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
 | `baffles[I].height` | m | its extent along y, from its foot |
 
-A cohesion takes the tension cutoff along: their ratio stays what it is in the scene.
+A cohesion takes the tension cutoff along: their ratio stays what it is in the scene, the default where it names none.
 """
 
 import dataclasses

@@ -71,7 +71,7 @@ def properties_row(material: Material, volume: float) -> list[float]:
         Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
         Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
         Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
-        Property.RESIDUAL_LIMIT: residual.tension_limit,
+        Property.RESIDUAL_LIMIT: material.residual_tension_limit_at(0.0),
         Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
     }
     return [values[column] for column in Property]
@@ -90,14 +90,10 @@ def properties_of(particles: Particles) -> Array:
 def properties_at(material: Material, depth: Array) -> Array:
     """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
     rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
-    for state, strength, limit in (
-        (material, Property.STRENGTH, Property.LIMIT),
-        (material.residual, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT),
-    ):
-        cohesion, friction = state.cohesion_at(depth), math.radians(state.friction_deg)
-        rows[:, strength] = 2.0 * cohesion * math.cos(friction)
-        apex = cohesion / state.friction if state.friction > 0.0 else np.inf
-        rows[:, limit] = np.minimum(state.tension_cutoff, apex)
+    for state, strength in ((material, Property.STRENGTH), (material.residual, Property.RESIDUAL_STRENGTH)):
+        rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.friction_deg))
+    rows[:, Property.LIMIT] = material.tension_limit_at(depth)
+    rows[:, Property.RESIDUAL_LIMIT] = material.residual_tension_limit_at(depth)
     return rows
 
 

@@ -1,12 +1,14 @@
 """Materials: what may be combined, and the constants that follow."""
 
+import dataclasses
+import json
 import math
 
 import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.material import Material
+from datasets.material import TENSION_SHARE, Material
 from datasets.strict import from_mapping
 
 
@@ -27,7 +29,51 @@ def test_tresca_needs_a_cohesion_and_has_no_apex() -> None:
 def test_the_apex_limits_the_cutoff() -> None:
     soil = Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=1.0e6)
     assert soil.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(30.0)))
-    assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == 0.0
+    assert soil.tension_limit_at(np.array([0.0, 1.0])).tolist() == [soil.tension_limit] * 2
+    assert Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=0.0).tension_limit == 0.0
+
+
+def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
+    assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == TENSION_SHARE * 1.0e3 == 3.0
+    assert Material(friction_deg=0.0, cohesion=1.0e3).tension_limit == 3.0
+    assert Material(friction_deg=30.0).tension_limit == 0.0
+    steep = Material(friction_deg=89.9, cohesion=1.0e3)
+    assert steep.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(89.9)))
+    assert steep.tension_limit < 3.0
+
+
+def test_the_default_cutoff_grows_with_depth() -> None:
+    depth = np.array([0.0, 2.0, 8.0])
+    for friction_deg in (0.0, 30.0):
+        soil = Material(friction_deg=friction_deg, cohesion=1.0e3, strength_gradient=500.0)
+        np.testing.assert_array_equal(soil.tension_limit_at(depth), TENSION_SHARE * soil.cohesion_at(depth))
+    given = dataclasses.replace(soil, tension_cutoff=2.0)
+    np.testing.assert_array_equal(given.tension_limit_at(depth), 2.0)
+    loose = Material(friction_deg=30.0, strength_gradient=500.0)
+    assert (loose.tension_limit, loose.tension_limit_at(2.0)) == (0.0, 3.0)
+
+
+def test_the_default_cutoff_stays_after_softening_below_the_residual_apex() -> None:
+    soft = {"friction_deg": 30.0, "cohesion": 1.0e3, "strength_gradient": 500.0, "softening_length": 0.1}
+    depth = np.array([0.0, 2.0])
+    half = Material(**soft, residual_cohesion=500.0)
+    np.testing.assert_array_equal(half.residual_tension_limit_at(depth), half.tension_limit_at(depth))
+    assert half.residual.tension_limit == half.tension_limit == 3.0
+    nearly_none = Material(**soft, residual_cohesion=1.0)
+    apex = np.array([1.0, 2.0]) / math.tan(math.radians(30.0))
+    np.testing.assert_allclose(nearly_none.residual_tension_limit_at(depth), apex)
+    assert Material(**soft, residual_cohesion=0.0).residual_tension_limit_at(2.0) == 0.0
+    assert Material(**soft, residual_tension_cutoff=1.0).residual_tension_limit_at(2.0) == 1.0
+    with pytest.raises(InputError, match=r"material\.residual_tension_cutoff: .*at most 3"):
+        Material(**soft, residual_tension_cutoff=3.1)
+
+
+@pytest.mark.parametrize("cutoff", [None, 0.0, 20.0])
+def test_the_cutoff_stays_as_written(cutoff: float | None) -> None:
+    """Through JSON an absent one stays absent, and an explicit 0 is not the default."""
+    soil = Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=cutoff)
+    assert from_mapping(Material, json.loads(json.dumps(dataclasses.asdict(soil)))) == soil
+    assert soil.tension_limit == (3.0 if cutoff is None else cutoff)
 
 
 def test_the_residual_material() -> None:
@@ -66,7 +112,12 @@ def test_depth_alone_makes_a_material_cohesive() -> None:
         ({"residual_friction_deg": 31.0, "softening_length": 1.0}, "residual_friction_deg"),
         ({"residual_cohesion": 1001.0, "softening_length": 1.0}, "residual_cohesion"),
         ({"residual_cohesion": -1.0, "softening_length": 1.0}, "residual_cohesion"),
-        ({"residual_tension_cutoff": 1.0, "softening_length": 1.0}, "residual_tension_cutoff"),
+        ({"tension_cutoff": -1.0}, "tension_cutoff"),
+        ({"residual_tension_cutoff": 3.1, "softening_length": 1.0}, "residual_tension_cutoff"),
+        (
+            {"tension_cutoff": 0.0, "residual_tension_cutoff": 1.0, "softening_length": 1.0},
+            "residual_tension_cutoff",
+        ),
         ({"residual_cohesion": 10.0}, "residual_cohesion"),
         ({"softening_length": 0.0}, "softening_length"),
         ({"strength_gradient": -1.0}, "strength_gradient"),

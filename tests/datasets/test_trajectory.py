@@ -26,6 +26,18 @@ def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["trajectory.npz"]
 
 
+@pytest.mark.parametrize("cutoff", [None, 0.0, 5.0])
+def test_a_tension_cutoff_stays_absent_or_as_it_was(
+    tmp_path: Path, trajectory: Trajectory, cutoff: float | None
+) -> None:
+    material = dataclasses.replace(trajectory.scene.material, cohesion=1000.0, tension_cutoff=cutoff)
+    scene = dataclasses.replace(trajectory.scene, material=material)
+    path = tmp_path / "trajectory.npz"
+    dataclasses.replace(trajectory, scene=scene).save(path)
+    assert stored_scene(path).material == material
+    assert stored_scene(path).material.tension_cutoff == cutoff
+
+
 @pytest.fixture
 def with_baffles(trajectory: Trajectory) -> Trajectory:
     """Five points before two baffles, with all that can be recorded."""

@@ -96,7 +96,12 @@ def test_a_cohesion_takes_its_cutoff_along(make_problem: Any) -> None:
     assert own is not None
     assert (own.cohesion, own.tension_cutoff) == (900.0, 150.0)
     none = dataclasses.replace(scene, material=Material(friction_deg=30.0))
-    assert with_unknowns(none, ["cohesion"], [50.0]).material.tension_cutoff == 0.0
+    assert with_unknowns(none, ["cohesion"], [50.0]).material.tension_limit == 0.003 * 50.0
+    default = dataclasses.replace(scene, material=Material(friction_deg=30.0, cohesion=100.0))
+    followed = with_unknowns(default, ["cohesion"], [400.0]).material
+    assert (followed.tension_cutoff, followed.tension_limit) == (None, 0.003 * 400.0)
+    zero = dataclasses.replace(scene, material=dataclasses.replace(default.material, tension_cutoff=0.0))
+    assert with_unknowns(zero, ["cohesion"], [400.0]).material.tension_limit == 0.0
 
 
 def test_a_baffle_grows_about_its_centre_and_up_from_its_foot(make_problem: Any) -> None:

@@ -163,6 +163,16 @@ def test_the_floor_may_be_too_smooth_for_an_elastic_slope() -> None:
         stress_of(scene)
 
 
+def test_strength_that_grows_with_depth_bears_a_column() -> None:
+    """sigma_1 = gamma z <= 2 c(z) at every depth, though the cohesion of the top would not bear the foot."""
+    soil = Material(friction_deg=0.0, cohesion=100.0, strength_gradient=5.0e4, tension_cutoff=1.0e5)
+    column = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), k0="elastic")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stress = stress_of(with_masses(BED_2D, column, material=soil))
+    assert stress[:, 1].min() < -2.0 * soil.cohesion_at(0.05)
+
+
 def test_the_overburden_counts_what_rests_on_it() -> None:
     light, heavy = Material(friction_deg=30.0, density=1000.0), Material(friction_deg=30.0, density=3000.0)
     lower = Mass(lower=(0.0, 0.0), size=(1.0, 0.1), k0=0.5, material=light)

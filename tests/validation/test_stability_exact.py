@@ -166,6 +166,19 @@ def test_bisection_finds_what_fails(critical: float) -> None:
     assert found.holds <= critical <= found.fails <= critical_height.WITHIN * found.holds
 
 
+@pytest.mark.parametrize(("friction_deg", "raised"), [(0.0, 0.0548), (30.0, 0.0720)])
+def test_little_tension_raises_the_critical_height(friction_deg: float, raised: float) -> None:
+    """The least over the width b of gamma H = 2 c t + gamma b t / 2 + T t (H / b - t)."""
+    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
+    found = critical_height.number_with_tension(friction_deg, 0.003)
+    assert found == pytest.approx(2.0 * t * (1.0 + raised), rel=1e-4)
+    widths = np.linspace(0.01, 0.2, 2000) * found
+    slices = (2.0 * t + 0.5 * widths * t - 0.003 * t**2) / (1.0 - 0.003 * t / widths)
+    assert found == pytest.approx(slices.min(), rel=1e-6)
+    assert critical_height.number_with_tension(friction_deg, 0.0) == pytest.approx(2.0 * t)
+    assert critical_height.bracket(CUT, lambda scene: True).tension == pytest.approx(0.003)
+
+
 def test_bisection_says_where_there_is_nothing_to_find() -> None:
     assert math.isnan(critical_height.bracket(CUT, lambda scene: True).holds)
     assert math.isnan(critical_height.bracket(CUT, lambda scene: False).fails)

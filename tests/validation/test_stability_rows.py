@@ -109,6 +109,9 @@ def test_critical_height_by_hand() -> None:
     assert found.value == pytest.approx(0.2 / 0.39236, rel=1e-4)
     cracked = dataclasses.replace(soil, tension_cutoff=0.0)
     assert expect.critical_height(scene_of(material=cracked)) == pytest.approx(0.39236 / 2.0, rel=1e-4)
+    for little in (None, 99.0):
+        default = dataclasses.replace(soil, tension_cutoff=little)
+        assert expect.critical_height(scene_of(material=default)) == expect.critical_height(scene_of(material=cracked))
     clay = dataclasses.replace(cracked, friction_deg=0.0)
     assert expect.critical_height(scene_of(material=clay)) == pytest.approx(2000.0 / 17658.0)
 

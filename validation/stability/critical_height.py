@@ -18,7 +18,7 @@ from mpm.simulate import simulate
 from validation.stability.case import SCENES
 from validation.stability.expectations import FAILED, critical_height, moved_share
 
-WITHIN = 1.05
+WITHIN = 1.025
 """How close the bounds of the bracket lie, one over the other."""
 BETWEEN = (0.4, 1.6)
 """Heights over the critical one between which the bisection begins."""
@@ -32,6 +32,8 @@ class Bracket:
     """Heights over the critical one: the highest cut that held, the lowest that failed; nan where none did."""
 
     friction_deg: float
+    tension: float = 0.0
+    """Tension limit over cohesion [-]."""
     holds: float
     fails: float
     runs: int
@@ -43,8 +45,19 @@ class Bracket:
         return (
             f"phi = {self.friction_deg:g}°: a cut of {self.holds:.2f} of the critical height holds, one of "
             f"{self.fails:.2f} fails ({self.runs} runs); gamma H / c between {self.holds * number:.2f} and "
-            f"{self.fails * number:.2f}, in theory {number:.2f}."
+            f"{self.fails * number:.2f}, in theory {number:.2f} without tension and "
+            f"{number_with_tension(self.friction_deg, self.tension):.2f} with {self.tension:g} c."
         )
+
+
+def number_with_tension(friction_deg: float, tension: float) -> float:
+    """Gamma H / c of a slice beside the face that is held over its crack by `tension`, over c [-]; 2 t without it.
+
+    With t = tan(45 + phi / 2) the root h of h = 2 t + t sqrt(2 T h / c) - t^2 T / c (`datasets.material`).
+    """
+    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
+    half = 0.5 * t * math.sqrt(2.0 * tension)
+    return (half + math.sqrt(half**2 + 2.0 * t - t**2 * tension)) ** 2
 
 
 def fails(scene: Scene) -> bool:
@@ -61,7 +74,9 @@ def at_ratio(scene: Scene, ratio: float) -> Scene:
 def bracket(scene: Scene, judge: Callable[[Scene], bool] = fails) -> Bracket:
     """Bisection in the logarithm of the height, from BETWEEN to WITHIN; both ends are tried first."""
     low, high = BETWEEN
-    found = Bracket(friction_deg=scene.material.friction_deg, holds=low, fails=high, runs=2)
+    material = scene.material
+    tension = material.tension_limit / material.cohesion
+    found = Bracket(friction_deg=material.friction_deg, tension=tension, holds=low, fails=high, runs=2)
     if judge(at_ratio(scene, low)):
         return dataclasses.replace(found, holds=math.nan, fails=low, runs=1)
     if not judge(at_ratio(scene, high)):

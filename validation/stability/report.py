@@ -80,7 +80,7 @@ def conclusion(verdicts: Sequence[Verdict], red: Sequence[Verdict], heights: Seq
         lines.append(f"Of {len(exact)} rows with an exact solution {agreed} agree with it in both precisions.")
     if heights:
         found = ", ".join(f"{each.holds:.2f} to {each.fails:.2f} (phi = {each.friction_deg:g}°)" for each in heights)
-        lines.append(f"Vertical cuts without tension fail at {found} of the critical height of theory.")
+        lines.append(f"Vertical cuts with little tension fail at {found} of the critical height of soil without.")
     worst = [value for each in verdicts if (value := each.worst("energy")) is not None]
     if worst:
         lines.append(f"No flow gains more than {max(finding.value for finding in worst):.1e} of its energy.")
@@ -92,9 +92,11 @@ def critical_heights(heights: Sequence[Bracket]) -> list[str]:
     if not heights:
         return []
     text = (
-        "Critical height of a vertical cut in soil that carries no tension, 2 c / gamma tan(45 + phi / 2) (Drucker "
-        "1953), by bisection (`python -m validation.stability.critical_height`); failed is a cut of which "
-        f"{100.0 * FAILED:g} % has moved by a cell:"
+        "Height at which a vertical cut in soil with little tension fails, over the critical height of soil without "
+        "any, 2 c / gamma tan(45 + phi / 2) (Drucker 1953), by bisection "
+        f"(`python -m validation.stability.critical_height`); failed is a cut of which {100.0 * FAILED:g} % has moved "
+        "by a cell; in theory tension T raises the height by t sqrt(2 T gamma H) - t^2 T over gamma, "
+        "t = tan(45 + phi / 2), the limit equilibrium of a slice that it holds:"
     )
     return [fill(text, WIDTH), "", *bullets([each.sentence for each in heights]), ""]
 
