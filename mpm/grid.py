@@ -105,7 +105,10 @@ def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
                         new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
                         for other in range(count):
                             if covers(other, i, j, k, arrays):
-                                put_velocity(arrays.workers[other, Worker.NODE] + at, new, old, kept, arrays)
+                                own = arrays.workers[other, Worker.NODE] + at
+                                put_velocity(own, new, old, kept, arrays)
+                                if ti.static(features.corrected):
+                                    arrays.grid[own][features.dimension] = node[features.dimension]
 
 
 @ti.func
