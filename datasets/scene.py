@@ -145,9 +145,10 @@ class Scene(Strict):
     def height_above_ground(self, mass: Mass) -> float:
         """Height [m] of the lower face of `mass` above the floor, or above the highest body or baffle beneath it."""
         tops = [0.0]
-        for other in (*self.masses, *self.baffles):
+        level = [axis for axis in range(self.dimension) if axis != 1]
+        others: list[Mass | Baffle] = [*self.masses, *self.baffles]
+        for other in others:
             top = other.lower[1] + other.size[1]
-            level = [axis for axis in range(self.dimension) if axis != 1]
             over = all(
                 other.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
                 and mass.lower[axis] < other.lower[axis] + other.size[axis] - TOLERANCE

@@ -1,23 +1,25 @@
 """Gaps between particles that have come apart: volume correction.
 
 A law for stress rates forgets by how much sand has opened: the first compression after a flight would be resisted
-although the grains are still apart, and the deposit would stay as loose as it flew. So a particle remembers its gap, the
-volume strain e that opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017; the
-direction of cracks: `mpm.stress.with_cracks`).
+although the grains are still apart, and the deposit would stay as loose as it flew. So a particle remembers its gap,
+the volume strain e that opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017;
+the direction of cracks: `mpm.stress.with_cracks`).
 
 Integrated strain alone drifts: particles move with the grid's velocities, not with the affine fit C that strains them,
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
-the one that the grid sees, backward in time over T_g = (1 / 20) sqrt(dx / g):
+the one that the grid sees, backward in time over T_g = sqrt(dx / g) / 20:
 
-    e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3),
-    r = rho_p / (rho_0 f (1 - 2 |o|)),    rho_p = sum_i w_ip m_i / dx^D,    o = sum_i w_ip m_i x_ip / (dx sum_i w_ip m_i)
+    e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
+    r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D
+    o = sum_i w_ip m_i x_ip / (dx sum_i w_ip m_i)
 
-rho_p is exact inside a body (+- 3 % for the default jitter) but falls short beside a free surface, to 0.62 on the
-outermost of two particles in a cell. There the centre of mass o lies inwards, by 0.2 cells; 1 - 2 |o| is the share that
-such a surface leaves, within 3 % for the outermost particle and 8 % on the safe side below. A wall of the box hides
-mass, too, but no surface: at y cells from it the share f = 1 - (1 - y / 1.7)^2 / 2 is left, and what o points away from
-it is not counted. Sand that comes down thus reaches the floor before it bears, instead of stopping above it where the
-floor's nodes begin to act.
+rho_p is exact in the mean inside a body (single particles scatter by 3 % at the default jitter) but falls short beside
+a free surface, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of mass o lies inwards, by
+0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box hides mass, too, but is no surface:
+y cells from it the share f = 1 - (1 - y / 1.7)^2 / 2 is left, and what o points away from it is not counted. So sand
+that comes down reaches the floor before it bears, and does not stop above it where the floor's nodes begin to act.
+
+At a boundary of soils of different density the grid sees another density than the particle's own.
 """
 
 import taichi as ti

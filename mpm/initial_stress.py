@@ -18,11 +18,11 @@ sigma_p x_ip at every node that can move. A node at or beyond a wall of the box 
 would have to be pulled, nor across a gate (`mpm.release`); under an elastic mass a rough floor holds it altogether. A
 geostatic mass stands between smooth gates on all its lateral faces. Baffles are no part of it.
 
-**Yield.** Where the corrected stress violates Mohr-Coulomb or the tension limit it is scaled towards its own mean
-stress until it does not (the mean stays, the directions stay; beyond the limit the mean is cut), and the force that
-this leaves unbalanced is distributed again, as in the initial stress method (Zienkiewicz, Valliappan & King 1969), here
-with theta_p a tenth of what it was for every particle that yielded, so that the others take the load, as a tangent
-would have them do.
+**Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
+violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
+unbalanced is distributed again, as in the initial stress method (Zienkiewicz, Valliappan & King 1969), here with
+theta_p a tenth of what it was for every particle that yielded, so that the others take the load, as a tangent would
+have them do.
 
 **Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
 LU of the block of the nodes that few particles reach (surfaces and edges); in 2D of all nodes. Everything is in f64.
@@ -44,9 +44,9 @@ from mpm.release import gates, inside
 
 Floats = NDArray[np.float64]
 
-ITERATIONS = 50
+ITERATIONS = 100
 """Solutions for an unbalanced force at most."""
-PATIENCE, PROGRESS = 5, 0.8
+PATIENCE, PROGRESS = 10, 0.9
 """How many in a row may leave more than this part of the least unbalanced force so far."""
 ROUNDING = 1.0e-9
 """Change of stress by the yield surface, over the largest stress, that does not count."""
@@ -248,11 +248,17 @@ class Equilibrium:
         return np.where(self.free, force, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` scaled towards its mean until it is admitted, by a factor `inside` further where it was not."""
+        """`stress` without tension beyond the limit, then scaled towards its mean until Mohr-Coulomb admits it.
+
+        Where that was needed, by a factor `inside` further.
+        """
+        beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
+        principal, axes = np.linalg.eigh(stress[beyond])
+        stress = stress.copy()
+        stress[beyond] = np.einsum("nik,nk,njk->nij", axes, np.minimum(principal, self.limit[beyond, None]), axes)
         mean = np.trace(stress, axis1=1, axis2=2) / 3.0
         deviator = stress - mean[:, None, None] * np.eye(3)
         principal = np.linalg.eigvalsh(deviator)
-        mean = np.minimum(mean, self.limit)
         shear = principal[:, 2] * (1.0 + self.sin_phi) - principal[:, 0] * (1.0 - self.sin_phi)
         room = np.minimum(
             quotient(self.strength - 2.0 * self.sin_phi * mean, shear), quotient(self.limit - mean, principal[:, 2])
