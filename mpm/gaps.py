@@ -7,7 +7,7 @@ the direction of cracks: `mpm.stress.with_cracks`).
 
 Integrated strain alone drifts: particles move with the grid's velocities, not with the affine fit C that strains them,
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
-the one that the grid sees, backward in time over T_g = sqrt(dx / g) / 20:
+the one that the grid sees, backward in time over T_g = sqrt(dx / g) / 8:
 
     e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
     r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D

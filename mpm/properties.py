@@ -15,7 +15,7 @@ from mpm.layout import Property, Setting
 
 Array = NDArray[Any]
 
-GAP_RATE = 20.0
+GAP_RATE = 8.0
 """Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.gaps`)."""
 
 
