@@ -100,11 +100,11 @@ class Scene(Strict):
 
     Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
     """
-    volume_correction: bool = False
+    volume_correction: bool | None = None
     """Whether sand that has come apart closes its gaps before it bears anything again (`mpm.gaps`).
 
-    For flights and impacts: without it a bed that has bounced lies twice as high as before. Off by default: it costs
-    time, and in a spray that it lets close it gains up to 0.3 % of the energy.
+    Where absent, if a mass is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
+    Sand that has bounced would else stay as loose as it flew (docs/stability.md).
     """
     step_fraction: float = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
@@ -129,6 +129,34 @@ class Scene(Strict):
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
+
+    @property
+    def remembers_gaps(self) -> bool:
+        """Whether gaps between particles are remembered: as `volume_correction` says, or if a mass is in flight."""
+        if self.volume_correction is not None:
+            return self.volume_correction
+        cell = self.domain.cell
+        upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in self.masses]
+        return self.gravity > 0.0 and (
+            max(upwards) ** 2 >= 2.0 * self.gravity * cell
+            or any(self.height_above_ground(mass) >= cell - TOLERANCE for mass in self.masses)
+        )
+
+    def height_above_ground(self, mass: Mass) -> float:
+        """Height [m] of the lower face of `mass` above the floor, or above the highest body or baffle beneath it."""
+        tops = [0.0]
+        level = [axis for axis in range(self.dimension) if axis != 1]
+        others: list[Mass | Baffle] = [*self.masses, *self.baffles]
+        for other in others:
+            top = other.lower[1] + other.size[1]
+            over = all(
+                other.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
+                and mass.lower[axis] < other.lower[axis] + other.size[axis] - TOLERANCE
+                for axis in level
+            )
+            if over and top <= mass.lower[1] + TOLERANCE:
+                tops.append(top)
+        return mass.lower[1] - max(tops)
 
     @property
     def frames(self) -> int:

@@ -323,7 +323,7 @@ def features_of(
         cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
-        corrected=any(scene.volume_correction for scene in scenes),
+        corrected=any(scene.remembers_gaps for scene in scenes),
         heterogeneous=any(
             len(each.materials) > 1
             or each.common_volume is None

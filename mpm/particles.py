@@ -37,7 +37,7 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 @ti.func
 def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
-    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], rows, arrays)
+    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, scratch, dt, arrays)
 

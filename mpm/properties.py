@@ -41,7 +41,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.WALL_FRICTION: scene.wall_friction,
         Setting.BAFFLE_FRICTION: scene.baffle_friction,
         Setting.DAMPING: scene.damping,
-        Setting.CORRECTED: float(scene.volume_correction),
+        Setting.CORRECTED: float(scene.remembers_gaps),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,

@@ -16,6 +16,14 @@ of the step. APIC is tau = 0: it loses that part in every step, so that a shorte
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i; where
 tau = 0 and no local damping asks for it, dt f_i is added to the momentum at once and a node is half as long.
 
+While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the energy
+of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction (`mpm.gaps`), what C_p of
+such a loose particle has without the forces of the step therefore never grows:
+
+    C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
+
+with C_p* the above. C carries no momentum, so that none is lost.
+
 Everything that belongs to a particle is computed for a block of particles at once, in vectors of lanes, and left in
 `scratch`; then particle by particle meets node by node, where a node (momentum, mass, force) is one short vector. What
 a particle gives to a node is linear in the node's position: its value at the lowest node, and one slope per axis.
@@ -181,7 +189,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.template()):
+def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = block * features.block
@@ -217,9 +225,7 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
             put_velocity_of(v, scratch, first, lane, arrays)
             if ti.static(features.corrected):
                 put_density_of(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
-            for i in ti.static(range(2)):
-                arrays.lanes[target + (features.affine + 2 * i) * lanes] = x_slope[i]
-                arrays.lanes[target + (features.affine + 2 * i + 1) * lanes] = y_slope[i]
+            put_affine_of((x_slope, y_slope), kept, first, lane, arrays)
         else:
             z_slope = node_zero(arrays)
             for a in ti.static(range(3)):
@@ -240,10 +246,7 @@ def grid_to_block(grid, block, scratch, per_dx, rows: ti.template(), arrays: ti.
             put_velocity_of(v, scratch, first, lane, arrays)
             if ti.static(features.corrected):
                 put_density_of(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
-            for i in ti.static(range(3)):
-                arrays.lanes[target + (features.affine + 3 * i) * lanes] = x_slope[i]
-                arrays.lanes[target + (features.affine + 3 * i + 1) * lanes] = y_slope[i]
-                arrays.lanes[target + (features.affine + 3 * i + 2) * lanes] = z_slope[i]
+            put_affine_of((x_slope, y_slope, z_slope), kept, first, lane, arrays)
 
 
 @ti.func
@@ -257,6 +260,41 @@ def put_velocity_of(v, scratch, first, lane, arrays: ti.template()):
             arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
         else:
             arrays.lanes[(first + features.velocity + i) * lanes + lane] = v[i]
+
+
+@ti.func
+def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template()):
+    """Leave C of the particle in `lane`, whose column j is the first D numbers of `slopes` j.
+
+    With volume correction, that of a particle which is open or not yet loaded is held back.
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    size = ti.static(features.dimension)
+    target = first * lanes + lane
+    affine = target + features.affine * lanes
+    if ti.static(features.corrected and features.relaxed):
+        before, seen = 0.0 * kept, 0.0 * kept
+        for i in ti.static(range(size)):
+            for j in ti.static(range(size)):
+                old = kept * arrays.lanes[affine + (size * i + j) * lanes]
+                new = slopes[j][i] - slopes[j][features.change + i]
+                before += old * old
+                seen += new * new
+        bears = 0.0 * kept
+        for k in ti.static(range(3)):
+            bears += ti.abs(arrays.lanes[target + (features.stress + k) * lanes])
+        loose = arrays.lanes[target + features.gap * lanes] > 0.0 or bears == 0.0
+        excess = 0.0 * kept
+        if loose and seen > before:
+            excess = 1.0 - ti.sqrt(before / seen)
+        for i in ti.static(range(size)):
+            for j in ti.static(range(size)):
+                new = slopes[j][i] - slopes[j][features.change + i]
+                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i] - excess * new
+    else:
+        for i in ti.static(range(size)):
+            for j in ti.static(range(size)):
+                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
 
 
 @ti.func

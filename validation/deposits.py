@@ -90,7 +90,7 @@ def kernel_key(run: Run) -> tuple[bool, bool, str, int, bool, bool, bool, bool, 
         scene.damping > 0.0,
         scene.material.cohesion > 0.0,
         bool(scene.baffles),
-        scene.volume_correction,
+        scene.remembers_gaps,
     )
 
 

@@ -22,7 +22,6 @@ DROPPED = Scene(
     domain=Domain(size=(0.125, 0.5, 0.1), cell=0.025),
     material=SAND,
     masses=(Mass(lower=(0.0, 0.15, 0.0), size=(0.125, 0.15, 0.1)),),
-    volume_correction=True,
     duration=1.0,
     frame_dt=0.01,
 )
@@ -44,6 +43,24 @@ def test_a_bed_dropped_in_3d_is_as_dense_as_before(threads: int) -> None:
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
 
 
+def test_gaps_are_remembered_where_a_mass_is_in_flight() -> None:
+    box = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
+
+    def remembers(*masses: Mass, correction: bool | None = None) -> bool:
+        return dataclasses.replace(BED, masses=masses, volume_correction=correction).remembers_gaps
+
+    assert not remembers(box)
+    assert not remembers(box, Mass(lower=(0.2, 0.1), size=(0.2, 0.1)))
+    assert remembers(Mass(lower=(0.1, 0.02), size=(0.2, 0.1)))
+    assert not remembers(Mass(lower=(0.1, 0.01), size=(0.2, 0.1)))
+    assert remembers(box, Mass(lower=(0.3, 0.1), size=(0.1, 0.1)))
+    # v^2 / (2 g) = 0.051 m, two and a half cells.
+    assert remembers(dataclasses.replace(box, velocity=(0.0, 1.0)))
+    assert not remembers(dataclasses.replace(box, velocity=(3.0, -1.0)))
+    assert not remembers(Mass(lower=(0.1, 0.2), size=(0.2, 0.1)), correction=False)
+    assert remembers(box, correction=True)
+
+
 @pytest.mark.parametrize("offset", [0.25, 0.5, 0.75])
 def test_the_floor_is_met_where_it_is(offset: float) -> None:
     """A bed that falls a few cells and a fraction settles to its height within a fifth of a cell.
@@ -53,7 +70,6 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
     scene = dataclasses.replace(
         BED,
         masses=(Mass(lower=(0.0, 0.02 * (3.0 + offset)), size=(0.4, 0.1)),),
-        volume_correction=True,
         duration=1.5,
     )
     flow = simulate(scene, precision="f64", threads=1, record=LAST)

@@ -32,7 +32,7 @@ def half_cell(scene: Scene) -> Scene:
 
 def forgetful(scene: Scene) -> Scene:
     """The scene without the volume correction that it has."""
-    return dataclasses.replace(scene, volume_correction=False) if scene.volume_correction else scene
+    return dataclasses.replace(scene, volume_correction=False) if scene.remembers_gaps else scene
 
 
 def probe(cases: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
