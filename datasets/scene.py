@@ -103,7 +103,7 @@ class Scene(Strict):
     volume_correction: bool | None = None
     """Whether sand that has come apart closes its gaps before it bears anything again (`mpm.gaps`).
 
-    Where absent, if a mass is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
+    Where absent, if a body is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
     Sand that has bounced would else stay as loose as it flew (docs/stability.md).
     """
     step_fraction: float = 0.4
@@ -132,31 +132,14 @@ class Scene(Strict):
 
     @property
     def remembers_gaps(self) -> bool:
-        """Whether gaps between particles are remembered: as `volume_correction` says, or if a mass is in flight."""
+        """Whether gaps between particles are remembered: as `volume_correction` says, or if a body is in flight."""
         if self.volume_correction is not None:
             return self.volume_correction
-        cell = self.domain.cell
         upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in self.masses]
         return self.gravity > 0.0 and (
-            max(upwards) ** 2 >= 2.0 * self.gravity * cell
-            or any(self.height_above_ground(mass) >= cell - TOLERANCE for mass in self.masses)
+            max(upwards) ** 2 >= 2.0 * self.gravity * self.domain.cell
+            or bool((heights_above_ground(self) >= self.domain.cell - TOLERANCE).any())
         )
-
-    def height_above_ground(self, mass: Mass) -> float:
-        """Height [m] of the lower face of `mass` above the floor, or above the highest body or baffle beneath it."""
-        tops = [0.0]
-        level = [axis for axis in range(self.dimension) if axis != 1]
-        others: list[Mass | Baffle] = [*self.masses, *self.baffles]
-        for other in others:
-            top = other.lower[1] + other.size[1]
-            over = all(
-                other.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
-                and mass.lower[axis] < other.lower[axis] + other.size[axis] - TOLERANCE
-                for axis in level
-            )
-            if over and top <= mass.lower[1] + TOLERANCE:
-                tops.append(top)
-        return mass.lower[1] - max(tops)
 
     @property
     def frames(self) -> int:
@@ -304,6 +287,26 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
         )
     if mass.release is not None:
         require(not any(mass.velocity or ()), "velocity", "a mass at rest behind its gates", list(mass.velocity or ()))
+
+
+def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
+    """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
+
+    That of the body is the least of its masses', each above the floor or the highest box beneath it; shape [masses].
+    """
+    boxes: Sequence[Mass | Baffle] = (*scene.masses, *scene.baffles)
+    count = len(scene.masses)
+    lower = np.array([box.lower for box in boxes])
+    upper = lower + np.array([box.size for box in boxes])
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
+    beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
+    height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
+    reach = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
+    body = np.asarray(reach & reach.T, dtype=bool)
+    for _ in range(count.bit_length()):
+        body = np.matmul(body, body)
+    return np.asarray(np.where(body, height, np.inf).min(axis=1))
 
 
 def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:

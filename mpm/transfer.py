@@ -16,9 +16,9 @@ of the step. APIC is tau = 0: it loses that part in every step, so that a shorte
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i; where
 tau = 0 and no local damping asks for it, dt f_i is added to the momentum at once and a node is half as long.
 
-While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the energy
-of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction (`mpm.gaps`), what C_p of
-such a loose particle has without the forces of the step therefore never grows:
+While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the
+energy of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction (`mpm.gaps`),
+what C_p of such a loose particle has without the forces of the step therefore never grows:
 
     C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
 
@@ -209,7 +209,6 @@ def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), array
         n = lowest_node(arrays, scratch, lane, grid, rows)
         weight = scratch * lanes + lane
         lever = weight + 3 * features.dimension * lanes
-        target = first * lanes + lane
         v, x_slope, y_slope = node_zero(arrays), node_zero(arrays), node_zero(arrays)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
@@ -270,8 +269,8 @@ def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template(
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    target = first * lanes + lane
-    affine = target + features.affine * lanes
+    particle = first * lanes + lane
+    affine = particle + features.affine * lanes
     if ti.static(features.corrected and features.relaxed):
         before, seen = 0.0 * kept, 0.0 * kept
         for i in ti.static(range(size)):
@@ -282,8 +281,8 @@ def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template(
                 seen += new * new
         bears = 0.0 * kept
         for k in ti.static(range(3)):
-            bears += ti.abs(arrays.lanes[target + (features.stress + k) * lanes])
-        loose = arrays.lanes[target + features.gap * lanes] > 0.0 or bears == 0.0
+            bears += ti.abs(arrays.lanes[particle + (features.stress + k) * lanes])
+        loose = arrays.lanes[particle + features.gap * lanes] > 0.0 or bears == 0.0
         excess = 0.0 * kept
         if loose and seen > before:
             excess = 1.0 - ti.sqrt(before / seen)
