@@ -67,10 +67,26 @@ def layer_decrement(flow: Trajectory, *, most: float) -> Finding:
     v(y, t) = V sin(pi y / (2 H)) cos(omega t), omega = pi / (2 H) sqrt((lambda + 2 mu) / rho). It is 2 pi times the
     damping ratio.
     """
+    return Finding(check="decrement", value=layer_mode(flow)[0], least=-1.0e-3, most=most)
+
+
+def layer_viscosity(flow: Trajectory, *, most: float) -> Finding:
+    """The viscosity eta [Pa s] of sigma = (lambda + 2 mu) eps + eta d(eps)/dt by which the layer's mode would decay so.
+
+    Kelvin and Voigt: a damping ratio of eta omega / (2 (lambda + 2 mu)), which is the decrement over 2 pi.
+    """
+    decrement_of_mode, omega = layer_mode(flow)
+    modulus = flow.scene.material.density * flow.scene.material.wave_speed**2
+    value = decrement_of_mode * modulus / (math.pi * omega)
+    return Finding(check="viscosity", value=value, unit="Pa s", most=most * modulus / (math.pi * omega))
+
+
+def layer_mode(flow: Trajectory) -> tuple[float, float]:
+    """Decrement per period [-] and angular frequency [1/s] of a layer's lowest vertical mode."""
     height = sum(mass.size[1] for mass in flow.scene.masses)
     shape = np.sin(0.5 * math.pi * flow.positions[0, :, 1].astype(np.float64) / height)
     omega = 0.5 * math.pi / height * flow.scene.material.wave_speed
-    return Finding(check="decrement", value=decrement(flow, shape, 1, omega), least=-1.0e-3, most=most)
+    return decrement(flow, shape, 1, omega), omega
 
 
 def decrement(flow: Trajectory, shape: NDArray[np.float64], axis: int, omega: float) -> float:

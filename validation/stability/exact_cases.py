@@ -38,16 +38,22 @@ EXACT_CASES = (
     Case(
         name="layer-mode",
         what="a layer in geostatic stress rings",
-        checks=(partial(exact.layer_decrement, most=2.0 * math.pi * exact.DAMPING_OF_SAND),),
+        checks=(
+            partial(exact.layer_decrement, most=2.0 * math.pi * exact.DAMPING_OF_SAND),
+            partial(exact.layer_viscosity, most=2.0 * math.pi * exact.DAMPING_OF_SAND),
+        ),
     ),
     Case(name="thin-body", what="a layer of 1 mm in cells of 20 mm", checks=(exact.moves_on,)),
     Case(
         name="cut-critical-holds",
+        spalls=True,
         what="a cut with hardly any tension at 0.9 of its critical height",
         checks=(
             partial(expect.over_critical_height, ratio=0.9),
             expect.stands_but_for_spall,
         ),
+        remark="A slice of a cell, which has hardly any tension to hold it, may fall off its face, or a part of it, or "
+        "none: rounding or the jitter decides. So fronts in f32 and in f64 are not compared.",
     ),
     Case(
         name="cut-critical-fails",
@@ -56,6 +62,7 @@ EXACT_CASES = (
     ),
     Case(
         name="undrained-cut-holds",
+        spalls=True,
         what="a cut in clay, phi = 0, at 0.8 of its critical height",
         checks=(
             partial(expect.over_critical_height, ratio=0.8),

@@ -1,4 +1,4 @@
-"""Why a row is red: the same scene at half the step, in 2D on half the cell, and without its volume correction."""
+"""Why a row is red: the same scene at half the step and, in 2D, on half the cell; and any without volume correction."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,10 +11,13 @@ from validation.stability.case import Case
 from validation.stability.flows import simulate_scenes
 from validation.stability.verdict import Verdict, judge
 
+HALF_STEP, HALF_CELL, FORGETFUL = "half the step", "half the cell", "no volume correction"
+"""What can be changed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """A red row, changed."""
+    """A row, changed."""
 
     change: str
     verdict: Verdict
@@ -35,19 +38,20 @@ def forgetful(scene: Scene) -> Scene:
     return dataclasses.replace(scene, volume_correction=False) if scene.remembers_gaps else scene
 
 
-def probe(cases: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
-    """Every case at half the step and, in 2D, on half the cell, in f64; and without a volume correction that it has."""
+def probe(cases: Sequence[Case], red: Sequence[Case], bar: "tqdm[None]") -> list[Probe]:
+    """In f64: red cases at half the step and, in 2D, on half the cell; all without the volume correction they have."""
+    flat = [case for case in red if case.scene.dimension == 2]
     found = []
-    for change, variant, dimensions in (
-        ("half the step", half_step, (2, 3)),
-        ("half the cell", half_cell, (2,)),
-        ("no volume correction", forgetful, (2, 3)),
+    for change, variant, group in (
+        (HALF_STEP, half_step, red),
+        (HALF_CELL, half_cell, flat),
+        (FORGETFUL, forgetful, cases),
     ):
-        changed = {case.name: variant(case.scene) for case in cases if case.scene.dimension in dimensions}
-        changed = {case.name: changed[case.name] for case in cases if changed.get(case.name, case.scene) != case.scene}
+        changed = {case.name: variant(case.scene) for case in group}
+        changed = {case.name: changed[case.name] for case in group if changed[case.name] != case.scene}
         bar.total = (bar.total or 0) + len(changed)
-        flows = simulate_scenes(changed, "f64", bar, {case.name for case in cases if case.until_rest})
-        for case in cases:
+        flows = simulate_scenes(changed, "f64", bar, {case.name for case in group if case.until_rest})
+        for case in group:
             if case.name in flows:
                 # What a row is compared with was not changed: without it.
                 alone = dataclasses.replace(case, beside="", comparisons=(), precisions=())

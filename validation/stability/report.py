@@ -10,7 +10,7 @@ from validation.stability.critical_height import Bracket
 from validation.stability.exact_cases import EXACT_CASES
 from validation.stability.expectations import FAILED
 from validation.stability.finding import Finding
-from validation.stability.probes import Probe
+from validation.stability.probes import FORGETFUL, Probe
 from validation.stability.verdict import PRECISIONS, Verdict
 
 COLUMNS = {
@@ -52,6 +52,7 @@ def document(
         "",
         *remarks(verdicts),
         *critical_heights(heights),
+        *without_correction(verdicts, [probe for probe in probes if probe.change == FORGETFUL]),
         *explanation(),
     ]
     if red:
@@ -99,6 +100,32 @@ def critical_heights(heights: Sequence[Bracket]) -> list[str]:
         "t = tan(45 + phi / 2), the limit equilibrium of a slice that it holds:"
     )
     return [fill(text, WIDTH), "", *bullets([each.sentence for each in heights]), ""]
+
+
+def without_correction(verdicts: Sequence[Verdict], probes: Sequence[Probe]) -> list[str]:
+    """The section on what volume correction does for the rows that have it, by the name of the row; in f64."""
+    forgetful = {probe.verdict.case.name: probe.verdict for probe in probes}
+    having = [verdict for verdict in verdicts if verdict.case.name in forgetful]
+    if not having:
+        return []
+    lines = [
+        "Volume of the core of the deposit with volume correction (`mpm/gaps.py`) and without it, and what fails then, "
+        "in f64:",
+        "",
+        "| scene | volume | without | fails without |",
+        "|---|---|---|---|",
+    ]
+    for verdict in having:
+        without = forgetful[verdict.case.name]
+        cells = [f"`{verdict.case.name}`", *(of_flow(found_in(each, "volume")) for each in (verdict, without))]
+        cells.append("; ".join(told(finding) for finding in without.failures("f64")))
+        lines.append("| " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def found_in(verdict: Verdict, check: str) -> Finding | None:
+    """What a check found in f64; None where it does not apply."""
+    return next((finding for finding in verdict.findings["f64"] if finding.check == check), None)
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
