@@ -29,7 +29,7 @@ class Case:
     """An elastic wave in free space: its decrement is checked in place of its energy, because velocity and stress are
     recorded half a step apart, so that the sum of their energies swings by omega dt."""
     spalls: bool = False
-    """A slice of a cell may fall off its face: fronts in f32 and f64 are not compared, rounding decides which grains."""
+    """A slice of a cell may fall off its face, as rounding decides: fronts in f32 and f64 are not compared."""
     until_rest: bool = False
     """Run until the solver says that it rests, which is then checked."""
     checks: tuple[Check, ...] = ()
