@@ -13,6 +13,7 @@ from datasets.scene import Scene
 from mpm import rest
 from mpm.layout import (
     ALIGNMENT,
+    INDEX_LIMIT,
     PADDING,
     Energy,
     Features,
@@ -97,16 +98,21 @@ class Batch:
             baffle += len(scene.baffles)
             recorded_impulse += scene.frames * solids
         per_particle = max(features.dimension, features.recorded)
-        longest = max(block * features.block * lanes, node * features.node, recorded * per_particle)
-        if longest >= 2**31:
-            raise InputError(f"expected a smaller run: {longest} numbers in a row, Taichi counts to 2^31")
+        scratch = (block if features.gpu else len(self.workers)) * features.scratch
+        longest = max(node * features.node, recorded * per_particle)
+        bounded = max(block * features.block, scratch) * lanes
+        if longest >= 2**31 or bounded >= INDEX_LIMIT:
+            raise InputError(
+                f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {bounded} of particles, "
+                "of at most 2^30"
+            )
         self.state = aligned((block, features.block, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
         self.grid = aligned((node, features.node), real)
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
-        self.scratch = aligned(((block if features.gpu else len(self.workers)) * features.scratch, lanes), real)
+        self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.record = np.zeros(recorded * features.dimension, np.float32)
         self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)

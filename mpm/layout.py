@@ -11,6 +11,8 @@ from typing import ClassVar, Literal
 
 Precision = Literal["f32", "f64"]
 
+INDEX_LIMIT = 2**30
+"""Numbers that an array of the particles may hold (`mpm.lanes.bounded`)."""
 PADDING = 3
 """Cells of grid beyond every wall: a quadratic B-spline reaches one and a half."""
 ALIGNMENT = 64
@@ -331,17 +333,18 @@ class Features:
         """First number of a node that holds its change of velocity, where `relaxed`; mass and force are done with."""
         return self.force
 
-    # The scratch vectors of a worker: weights, then what a block gives to its nodes, then its lowest nodes.
+    # The scratch vectors of a worker: weights of the three nodes along each axis, these times their distances, what a
+    # block gives to its nodes, its lowest nodes.
 
     @property
-    def stencil(self) -> int:
-        """Nodes that a particle reaches."""
-        return 9 if self.dimension == 2 else 27
+    def values(self) -> int:
+        """First of the scratch vectors of what a block gives: a node's value at the lowest one, and D slopes of it."""
+        return 6 * self.dimension
 
     @property
     def lowest(self) -> int:
         """First of the D scratch vectors that hold each particle's lowest node."""
-        return self.stencil + self.node * (1 + self.dimension)
+        return self.values + self.node * (1 + self.dimension)
 
     @property
     def scratch(self) -> int:

@@ -4,7 +4,7 @@ import taichi as ti
 
 from mpm.baffles import particles_against_baffles
 from mpm.gaps import gap_followed
-from mpm.lanes import add, between, lane_maximum, lane_minimum, lane_sum, larger, smaller
+from mpm.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
 from mpm.mohr_coulomb import softened
 from mpm.strain import midpoint_increment
@@ -46,8 +46,8 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
 def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
     """Move a block by its velocity; no particle leaves the box or comes into a baffle."""
     features = arrays.features
-    x, v = block * features.block, block * features.block + features.velocity
-    remainder = block * features.block + features.remainder
+    x = bounded(block * features.block)
+    v, remainder = x + features.velocity, x + features.remainder
     for k in ti.static(range(features.dimension)):
         speed = arrays.state[v + k]
         if ti.static(features.relaxed):
@@ -85,7 +85,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
     """
     features = arrays.features
-    first = block * features.block
+    first = bounded(block * features.block)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]

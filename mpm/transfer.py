@@ -31,7 +31,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.lanes import add
+from mpm.lanes import add, bounded
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
 
 
@@ -71,7 +71,7 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
     A particle gives each node the same mass but for the weight: its slope is zero.
     """
     features = arrays.features
-    first = scratch + features.stencil + group * features.node
+    first = scratch + features.values + group * features.node
     return ti.Vector(
         [
             arrays.scratch_lanes[(first + k) * features.lanes + lane]
@@ -95,34 +95,32 @@ def block_to_grid(grid, scene, block, scratch, dt, rows: ti.template(), arrays: 
     """Add mass, momentum and force of the particles of a block to the nodes from `grid` on."""
     features, lanes = arrays.features, arrays.features.lanes
     prepare_giving(scene, block, scratch, dt, arrays)
+    row, column = rows[0], rows[1]
     for lane in range(particles_in(scene, block, arrays)):
         n = lowest_node(arrays, scratch, lane, grid, rows)
-        weight = scratch * lanes + lane
+        weight = bounded(scratch * lanes + lane)
+        wx, wy = three(arrays, weight), three(arrays, weight + 3 * lanes)
         value = node_vector(arrays, scratch, 0, lane)
         slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
-                here = value
+                at = bounded(n + a * row)
+                here, y_step = wx[a] * value, wx[a] * slope_y
                 for b in ti.static(range(3)):
-                    add(
-                        arrays.grid,
-                        n + a * rows[0] + b,
-                        arrays.scratch_lanes[weight + (3 * a + b) * lanes] * here,
-                        arrays,
-                    )
-                    here = here + slope_y
+                    add(arrays.grid, at + b, wy[b] * here, arrays)
+                    here = here + y_step
                 value = value + slope_x
         else:
-            slope_z = node_vector(arrays, scratch, 3, lane)
+            wz, slope_z = three(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
             for a in ti.static(range(3)):
-                along = value
+                along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
                 for b in ti.static(range(3)):
-                    here = along
+                    at = bounded(n + a * row + b * column)
+                    here, z_step = wy[b] * along, wy[b] * z_slope
                     for c in ti.static(range(3)):
-                        w = arrays.scratch_lanes[weight + (9 * a + 3 * b + c) * lanes]
-                        add(arrays.grid, n + a * rows[0] + b * rows[1] + c, w * here, arrays)
-                        here = here + slope_z
-                    along = along + slope_y
+                        add(arrays.grid, at + c, wz[c] * here, arrays)
+                        here = here + z_step
+                    along = along + y_step
                 value = value + slope_x
 
 
@@ -130,7 +128,7 @@ def block_to_grid(grid, scene, block, scratch, dt, rows: ti.template(), arrays: 
 def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
-    first = block * features.block
+    first = bounded(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx, volume = 1.0 / dx, property_of(scene, block, Property.VOLUME, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
@@ -139,21 +137,12 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     f = [place[k] - low[k] for k in ti.static(range(features.dimension))]
     for k in ti.static(range(features.dimension)):
         arrays.scratch[scratch + features.lowest + k] = low[k]
-    wx, wy = spline(f[0]), spline(f[1])
-    if ti.static(features.dimension == 2):
+        w = spline(f[k])
         for a in ti.static(range(3)):
-            for b in ti.static(range(3)):
-                arrays.scratch[scratch + 3 * a + b] = wx[a] * wy[b]
-    else:
-        wz = spline(f[2])
-        for a in ti.static(range(3)):
-            for b in ti.static(range(3)):
-                wxy = wx[a] * wy[b]
-                for c in ti.static(range(3)):
-                    arrays.scratch[scratch + 9 * a + 3 * b + c] = wxy * wz[c]
+            arrays.scratch[scratch + 3 * k + a] = w[a]
     # Lengths on the grid are in cells: times dx.
     force_scale = -4.0 * volume * per_dx
-    values = scratch + features.stencil
+    values = scratch + features.values
     for i in ti.static(range(features.dimension)):
         momentum = mass * arrays.state[first + features.velocity + i]
         pull = 0.0 * mass
@@ -192,7 +181,7 @@ def particles_in(scene, block, arrays: ti.template()):
 def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
-    first = block * features.block
+    first = bounded(block * features.block)
     # Weights, and weights times distance, of three nodes along each axis.
     for k in ti.static(range(features.dimension)):
         place = arrays.state[first + k] * per_dx + PADDING
@@ -205,47 +194,56 @@ def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), array
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (
                 (4.0 * per_dx) * w[a] * (ti.static(float(a)) - f)
             )
+    row, column = rows[0], rows[1]
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, rows)
-        weight = scratch * lanes + lane
+        weight = bounded(scratch * lanes + lane)
         lever = weight + 3 * features.dimension * lanes
+        wx, wy = three(arrays, weight), three(arrays, weight + 3 * lanes)
+        lx, ly = three(arrays, lever), three(arrays, lever + 3 * lanes)
         v, x_slope, y_slope = node_zero(arrays), node_zero(arrays), node_zero(arrays)
+        # Sums along the last axis first: they share the weights of the others.
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
-                # Sums along the column first: they share the weight in x.
-                u, s = node_zero(arrays), node_zero(arrays)
-                for b in ti.static(range(3)):
-                    node = arrays.grid[n + a * rows[0] + b]
-                    u = u + arrays.scratch_lanes[weight + (3 + b) * lanes] * node
-                    s = s + arrays.scratch_lanes[lever + (3 + b) * lanes] * node
-                v = v + arrays.scratch_lanes[weight + a * lanes] * u
-                x_slope = x_slope + arrays.scratch_lanes[lever + a * lanes] * u
-                y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
+                at = bounded(n + a * row)
+                p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
+                u = wy[0] * p + wy[1] * q + wy[2] * r
+                s = ly[0] * p + ly[1] * q + ly[2] * r
+                v = v + wx[a] * u
+                x_slope = x_slope + lx[a] * u
+                y_slope = y_slope + wx[a] * s
             put_velocity_of(v, scratch, first, lane, arrays)
             if ti.static(features.corrected):
                 put_density_of(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
             put_affine_of((x_slope, y_slope), kept, first, lane, arrays)
         else:
+            wz, lz = three(arrays, weight + 6 * lanes), three(arrays, lever + 6 * lanes)
             z_slope = node_zero(arrays)
             for a in ti.static(range(3)):
                 u, s, t = node_zero(arrays), node_zero(arrays), node_zero(arrays)
                 for b in ti.static(range(3)):
-                    uu, tt = node_zero(arrays), node_zero(arrays)
-                    for c in ti.static(range(3)):
-                        node = arrays.grid[n + a * rows[0] + b * rows[1] + c]
-                        uu = uu + arrays.scratch_lanes[weight + (6 + c) * lanes] * node
-                        tt = tt + arrays.scratch_lanes[lever + (6 + c) * lanes] * node
-                    u = u + arrays.scratch_lanes[weight + (3 + b) * lanes] * uu
-                    s = s + arrays.scratch_lanes[lever + (3 + b) * lanes] * uu
-                    t = t + arrays.scratch_lanes[weight + (3 + b) * lanes] * tt
-                v = v + arrays.scratch_lanes[weight + a * lanes] * u
-                x_slope = x_slope + arrays.scratch_lanes[lever + a * lanes] * u
-                y_slope = y_slope + arrays.scratch_lanes[weight + a * lanes] * s
-                z_slope = z_slope + arrays.scratch_lanes[weight + a * lanes] * t
+                    at = bounded(n + a * row + b * column)
+                    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
+                    along = wz[0] * p + wz[1] * q + wz[2] * r
+                    across = lz[0] * p + lz[1] * q + lz[2] * r
+                    u = u + wy[b] * along
+                    s = s + ly[b] * along
+                    t = t + wy[b] * across
+                v = v + wx[a] * u
+                x_slope = x_slope + lx[a] * u
+                y_slope = y_slope + wx[a] * s
+                z_slope = z_slope + wx[a] * t
             put_velocity_of(v, scratch, first, lane, arrays)
             if ti.static(features.corrected):
                 put_density_of(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
             put_affine_of((x_slope, y_slope, z_slope), kept, first, lane, arrays)
+
+
+@ti.func
+def three(arrays: ti.template(), at):
+    """Three vectors of lanes of `scratch`, one after the other, in the lane that `at` is the first number of."""
+    lanes = arrays.features.lanes
+    return arrays.scratch_lanes[at], arrays.scratch_lanes[at + lanes], arrays.scratch_lanes[at + 2 * lanes]
 
 
 @ti.func
@@ -254,11 +252,11 @@ def put_velocity_of(v, scratch, first, lane, arrays: ti.template()):
     features, lanes = arrays.features, arrays.features.lanes
     for i in ti.static(range(features.dimension)):
         if ti.static(features.relaxed):
-            at = (scratch + features.lowest + features.dimension + i) * lanes + lane
+            at = bounded(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
             arrays.scratch_lanes[at] = v[i]
             arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
         else:
-            arrays.lanes[(first + features.velocity + i) * lanes + lane] = v[i]
+            arrays.lanes[bounded(first * lanes + lane) + (features.velocity + i) * lanes] = v[i]
 
 
 @ti.func
@@ -269,7 +267,7 @@ def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template(
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    particle = first * lanes + lane
+    particle = bounded(first * lanes + lane)
     affine = particle + features.affine * lanes
     if ti.static(features.corrected and features.relaxed):
         before, seen = 0.0 * kept, 0.0 * kept
@@ -300,7 +298,7 @@ def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template(
 def put_density_of(mass, slopes: ti.template(), scratch, lane, arrays: ti.template()):
     """Leave sum_i w_ip m_i [kg] of the particle in `lane`, and its D `slopes` 4 / dx^2 sum_i w_ip m_i x_ip [kg/m]."""
     features, lanes = arrays.features, arrays.features.lanes
-    at = (scratch + features.density) * lanes + lane
+    at = bounded(scratch * lanes + lane) + features.density * lanes
     arrays.scratch_lanes[at] = mass
     for k in ti.static(range(features.dimension)):
         arrays.scratch_lanes[at + (1 + k) * lanes] = slopes[k]
