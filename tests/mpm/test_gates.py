@@ -109,9 +109,9 @@ def test_masses_have_their_own_times() -> None:
     second = Mass(lower=(0.8, 0.0), size=(0.2, 0.2), k0=0.5, release=0.1)
     third = Mass(lower=(0.4, 0.2), size=(0.1, 0.1))
     settling = Mass(lower=(0.55, 0.0), size=(0.1, 0.1), release="settled")
-    flow = simulate(
-        of(SCENE, first, second, third, settling, duration=0.15, jitter=0.4), precision="f64", threads=1, fields=True
-    )
+    # Without volume correction, which the falling mass would ask for: gaps that close slowly keep a mass from settling.
+    scene = of(SCENE, first, second, third, settling, duration=0.15, jitter=0.4, volume_correction=False)
+    flow = simulate(scene, precision="f64", threads=1, fields=True)
     particles = initial_particles(flow.scene)
     times = flow.summary["release_time"]
     assert times[:3] == [0.05, 0.1, 0.0]
