@@ -21,7 +21,7 @@ from inverse.mpm_forward import MpmForward
 from inverse.observations import Observation, Values
 from inverse.problem import Method, Problem, read_problem
 from inverse.result import Result
-from inverse.target import Target, read_target
+from inverse.target import Target, read_target, with_noise
 from inverse.unknowns import with_unknowns
 from mpm.simulate import simulate, simulate_many
 
@@ -79,6 +79,7 @@ def main(
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     observation = observations.build(asked.observation, asked.scene)
+    asked = with_noise(asked, observation)
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:

@@ -8,6 +8,8 @@ from datasets.scene import Baffle, Scene
 from inverse.launch import Start
 from inverse.settings import (
     ONE_NUMBER,
+    Heights,
+    LengthUnit,
     LoopSettings,
     Method,
     Observable,
@@ -122,6 +124,13 @@ def check_target(scene: Scene, names: Sequence[str], observation: ObservationSet
         expected = f"{scene.dimension} coordinates [m] in the domain {list(scene.domain.size)}"
         require(inside, "target.values", expected, list(target.values))
     require(target.noise >= 0.0, "target.noise", "a standard deviation of at least 0", target.noise)
+    require(0.0 <= target.noise_share < 1.0, "target.noise_share", "a share in [0, 1)", target.noise_share)
+    if target.noise_share > 0.0 and target.value is None and target.csv is None:
+        raise InputError("expected a percentage beside value or csv alone, else a length", key="target.noise")
+    if target.csv is None:
+        for key, usual in (("unit", LengthUnit.METRE), ("datum", 0.0), ("heights", Heights.EQUIVALENT)):
+            got = getattr(target, key)
+            require(got == usual, f"target.{key}", "it beside a csv alone", got)
     if target.hidden:
         _check_hidden(scene, names, target)
     elif target.truth:

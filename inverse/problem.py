@@ -1,6 +1,8 @@
 """Problem: what is unknown, what was observed and how hard to look for it. Read from TOML, strictly."""
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -115,7 +117,7 @@ def read_problem(name: str) -> Problem:
     """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
     path = find(name, PROBLEMS, "problem")
     try:
-        file = from_mapping(_File, read_toml(path))
+        file = from_mapping(_File, with_noise_share(read_toml(path)))
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
@@ -123,3 +125,18 @@ def read_problem(name: str) -> Problem:
         return Problem(name=path.stem, folder=path.parent, **(parts | {"scene": scene}))
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def with_noise_share(data: Mapping[str, Any]) -> dict[str, Any]:
+    """`data` of a file, its `target.noise` as the share that a percentage such as "3%" means. Raises InputError."""
+    target = data.get("target")
+    if not isinstance(target, dict) or not isinstance(target.get("noise"), str):
+        return dict(data)
+    text = target["noise"].strip()
+    try:
+        share = float(text.removesuffix("%")) / 100.0 if text.endswith("%") else math.nan
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share < 1.0:
+        raise InputError(f"expected a number or a percentage such as 3%, got {text!r}", key="target.noise")
+    return {**data, "target": {**target, "noise": 0.0, "noise_share": share}}

@@ -24,6 +24,29 @@ class Observable(StrEnum):
     """The share of the volume beyond a line across the flow."""
 
 
+class LengthUnit(StrEnum):
+    """In what a length was measured."""
+
+    METRE = "m"
+    CENTIMETRE = "cm"
+    MILLIMETRE = "mm"
+    FOOT = "ft"
+
+    @property
+    def metres(self) -> float:
+        """Its length [m]."""
+        return {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}[self.value]
+
+
+class Heights(StrEnum):
+    """What the heights of a measured profile are."""
+
+    EQUIVALENT = "equivalent"
+    """Of the released volume at its initial density, over the length and the width."""
+    SURFACE = "surface"
+    """Of the deposit's surface, which may be looser than what was released."""
+
+
 ONE_NUMBER = (Observable.FRONT, Observable.RUNOUT, Observable.PASSED)
 """Observations of one number."""
 
@@ -92,7 +115,13 @@ class TargetSettings(Strict):
     trajectory: str | None = None
     """A trajectory (NPZ) whose last frame is the observed deposit."""
     csv: str | None = None
-    """A measured profile: columns `x` and `height` [m], one header line."""
+    """A measured profile: columns `x` and `height`, one header line."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of both columns."""
+    datum: float = 0.0
+    """Height of the floor in the file [`unit`]."""
+    heights: Heights = Heights.EQUIVALENT
+    """What the heights are: by how much their area may differ from the released one (`inverse.measured`)."""
     hidden: bool = False
     """A twin experiment: the MPM makes the target, the inversion gets to see the observation alone."""
     least: bool = False
@@ -103,6 +132,8 @@ class TargetSettings(Strict):
     """Unknown -> hidden value; the scene's own where absent."""
     noise: float = 0.0
     """Standard deviation of each measured number [m; of a share -], besides the flow's own chance."""
+    noise_share: float = 0.0
+    """The same as a share of what was measured, each height of a `csv`: in a file, `noise = "3%"`."""
 
 
 @dataclass(frozen=True, kw_only=True)

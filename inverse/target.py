@@ -1,11 +1,9 @@
 """The target: what was observed, and, for a twin experiment, the truth that the inversion must not see."""
 
-import csv
 import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from inverse.measured import DRAWS, MeasuredProfile, read_profile
 from inverse.observations import Deposit, Observation, Profile, Values
 from inverse.problem import Problem
 from inverse.unknowns import kind, with_unknowns
@@ -62,7 +61,7 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
         return Target(values=values, edge=observation.edge(values))
     if settings.csv is not None:
         assert isinstance(observation, Profile)
-        heights = read_profile(problem.folder / settings.csv, observation.stations)
+        heights = measured_profile(problem, observation).at(observation.stations)
         values = observation.of_heights(heights)
         return Target(values=values, edge=observation.edge(values), profile=(observation.stations, heights))
     truth = None
@@ -88,23 +87,27 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
     return Target(values=observation.exact(deposit), edge=measures.front(deposit), deposit=deposit, truth=truth)
 
 
-def read_profile(path: Path, stations: NDArray[np.float64]) -> Values:
-    """Heights [m] at `stations` [m] from a CSV with the columns `x` and `height`, linear in between, 0 beyond."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:
-        raise InputError("expected a measured profile (CSV), there is none", where=str(path)) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
-    if len(rows) < 2 or not {"x", "height"} <= rows[0].keys():
-        raise InputError("expected the columns x and height and at least two rows", where=str(path))
-    try:
-        x, height = (np.array([float(row[column]) for row in rows]) for column in ("x", "height"))
-    except (TypeError, ValueError):
-        raise InputError("expected numbers in the columns x and height", where=str(path)) from None
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(height)) and np.all(np.diff(x) > 0.0)):
-        raise InputError("expected finite numbers, x in ascending order", where=str(path))
-    if height.min() < 0.0 or height.max() <= 0.0:
-        raise InputError("expected heights of at least 0 m, not all 0", where=str(path))
-    return np.asarray(np.interp(stations, x, height, left=0.0, right=0.0))
+def with_noise(problem: Problem, observation: Observation) -> Problem:
+    """`problem`, a noise stated as a share made that of each number observed [m; of a share that passed -].
+
+    A share of a measured number is that of the number; of a measured profile that of each of its heights, whose effect
+    on the observation is found by drawing them: the root mean square over its numbers. Raises InputError.
+    """
+    settings = problem.target
+    if settings.noise_share == 0.0:
+        return problem
+    if settings.csv is not None:
+        assert isinstance(observation, Profile)
+        profile = measured_profile(problem, observation)
+        drawn = [profile.drawn(settings.noise_share, seed).at(observation.stations) for seed in range(DRAWS)]
+        noise = float(np.sqrt(np.var([observation.of_heights(each) for each in drawn], axis=0, ddof=1).mean()))
+    else:
+        assert settings.value is not None, "a problem has been checked"
+        noise = settings.noise_share * settings.value
+    return dataclasses.replace(problem, target=dataclasses.replace(settings, noise=noise, noise_share=0.0))
+
+
+def measured_profile(problem: Problem, observation: Profile) -> MeasuredProfile:
+    """The profile of the problem's CSV, checked against its scene. Raises InputError."""
+    released = observation.volume / observation.width
+    return read_profile(problem.folder, problem.target, problem.scene.domain.size[0], released)

@@ -17,7 +17,7 @@ from inverse.observations import Observation
 from inverse.optimise import Bounds
 from inverse.problem import Problem, read_problem
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from inverse.target import Target, read_target
+from inverse.target import Target, read_target, with_noise
 from mpm.simulate import simulate_many
 from validation import answers, loop_report, several, starts
 from validation.certainty import Certainty
@@ -141,6 +141,7 @@ def main(
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     observation = observations.build(asked.observation, asked.scene)
+    asked = with_noise(asked, observation)
     source = GnsSource(
         checkpoint.load(model or shipped(asked.scene.dimension)).simulator, asked, observation, memory_gib
     )

@@ -200,11 +200,11 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
 
 
 def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
-    (tmp_path / "profile.csv").write_text("x,height\n0.0,0.2\n0.4,0.0\n")
+    (tmp_path / "profile.csv").write_text("x,height\n0.0,0.4\n0.4,0.0\n")
     problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
     target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
     assert target.profile is not None
-    np.testing.assert_allclose(target.profile[1][:3], [0.2, 0.19, 0.18])
+    np.testing.assert_allclose(target.profile[1][:3], [0.4, 0.38, 0.36])
     assert not target.profile[1][20:].any()
     # A triangle: 1 - sqrt(1 - q) of its length.
     assert target.edge == pytest.approx(0.4 * (1.0 - np.sqrt(0.005)), abs=0.01)

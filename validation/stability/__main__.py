@@ -14,7 +14,8 @@ from mpm.layout import Precision
 from validation.stability.case import Case
 from validation.stability.cases import CASES
 from validation.stability.critical_height import CRITICAL, bracket
-from validation.stability.flows import Flow, simulate_scenes
+from validation.stability.deposit import AGREEMENT, DEVIATIONS
+from validation.stability.flows import Flow, front_scatter, simulate_scenes
 from validation.stability.probes import probe
 from validation.stability.report import document
 from validation.stability.verdict import PRECISIONS, judge
@@ -40,7 +41,8 @@ def command(*names: str, out: Path | None = None) -> None:
             for dimension in (2, 3):
                 alike = {name: scene for name, scene in scenes.items() if scene.dimension == dimension}
                 flows[precision] |= simulate_scenes(alike, precision, bar, until_rest)
-        verdicts = [judge(case, flows) for case in cases]
+        within = {case.name: DEVIATIONS * front_scatter(case.scene) for case in cases if case.sprays}
+        verdicts = [judge(case, flows, within=within.get(case.name, AGREEMENT)) for case in cases]
         red = [verdict.case for verdict in verdicts if not verdict.all_green]
         probes = probe(cases, red, bar)
     heights = [bracket(case.scene) for case in cases if case.name in CRITICAL]

@@ -30,6 +30,8 @@ class Case:
     recorded half a step apart, so that the sum of their energies swings by omega dt."""
     spalls: bool = False
     """A slice of a cell may fall off its face, as rounding decides: fronts in f32 and f64 are not compared."""
+    sprays: bool = False
+    """Particles fly apart and land: rounding grows as large as another jitter, and fronts agree as those of two do."""
     until_rest: bool = False
     """Run until the solver says that it rests, which is then checked."""
     checks: tuple[Check, ...] = ()

@@ -15,11 +15,12 @@ CASES = (
         what="cohesionless sand, its upper half thrown up",
         checks=(expect.parts_freely, expect.never_pulls),
     ),
-    Case(name="impact-wall", what="10 m/s into the wall", rests=True, checks=(expect.wall_stops,)),
+    Case(name="impact-wall", what="10 m/s into the wall", rests=True, sprays=True, checks=(expect.wall_stops,)),
     Case(
         name="impact-baffle",
         what="10 m/s into a baffle",
         rests=True,
+        sprays=True,
         checks=(partial(expect.baffle_takes, least=0.5),),
     ),
     Case(
@@ -30,11 +31,12 @@ CASES = (
         what="three points thick, over the corner of a baffle",
         checks=(expect.keeps_speed, expect.passes_baffle),
     ),
-    Case(name="dropped-column", what="a column falls 0.3 m", rests=True, checks=(expect.falls_freely,)),
+    Case(name="dropped-column", what="a column falls 0.3 m", rests=True, sprays=True, checks=(expect.falls_freely,)),
     Case(
         name="dropped-bed",
         what="a bed between walls falls 0.3 m",
         rests=True,
+        sprays=True,
         checks=(expect.falls_freely, expect.stands_as_before),
     ),
     Case(

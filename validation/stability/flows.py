@@ -1,17 +1,21 @@
 """Scenes -> trajectories, side by side, each in the kernel that it would get alone."""
 
+import dataclasses
 from collections.abc import Collection, Mapping
 
+import numpy as np
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
+from datasets.measures import front
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.batch import features_of
 from mpm.layout import Features, Precision
-from mpm.recording import ALL, with_usual_fields
-from mpm.simulate import simulate_each
+from mpm.recording import ALL, LAST, with_usual_fields
+from mpm.simulate import simulate_each, simulate_many
+from validation.stability.deposit import JITTERS
 
 Flow = Trajectory | WorkFailed
 """What a scene came to: a trajectory with fields, or the message of a run that blew up."""
@@ -40,3 +44,10 @@ def simulate_scenes(
         flows.update(zip(group, outcomes, strict=True))
         bar.update(len(group))
     return {name: flows[name] for name in scenes}
+
+
+def front_scatter(scene: Scene) -> float:
+    """Standard deviation of the front of `scene` over JITTERS jitters of its particles, in f64 [cells]."""
+    jitters = [dataclasses.replace(scene, seed=scene.seed + number) for number in range(JITTERS)]
+    fronts = [front(flow.positions[-1]) for flow in simulate_many(jitters, precision="f64", record=LAST)]
+    return float(np.std(fronts, ddof=1)) / scene.domain.cell

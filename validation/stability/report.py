@@ -153,7 +153,7 @@ def of_flow(finding: Finding | None) -> str:
         case "slope":
             text = f"{finding.value:.1f} ({finding.most - deposit.REPOSE_MARGIN_DEG:g})"
         case "f32 to f64":
-            text = f"{finding.value:.4f}"
+            text = f"{finding.value:.4f}" + ("" if finding.most == deposit.AGREEMENT else f" ({finding.most:.2f})")
         case _:
             text = f"{finding.value:.1e}"
     return text if finding.ok else f"**{text}**"
@@ -217,7 +217,8 @@ def explanation() -> list[str]:
         "box: what would lift the whole flow by that part of its mean height. "
         "The rises of all frames count together, not the largest alone.",
         f"**Fronts** in f32 and in f64 lie within {deposit.AGREEMENT:g} cells of each other: less than what another "
-        "jitter of the points does to a front.",
+        "jitter of the points does to a front. Flows that spray amplify rounding until it is another jitter: theirs "
+        f"within {deposit.DEVIATIONS:g} standard deviations, in brackets, of the fronts of {deposit.JITTERS} jitters.",
     ]
     heap = [
         f"**Rest**: kinetic energy at the end is below {deposit.REST:g} of its largest.",

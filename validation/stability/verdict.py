@@ -44,8 +44,11 @@ class Verdict:
         return max(found, key=lambda finding: (finding.excess, abs(finding.value)), default=None)
 
 
-def judge(case: Case, flows: Mapping[Precision, Mapping[str, Flow]]) -> Verdict:
-    """All findings of one row; `flows` by precision and by the name of the row."""
+def judge(case: Case, flows: Mapping[Precision, Mapping[str, Flow]], *, within: float = deposit.AGREEMENT) -> Verdict:
+    """All findings of one row; `flows` by precision and by the name of the row.
+
+    within: distance that may lie between the fronts in f32 and in f64 [cells].
+    """
     findings: dict[Precision, tuple[Finding, ...]] = {}
     blown_up: dict[Precision, str] = {}
     for precision in PRECISIONS:
@@ -60,8 +63,9 @@ def judge(case: Case, flows: Mapping[Precision, Mapping[str, Flow]]) -> Verdict:
                 found += [compare(flow, beside) for compare in case.comparisons]
             double = flows["f64"][case.name]
             if precision == "f32" and isinstance(double, Trajectory) and finite(double).ok:
-                comparisons = case.precisions if case.spalls else (deposit.agreement, *case.precisions)
-                found += [compare(flow, double) for compare in comparisons]
+                found += [compare(flow, double) for compare in case.precisions]
+                if not case.spalls:
+                    found.append(deposit.agreement(flow, double, within=within))
         findings[precision] = tuple(found)
     return Verdict(case=case, findings=findings, blown_up=blown_up)
 

@@ -1,0 +1,135 @@
+"""Measured profiles: one deposit written down in many ways is one target; what is none is refused with the reason."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from inverse import observations
+from inverse.measured import closed
+from inverse.problem import Observable, Problem, read_problem
+from inverse.settings import Heights, LengthUnit, TargetSettings
+from inverse.target import Target, read_target, with_noise
+
+X = np.linspace(0.0, 0.48, 25)
+HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))
+"""A triangle of 0.084 m^2, a twentieth more than the column of 0.2 m x 0.4 m that was released."""
+
+
+def told(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **settings: object) -> Problem:
+    """The problem whose target is a CSV of these rows."""
+    rows = "".join(f"{a:.9g},{b:.9g}\n" for a, b in zip(x, height, strict=True))
+    (folder / "profile.csv").write_text("x,height\n" + rows)
+    problem = read_problem("friction-tall-42")
+    return dataclasses.replace(
+        problem,
+        observation=dataclasses.replace(problem.observation, kind=Observable.PROFILE),
+        folder=folder,
+        target=TargetSettings(csv="profile.csv", **settings),  # type: ignore[arg-type]
+    )
+
+
+def target_of(problem: Problem) -> Target:
+    def never(scene: object) -> None:
+        raise AssertionError("a measured target needs no simulation")
+
+    return read_target(problem, observations.build(problem.observation, problem.scene), never)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("x", "height", "settings"),
+    [
+        (1000.0 * X, 1000.0 * HEIGHT, {"unit": LengthUnit.MILLIMETRE}),
+        (100.0 * X, 100.0 * HEIGHT, {"unit": LengthUnit.CENTIMETRE}),
+        (X, HEIGHT + 12.5, {"datum": 12.5}),
+        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": LengthUnit.FOOT, "datum": -3.0}),
+        (X[2:], HEIGHT[2:], {}),
+        (X[:21], HEIGHT[:21], {}),
+        (X, HEIGHT, {"heights": Heights.SURFACE}),
+    ],
+)
+def test_a_profile_is_the_same_target_however_it_is_written(
+    x: np.ndarray, height: np.ndarray, settings: dict[str, object], tmp_path: Path
+) -> None:
+    plain = target_of(told(tmp_path))
+    np.testing.assert_allclose(target_of(told(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("x", "height", "settings", "message"),
+    [
+        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; target.unit"),
+        (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
+        (X, 1000.0 * HEIGHT, {}, r"times; target.unit, datum and heights say"),
+        (X, 1.15 * HEIGHT, {}, r"1.21 times"),
+        (X, HEIGHT, {"datum": 0.1}, r"expected heights above the floor, got -0.1 m; target.datum"),
+        (X, HEIGHT, {"datum": 1.0}, r"expected a height above the floor, got none"),
+        (X[6:], HEIGHT[6:], {}, r"wall at x = 0 m or the edge .* ends at x = 0.12 m"),
+        (X[:12], HEIGHT[:12], {}, r"wall at x = 1 m or the edge .* ends at x = 0.22 m"),
+        (np.array([0.0]), np.array([0.4]), {}, r"at least two rows"),
+    ],
+)
+def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
+    x: np.ndarray, height: np.ndarray, settings: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        target_of(told(tmp_path, x, height, **settings))
+    assert caught.value.where.endswith("profile.csv")
+
+
+def test_a_surface_may_be_looser_than_what_was_released(tmp_path: Path) -> None:
+    loose = told(tmp_path, X, 1.15 * HEIGHT, heights=Heights.SURFACE)
+    np.testing.assert_allclose(target_of(loose).values, target_of(told(tmp_path)).values, atol=1e-9)
+
+
+def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
+    profile = closed(np.array([0.02, 0.04, 0.06]), np.array([0.3, 0.2, 0.1]), 1.0)
+    np.testing.assert_allclose(profile.x, [0.0, 0.02, 0.04, 0.06, 0.08])
+    np.testing.assert_allclose(profile.height, [0.4, 0.3, 0.2, 0.1, 0.0], atol=1e-12)
+
+
+def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
+    """The stated standard deviation is the one that deposits show whose heights are drawn so."""
+    problem = told(tmp_path, noise_share=0.03)
+    observation = observations.build(problem.observation, problem.scene)
+    noise = with_noise(problem, observation).target.noise
+    assert isinstance(observation, observations.Profile)
+    rng = np.random.default_rng(7)
+    seen = []
+    for _ in range(300):
+        heights = np.interp(observation.stations, X, HEIGHT * (1.0 + 0.03 * rng.standard_normal(len(X))), right=0.0)
+        seen.append(observation.of_heights(heights))
+    assert noise == pytest.approx(np.sqrt(np.var(seen, axis=0, ddof=1).mean()), rel=0.1)
+    assert 0.0002 < noise < 0.005
+
+
+@pytest.mark.parametrize("text", ['"3 percent"', '"0%"', '"100%"', '"%"', '"-3%"', '"nan%"'])
+def test_a_noise_that_is_no_percentage_names_the_key(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"target\.noise: expected a number or a percentage"):
+        read_problem(str(with_target(tmp_path, f"value = 0.5\nnoise = {text}")))
+
+
+def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
+    problem = read_problem(str(with_target(tmp_path, 'value = 0.5\nnoise = "3%"')))
+    observation = observations.build(problem.observation, problem.scene)
+    assert with_noise(problem, observation).target.noise == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(
+    "target", ['hidden = true\nnoise = "3%"', 'value = 0.5\nunit = "mm"', "value = 0.5\ndatum = 1.0"]
+)
+def test_what_only_a_measurement_has_is_refused_elsewhere(target: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"target\.(noise|unit|datum)"):
+        read_problem(str(with_target(tmp_path, target)))
+
+
+def with_target(folder: Path, target: str) -> Path:
+    """A problem file with this target."""
+    path = folder / "problem.toml"
+    path.write_text(
+        'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
+        f'[observation]\nkind = "front"\n[target]\n{target}\n'
+    )
+    return path
