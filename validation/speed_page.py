@@ -13,11 +13,11 @@ RATES = """\
 2D: the paper's tall column (42°, damped, cohesive), 4 points per cell. 3D: a cube of its 3D sand, 8 points per cell.
 Small scenes are timed until the flow is well under way, large ones over its first frames, one sort by cell included
 (in use it comes every 20 frames). One scene of fewer than 20,000 points runs on one thread, several on a thread each.
-The aims, and half of what vector code written by hand does on as many threads, are for two cores and f32.
+The aims, and half of what vector code written by hand does on as many threads, are for f32 on two cores of an AMD EPYC.
 """
 
 OTHERS = """
-Other codes, on two cores of the same kind, measured before and not in this run (`validation/speed.toml`):
+Other codes, on two cores of an AMD EPYC, measured before and not in this run (`validation/speed.toml`):
 """
 
 NEEDS = """
@@ -28,8 +28,7 @@ switched on with a value too small to change the flow, so that only its cost is 
 """
 
 GRID = """
-The whole grid is made active by one cell of material in the far upper corner. Damping is the dearest, because forces
-stay apart from momentum and a node is twice as long.
+The whole grid is made active by one cell of material in the far upper corner.
 
 ## Shortcuts
 
@@ -49,7 +48,9 @@ Scalar code for the same equations did 16 to 18 million point-steps a second and
 - **Nodes as short vectors** (`mpm/transfer.py`). Where point meets node, a node (momentum, mass, force) is one vector
   of four or eight numbers. What a point gives is linear in the node's place: a value at the lowest node and one slope
   per axis. What it takes is summed along the innermost axis first, because those nodes share the other weights.
-- **No atomics, few launches** (`mpm/advance.py`). A small scene runs on one thread, many small ones side by side; a
+- **Bounded indices** (`mpm/lanes.py`). Taichi counts in 32 bits, and each sum of an index and a constant would be
+  extended anew; cut to 30 bits, which changes none, it becomes part of an address: a third of all instructions less.
+- **No atomics, few launches** (`mpm/kernel.py`). A small scene runs on one thread, many small ones side by side; a
   large one has a grid per thread, summed where they overlap. Up to 20 frames with all their steps are one launch.
 - **Points in the order of their cells** from 50,000 on, sorted anew at every launch.
 - **Nothing that a scene does not need**: the kernel is compiled for what the scenes of a batch need, and only the
