@@ -91,7 +91,8 @@ def with_noise(problem: Problem, observation: Observation) -> Problem:
     """`problem`, a noise stated as a share made that of each number observed [m; of a share that passed -].
 
     A share of a measured number is that of the number; of a measured profile that of each of its heights, whose effect
-    on the observation is found by drawing them: the root mean square over its numbers. Raises InputError.
+    on the observation is found by drawing them. Its numbers then err together, so what counts is the standard deviation
+    of the combination of them (a unit vector) that errs most. Raises InputError.
     """
     settings = problem.target
     if settings.noise_share == 0.0:
@@ -100,7 +101,8 @@ def with_noise(problem: Problem, observation: Observation) -> Problem:
         assert isinstance(observation, Profile)
         profile = measured_profile(problem, observation)
         drawn = [profile.drawn(settings.noise_share, seed).at(observation.stations) for seed in range(DRAWS)]
-        noise = float(np.sqrt(np.var([observation.of_heights(each) for each in drawn], axis=0, ddof=1).mean()))
+        covariance = np.cov([observation.of_heights(each) for each in drawn], rowvar=False)
+        noise = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
     else:
         assert settings.value is not None, "a problem has been checked"
         noise = settings.noise_share * settings.value
