@@ -296,8 +296,7 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     """
     boxes: Sequence[Mass | Baffle] = (*scene.masses, *scene.baffles)
     count = len(scene.masses)
-    lower = np.array([box.lower for box in boxes])
-    upper = lower + np.array([box.size for box in boxes])
+    lower, upper = corners(boxes)
     level = [axis for axis in range(scene.dimension) if axis != 1]
     over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
@@ -309,9 +308,14 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     return np.asarray(np.where(body, height, np.inf).min(axis=1))
 
 
+def corners(boxes: Sequence[Mass | Baffle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The least and the greatest coordinates of each box [m], both of shape [N, D]."""
+    lower = np.array([box.lower for box in boxes])
+    return lower, lower + np.array([box.size for box in boxes])
+
+
 def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
     """Which boxes share volume with a later one, shape [N, N]; touching faces do not count."""
-    lower = np.array([box.lower for box in boxes])
-    upper = lower + np.array([box.size for box in boxes])
+    lower, upper = corners(boxes)
     below = lower[:, None] + TOLERANCE < upper[None]
     return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))

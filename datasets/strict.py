@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import math
 import tomllib
 import warnings
 from collections.abc import Mapping
@@ -68,6 +69,15 @@ def with_new_names(data: Any) -> Any:
     if isinstance(data, list | tuple):
         return [with_new_names(value) for value in data]
     return data
+
+
+def fraction(text: str) -> float:
+    """`2%` or `0.02` as a number, 0.02; nan for what is neither."""
+    number = text.strip()
+    try:
+        return float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
+    except ValueError:
+        return math.nan
 
 
 def read_toml(path: Path) -> dict[str, Any]:

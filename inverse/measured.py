@@ -117,7 +117,7 @@ def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
 
     An end at which the deposit goes on is extrapolated along its last two rows, towards larger x only downwards.
     """
-    first = extrapolated(x[0] - 0.0, height[0], (height[1] - height[0]) / (x[1] - x[0]), x[1] - x[0], height.max())
+    first = extrapolated(x[0], height[0], (height[1] - height[0]) / (x[1] - x[0]), x[1] - x[0], height.max())
     slope = (height[-1] - height[-2]) / (x[-1] - x[-2])
     last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
     for end, place, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
@@ -126,8 +126,8 @@ def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
                 f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
                 f"x = {place:g} m with a height of {value:g} m"
             )
-    before = [(x[0] - way, h) for way, h in (first or []) if way > 0.0]
-    beyond = [(x[-1] + way, h) for way, h in (last or []) if way > 0.0]
+    before = [(x[0] - way, h) for way, h in first or []]
+    beyond = [(x[-1] + way, h) for way, h in last or []]
     rows = np.array([*before, *zip(x, height, strict=True), *beyond])
     return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
 

@@ -13,7 +13,7 @@ import numpy as np
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
 from datasets.scene import Scene
-from datasets.strict import Strict, from_mapping, read_toml
+from datasets.strict import Strict, fraction, from_mapping, read_toml
 from inverse import checks
 from inverse.launch import Start, untouched
 from inverse.settings import (
@@ -133,10 +133,7 @@ def with_noise_share(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(target, dict) or not isinstance(target.get("noise"), str):
         return dict(data)
     text = target["noise"].strip()
-    try:
-        share = float(text.removesuffix("%")) / 100.0 if text.endswith("%") else math.nan
-    except ValueError:
-        share = math.nan
+    share = fraction(text) if text.endswith("%") else math.nan
     if not 0.0 < share < 1.0:
         raise InputError(f"expected a number or a percentage such as 3%, got {text!r}", key="target.noise")
     return {**data, "target": {**target, "noise": 0.0, "noise_share": share}}

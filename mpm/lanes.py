@@ -77,9 +77,9 @@ def lane_sum(a, arrays: ti.template()):
 
 @ti.func
 def bounded(index):
-    """An index below INDEX_LIMIT, said so that the compiler knows: a constant added to it then costs no instruction.
+    """An index below INDEX_LIMIT, said so that the compiler knows: a constant added to it becomes part of an address.
 
-    Otherwise it has to allow for an overflow at every node and every number of a particle, a third of all instructions.
+    Otherwise it has to allow for an overflow of 32 bits at every node and every number of a particle.
     """
     return index & (INDEX_LIMIT - 1)
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
-from datasets.strict import Strict, from_mapping, read_toml
+from datasets.strict import Strict, fraction, from_mapping, read_toml
 from mpm.layout import Precision
 from mpm.properties import substeps_per_frame
 
@@ -100,11 +100,7 @@ def read_measured() -> tuple[Measured, ...]:
 
 def read_tolerance(text: str) -> float:
     """`2%` or `0.02` as a fraction in (0, 1). Raises InputError."""
-    number = text.strip()
-    try:
-        value = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
-    except ValueError:
-        value = math.nan
+    value = fraction(text)
     if not 0.0 < value < 1.0:
         raise InputError(
             f"expected a percentage such as 2% or a fraction such as 0.02, got {text!r}", key="--tolerance"

@@ -49,7 +49,7 @@ Scalar code for the same equations did 16 to 18 million point-steps a second and
   of four or eight numbers. What a point gives is linear in the node's place: a value at the lowest node and one slope
   per axis. What it takes is summed along the innermost axis first, because those nodes share the other weights.
 - **Bounded indices** (`mpm/lanes.py`). Taichi counts in 32 bits, and each sum of an index and a constant would be
-  extended anew; cut to 30 bits, which changes none, it becomes part of an address: a third of all instructions less.
+  extended anew; cut to 30 bits, which changes none, it becomes part of an address.
 - **No atomics, few launches** (`mpm/kernel.py`). A small scene runs on one thread, many small ones side by side; a
   large one has a grid per thread, summed where they overlap. Up to 20 frames with all their steps are one launch.
 - **Points in the order of their cells** from 50,000 on, sorted anew at every launch.

@@ -36,7 +36,6 @@ CASES = (
         name="dropped-bed",
         what="a bed between walls falls 0.3 m",
         rests=True,
-        sprays=True,
         checks=(expect.falls_freely, expect.stands_as_before),
     ),
     Case(

@@ -62,7 +62,6 @@ EXACT_CASES = (
     ),
     Case(
         name="undrained-cut-holds",
-        spalls=True,
         what="a cut in clay, phi = 0, at 0.8 of its critical height",
         checks=(
             partial(expect.over_critical_height, ratio=0.8),
