@@ -11,6 +11,7 @@ from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
 from mpm import rest
+from mpm.faces import contact_tables, initial_contacts
 from mpm.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
@@ -61,12 +62,11 @@ class Batch:
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
         self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
-        boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
-        self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
+        self.add_contacts(real)
         self.add_gates()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
-        block = node = impulse = line = baffle = recorded = recorded_impulse = 0
+        block = node = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
             blocks = -(-count // lanes)
@@ -74,7 +74,7 @@ class Batch:
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
             offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
-            offset[Offset.ENERGY], offset[Offset.BAFFLE], offset[Offset.BAFFLES] = line, baffle, len(scene.baffles)
+            offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
@@ -95,7 +95,6 @@ class Batch:
             block += blocks
             recorded += count * len(kept)
             line += scene.frames
-            baffle += len(scene.baffles)
             recorded_impulse += scene.frames * solids
         per_particle = max(features.dimension, features.recorded)
         scratch = (block if features.gpu else len(self.workers)) * features.scratch
@@ -123,6 +122,29 @@ class Batch:
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
+
+    def add_contacts(self, real: np.dtype[Any]) -> None:
+        """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
+        tables = [contact_tables(scene) for scene in self.scenes] if self.features.contact else []
+        geometry = face = near = held = 0
+        for offset, table in zip(self.offsets, tables, strict=False):
+            offset[Offset.GEOMETRY] = geometry
+            table.cell_faces += near
+            table.near_faces += face
+            table.held_nodes[table.held_nodes > 0] += held
+            geometry += len(table.cell_faces)
+            near += len(table.near_faces)
+            face += len(table.faces)
+            held += len(table.node_contacts)
+
+        def joined(name: str, empty: Array) -> Array:
+            return np.concatenate([getattr(table, name) for table in tables]) if tables else empty
+
+        self.faces = joined("faces", np.zeros((1, 1))).astype(real)
+        self.node_contacts = joined("node_contacts", np.zeros((1, 1))).astype(real)
+        self.cell_faces, self.near_faces, self.held_nodes = (
+            joined(name, np.zeros(1, np.int32)) for name in ("cell_faces", "near_faces", "held_nodes")
+        )
 
     def add_gates(self) -> None:
         """The lines of `gates`, `held` and `holding` of all scenes."""
@@ -157,6 +179,8 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        if features.contact:
+            put(features.contacts, initial_contacts(scene, particles.positions))
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
@@ -230,7 +254,11 @@ class Batch:
             "impulse_lanes": self.impulse.reshape(-1),
             "settings": self.settings,
             "properties": self.properties,
-            "baffles": self.baffles,
+            "faces": self.faces,
+            "cell_faces": self.cell_faces,
+            "near_faces": self.near_faces,
+            "held_nodes": self.held_nodes,
+            "node_contacts": self.node_contacts,
             "offsets": self.offsets,
             "workers": self.workers,
             "order": self.order,
@@ -336,7 +364,7 @@ def features_of(
             or any(material.strength_gradient > 0.0 for material in each.materials)
             for each in particles
         ),
-        baffles=any(scene.baffles for scene in scenes),
+        contact=any(scene.baffles for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,

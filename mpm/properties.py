@@ -19,6 +19,10 @@ GAP_RATE = 8.0
 """Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.gaps`)."""
 
 
+CONTACT_WIDTH = 1.0
+"""Width h of the contact with solids [cells] (`mpm.contact`)."""
+
+
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
     """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
 
@@ -39,7 +43,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
         Setting.WALL_FRICTION: scene.wall_friction,
-        Setting.BAFFLE_FRICTION: scene.baffle_friction,
+        Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.remembers_gaps),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),

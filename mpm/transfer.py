@@ -31,8 +31,9 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
+from mpm.contact import contact_force, contact_moment
 from mpm.lanes import add, bounded
-from mpm.layout import PADDING, Offset, Property, Setting, Worker
+from mpm.layout import PADDING, Offset, Property, Setting, Worker, component
 
 
 @ti.func
@@ -146,9 +147,18 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     for i in ti.static(range(features.dimension)):
         momentum = mass * arrays.state[first + features.velocity + i]
         pull = 0.0 * mass
+        if ti.static(features.contact):
+            push = volume * contact_force(block, i, arrays)
+            if ti.static(features.forces):
+                pull = push
+            else:
+                momentum = momentum + dt * push
         for j in ti.static(range(features.dimension)):
             slope = mass * dx * arrays.state[first + features.affine + i * features.dimension + j]
-            force = force_scale * arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
+            stress = arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
+            if ti.static(features.contact):
+                stress = stress + contact_moment(block, i, j, arrays)
+            force = force_scale * stress
             if ti.static(features.forces):
                 pull = pull - force * f[j]
                 arrays.scratch[values + (1 + j) * features.node + features.force + i] = force
@@ -160,11 +170,6 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
         if ti.static(features.forces):
             arrays.scratch[values + features.force + i] = pull
     arrays.scratch[values + features.dimension] = mass
-
-
-def component(i: int, j: int, dimension: int) -> int:
-    """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
-    return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]
 
 
 @ti.func
