@@ -11,7 +11,6 @@ from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
 from mpm import rest
-from mpm.faces import contact_tables, initial_contacts
 from mpm.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
@@ -26,6 +25,7 @@ from mpm.layout import (
     StepControl,
     Worker,
 )
+from mpm.obstacles import initial_contacts, obstacles_of
 from mpm.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
 from mpm.recording import ALL, Recording
 from mpm.release import gate_rows, held_rows, holding_rows, release_times
@@ -74,13 +74,13 @@ class Batch:
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
             offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
-            offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles)
+            offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
             offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
-            solids = offset[Offset.SOLIDS] = len(scene.baffles) + int(record.wall_forces)
+            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + int(record.wall_forces)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
@@ -125,26 +125,26 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        tables = [contact_tables(scene) for scene in self.scenes] if self.features.contact else []
+        tables = [obstacles_of(scene) for scene in self.scenes] if self.features.contact else []
         geometry = face = near = held = 0
+        cell_faces, near_faces, held_nodes = [], [], []
         for offset, table in zip(self.offsets, tables, strict=False):
             offset[Offset.GEOMETRY] = geometry
-            table.cell_faces += near
-            table.near_faces += face
-            table.held_nodes[table.held_nodes > 0] += held
+            cell_faces.append(table.cell_faces + near)
+            near_faces.append(table.near_faces + face)
+            held_nodes.append(np.where(table.held_nodes > 0, table.held_nodes + held, 0))
             geometry += len(table.cell_faces)
-            near += len(table.near_faces)
-            face += len(table.faces)
-            held += len(table.node_contacts)
+            face, near, held = face + len(table.faces), near + len(table.near_faces), held + len(table.node_contacts)
 
-        def joined(name: str, empty: Array) -> Array:
-            return np.concatenate([getattr(table, name) for table in tables]) if tables else empty
+        def joined(parts: list[Array], kind: np.dtype[Any] | type, width: int = 0) -> Array:
+            """One array of all parts, never empty."""
+            filled = [part for part in parts if len(part)] or [np.zeros((1, width) if width else 1)]
+            return np.concatenate(filled).astype(kind)
 
-        self.faces = joined("faces", np.zeros((1, 1))).astype(real)
-        self.node_contacts = joined("node_contacts", np.zeros((1, 1))).astype(real)
-        self.cell_faces, self.near_faces, self.held_nodes = (
-            joined(name, np.zeros(1, np.int32)) for name in ("cell_faces", "near_faces", "held_nodes")
-        )
+        self.faces = joined([table.faces for table in tables], real, 1)
+        self.node_contacts = joined([table.node_contacts for table in tables], real, 1)
+        self.cell_faces, self.near_faces = joined(cell_faces, np.int32), joined(near_faces, np.int32)
+        self.held_nodes = joined(held_nodes, np.int32)
 
     def add_gates(self) -> None:
         """The lines of `gates`, `held` and `holding` of all scenes."""
@@ -364,7 +364,7 @@ def features_of(
             or any(material.strength_gradient > 0.0 for material in each.materials)
             for each in particles
         ),
-        contact=any(scene.baffles for scene in scenes),
+        contact=any(scene.baffles or scene.solids for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,

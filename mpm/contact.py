@@ -31,14 +31,10 @@ balance; it is held like a node behind a wall of the box (`mpm.boundary`).
 import taichi as ti
 
 from mpm.boundary import stopped_by
-from mpm.lanes import add, lane_maximum, larger, smaller
+from mpm.lanes import add, lane_maximum, lane_minimum, larger, smaller
 from mpm.layout import PADDING, Contact, Offset, Setting, Worker, component
 from mpm.nodes import rows_of
 
-HELD_DEPTH = 0.5
-"""Depth [cells] from which nodes in a solid are held."""
-FAR = 1.0e6
-"""Distance [m] of a particle that has no face near."""
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""
 TURNS = 3
@@ -79,24 +75,29 @@ def normal_stress(block, n: ti.template(), arrays: ti.template()):
 
 
 @ti.func
-def traction(block, i: ti.template(), arrays: ti.template()):
-    """Component i of t = -sigma_nn n + q [Pa], of the surface on each particle of a block."""
-    n = normals(block, arrays)
-    pull = smaller(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
-    return arrays.state[shear_at(block, i, arrays)] - pull * n[i]
+def touches(block, arrays: ti.template()):
+    """Whether a particle of a block is within the width of the contact; most blocks have none."""
+    return lane_maximum(arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
 
 
 @ti.func
-def contact_force(block, i: ti.template(), arrays: ti.template()):
-    """Component i of delta t [Pa/m], the force of the surface per volume of each particle of a block."""
-    return arrays.state[contact_at(block, Contact.DELTA, arrays)] * traction(block, i, arrays)
+def prepare_contact(block, scratch, arrays: ti.template()):
+    """Leave in `scratch` the force of the surface per volume of each particle of a block, delta t [Pa/m], and its arm
 
-
-@ti.func
-def contact_moment(block, i: ti.template(), j: ti.template(), arrays: ti.template()):
-    """Component ij of delta d t n^T [Pa] of each particle of a block: the traction acts at its foot."""
-    arm = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] * normals(block, arrays)[j]
-    return contact_force(block, i, arrays) * arm
+    d n [m]; D vectors each.
+    """
+    features = arrays.features
+    force, arm = scratch + features.push, scratch + features.push + features.dimension
+    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    for k in ti.static(range(features.dimension)):
+        arrays.scratch[force + k] = 0.0 * delta
+        arrays.scratch[arm + k] = 0.0 * delta
+    if touches(block, arrays):
+        n = normals(block, arrays)
+        pull = smaller(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch[force + k] = delta * (arrays.state[shear_at(block, k, arrays)] - pull * n[k])
+            arrays.scratch[arm + k] = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] * n[k]
 
 
 @ti.func
@@ -115,17 +116,22 @@ def foot_velocity(block, scratch, i: ti.template(), n: ti.template(), arrays: ti
 
 
 @ti.func
-def strain_at_contact(block, scratch, dt, n: ti.template(), arrays: ti.template()):
-    """What contact adds along n to the strain increment of each particle of a block, dt delta n . v_f [-].
+def strain_at_contact(block, scratch, dt, arrays: ti.template()):
+    """Leave in `scratch` what contact adds along n to the strain increment of each particle, dt delta n . v_f [-].
 
     A surface that has nothing to push is free to be left.
     """
-    leaving = 0.0 * n[0]
-    for k in ti.static(range(arrays.features.dimension)):
-        leaving = leaving + n[k] * foot_velocity(block, scratch, k, n, arrays)
-    adhesion = arrays.state[contact_at(block, Contact.ADHESION, arrays)]
-    loose = (normal_stress(block, n, arrays) >= adhesion) & (leaving > 0.0)
-    return ti.select(loose, 0.0, dt * arrays.state[contact_at(block, Contact.DELTA, arrays)] * leaving)
+    jump = scratch + arrays.features.push
+    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    arrays.scratch[jump] = 0.0 * delta
+    if touches(block, arrays):
+        n = normals(block, arrays)
+        leaving = 0.0 * delta
+        for k in ti.static(range(arrays.features.dimension)):
+            leaving = leaving + n[k] * foot_velocity(block, scratch, k, n, arrays)
+        adhesion = arrays.state[contact_at(block, Contact.ADHESION, arrays)]
+        loose = (normal_stress(block, n, arrays) >= adhesion) & (leaving > 0.0)
+        arrays.scratch[jump] = ti.select(loose, 0.0, dt * delta * leaving)
 
 
 @ti.func
@@ -149,13 +155,15 @@ def shear_traction_step(block, scratch, dt, shear, n: ti.template(), arrays: ti.
 
 
 @ti.func
-def record_traction(block, volume, dt, worker, arrays: ti.template()):
+def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     """Add what contact takes of the momentum of a block in a step, -dt V0 delta t, to its solids' impulses."""
     features, lanes = arrays.features, arrays.features.lanes
-    if lane_maximum(arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0:
+    if touches(block, arrays):
+        prepare_contact(block, scratch, arrays)
         number, value = contact_at(block, Contact.SOLID, arrays), contact_at(block, Contact.IMPULSE, arrays)
         for k in ti.static(range(features.dimension)):
-            arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * contact_force(block, k, arrays)
+            force = arrays.scratch[scratch + features.push + k]
+            arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
             for lane in range(lanes):
                 solid = ti.cast(arrays.lanes[number * lanes + lane], ti.i32)
                 give(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
@@ -195,31 +203,50 @@ def against_solids(v, mass, n, worker, arrays: ti.template()):
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
 
-    `mass` [kg] of each lane.
+    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s is at least d - s away now: as
+    long as that is beyond the contact nobody looks for a face.
     """
-    arrays.state[contact_at(block, Contact.IMPULSE, arrays)] = mass * present(block, arrays)
-    for lane in range(arrays.features.lanes):
-        find_contact(block, scratch, lane, worker, scene, arrays)
+    features, lanes = arrays.features, arrays.features.lanes
+    x, distance = block * features.block, contact_at(block, Contact.DISTANCE, arrays)
+    square = 0.0 * arrays.state[x]
+    for k in ti.static(range(features.dimension)):
+        way = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
+        square = square + way * way
+    least = arrays.state[distance] - 1.001 * ti.sqrt(square)
+    nearby = arrays.settings[scene, Setting.SEARCH]
+    if lane_minimum(least, arrays) >= nearby:
+        arrays.state[distance] = least
+        arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * least
+    else:
+        arrays.scratch[scratch + features.push] = least
+        arrays.state[contact_at(block, Contact.IMPULSE, arrays)] = mass * present(block, arrays)
+        for lane in range(lanes):
+            bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
+            if bound < nearby:
+                find_contact(block, scratch, lane, bound, worker, scene, arrays)
+            else:
+                arrays.lanes[distance * lanes + lane] = bound
+                arrays.lanes[contact_at(block, Contact.DELTA, arrays) * lanes + lane] = 0.0
 
 
 @ti.func
-def find_contact(block, scratch, lane, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block: where its way of this step ends, and the face nearest to that."""
+def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
+    """Contact of the particle in `lane` of a block: where its way of this step ends, and the face nearest to that.
+
+    bound: its distance is no less [m]; if that is positive it has met no face.
+    """
     features, lanes = arrays.features, arrays.features.lanes
     dimension = ti.static(features.dimension)
     first = block * features.block * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
-    x = lane_vector(first, arrays)
-    start = ti.Vector(
-        [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
-    )
-    came, here = cell_of(start, scene, arrays), cell_of(x, scene, arrays)
-    delta, distance = 0.0 * x[0], 0.0 * x[0] + FAR
-    if arrays.cell_faces[came] < arrays.cell_faces[came + 1] or arrays.cell_faces[here] < arrays.cell_faces[here + 1]:
-        cell = arrays.settings[scene, Setting.CELL]
-        v = lane_vector(first + features.velocity * lanes, arrays)
-        arrived, swift = x, v
-        solid = -1
+    x, v = lane_vector(first, arrays), lane_vector(first + features.velocity * lanes, arrays)
+    swift, solid, moved = v, -1, False
+    cell = arrays.settings[scene, Setting.CELL]
+    if bound <= 0.0:
+        start = ti.Vector(
+            [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
+        )
+        came = cell_of(start, scene, arrays)
         for turn in range(TURNS):
             face = first_crossed(start, x, came, cell, arrays)
             if face < 0:
@@ -228,43 +255,45 @@ def find_contact(block, scratch, lane, worker, scene, arrays: ti.template()):
             x = x - (x - face_vector(face, 0, arrays)).dot(normal) * normal
             if turn == TURNS - 1:
                 x = start
+            moved = True
             if v.dot(normal) < 0.0:
                 v = stopped_by(v, normal, arrays.faces[face, features.face_friction])
                 solid = ti.cast(arrays.faces[face, features.face_solid], ti.i32)
-        here = cell_of(x, scene, arrays)
-        if arrays.cell_faces[here] < arrays.cell_faces[here + 1]:
-            face, weights, normal, d = nearest_face(x, here, arrays)
-            friction = 0.0 * d
+    # Beyond the cells that have faces there are none within the reach of their search.
+    delta, distance = 0.0 * cell, arrays.settings[scene, Setting.REACH]
+    here = cell_of(x, scene, arrays)
+    if arrays.cell_faces[here] < arrays.cell_faces[here + 1]:
+        face, weights, normal, d = nearest_face(x, here, arrays)
+        friction = 0.0 * d
+        for k in ti.static(range(dimension)):
+            friction += weights[k] * arrays.faces[face, features.face_friction + k]
+        number = arrays.faces[face, features.face_solid]
+        if d < 0.0:
+            x = x - d * normal
+            d, moved = 0.0 * d, True
+            if v.dot(normal) < 0.0:
+                v = stopped_by(v, normal, friction)
+                solid = ti.cast(number, ti.i32)
+        distance = ti.min(d, distance)
+        q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
+        delta = 2.0 / arrays.settings[scene, Setting.CONTACT_WIDTH] * (1.0 - q * q * (3.0 - 2.0 * q))
+        arrays.lanes[contact + Contact.ADHESION * lanes] = arrays.faces[face, features.face_adhesion]
+        arrays.lanes[contact + Contact.FRICTION * lanes] = friction
+        arrays.lanes[contact + Contact.SOLID * lanes] = number
+        # The shear traction turns with the surface, and ends where the particle leaves it.
+        shear = lane_vector(contact + (Contact.NORMAL + dimension) * lanes, arrays)
+        shear = shear - shear.dot(normal) * normal
+        if delta == 0.0:
+            shear = 0.0 * shear
+        put_lane_vector(contact + Contact.NORMAL * lanes, normal, arrays)
+        put_lane_vector(contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
+    if moved:
+        put_lane_vector(first, x, arrays)
+        put_lane_vector(first + features.velocity * lanes, v, arrays)
+        if solid >= 0:
+            mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
             for k in ti.static(range(dimension)):
-                friction += weights[k] * arrays.faces[face, features.face_friction + k]
-            number = arrays.faces[face, features.face_solid]
-            if d < 0.0:
-                x = x - d * normal
-                d = 0.0
-                if v.dot(normal) < 0.0:
-                    v = stopped_by(v, normal, friction)
-                    solid = ti.cast(number, ti.i32)
-            distance = d
-            width = arrays.settings[scene, Setting.CONTACT_WIDTH]
-            q = ti.min(d / width, 1.0)
-            delta = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
-            arrays.lanes[contact + Contact.ADHESION * lanes] = arrays.faces[face, features.face_adhesion]
-            arrays.lanes[contact + Contact.FRICTION * lanes] = friction
-            arrays.lanes[contact + Contact.SOLID * lanes] = number
-            # The shear traction turns with the surface, and ends where the particle leaves it.
-            shear = lane_vector(contact + (Contact.NORMAL + dimension) * lanes, arrays)
-            shear = shear - shear.dot(normal) * normal
-            if delta == 0.0:
-                shear = 0.0 * shear
-            put_lane_vector(contact + Contact.NORMAL * lanes, normal, arrays)
-            put_lane_vector(contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
-        if solid >= 0 or (x - arrived).norm() > 0.0:
-            put_lane_vector(first, x, arrays)
-            put_lane_vector(first + features.velocity * lanes, v, arrays)
-            if solid >= 0:
-                mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
-                for k in ti.static(range(dimension)):
-                    give(solid, k, mass * (swift[k] - v[k]), lane, worker, arrays)
+                give(solid, k, mass * (swift[k] - v[k]), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
 
@@ -350,17 +379,20 @@ def nearest_face(x, cell_index, arrays: ti.template()):
     weights, offset = 0.0 * x, 0.0 * x
     for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
         candidate = arrays.near_faces[at]
-        w, part = 0.0 * x, 0
-        if ti.static(dimension == 2):
-            w, part = foot_on_segment(x, candidate, arrays)
-        else:
-            w, part = foot_on_triangle(x, candidate, arrays)
-        away = x
-        for k in ti.static(range(dimension)):
-            away = away - w[k] * face_vector(candidate, k * dimension, arrays)
-        square = away.dot(away)
-        if square < least:
-            least, face, feature, weights, offset = square, candidate, part, w, away
+        # No point of a face is nearer than its plane.
+        height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
+        if height * height < least:
+            w, part = 0.0 * x, 0
+            if ti.static(dimension == 2):
+                w, part = foot_on_segment(x, candidate, arrays)
+            else:
+                w, part = foot_on_triangle(x, candidate, arrays)
+            away = x
+            for k in ti.static(range(dimension)):
+                away = away - w[k] * face_vector(candidate, k * dimension, arrays)
+            square = away.dot(away)
+            if square < least:
+                least, face, feature, weights, offset = square, candidate, part, w, away
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     column = features.face_normal + feature * dimension
     normal = face_vector(face, column, arrays)

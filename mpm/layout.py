@@ -37,6 +37,8 @@ class Setting(Column):
     FLOOR_FRICTION = auto()  # [-]
     WALL_FRICTION = auto()  # [-]
     CONTACT_WIDTH = auto()  # over which contact with a solid is spread [m]
+    SEARCH = auto()  # distance from solids up to which it has to be known [m]
+    REACH = auto()  # distance from solids beyond which cells have no faces [m]
     DAMPING = auto()  # [-]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
@@ -97,7 +99,7 @@ class Contact(Column):
     """Vectors of a block that describe the contact of its particles with solids (`mpm.contact`)."""
 
     DELTA = auto()  # delta_h of the distance [1/m]
-    DISTANCE = auto()  # from the nearest face [m]
+    DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     ADHESION = auto()  # of that face [Pa]
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     SOLID = auto()  # the number of its solid
@@ -395,6 +397,11 @@ class Features:
     @property
     def scratch(self) -> int:
         """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
+        return self.push + (2 * self.dimension if self.contact else 0)
+
+    @property
+    def push(self) -> int:
+        """First of the 2 D scratch vectors of the contact's force per volume and its arm, where `contact`."""
         return self.origin + (self.dimension if self.contact else 0)
 
     @property

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact
+from mpm.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.gaps import gap_followed
 from mpm.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
@@ -40,7 +40,7 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
     if ti.static(features.contact):
-        record_traction(block, volume, dt, worker, arrays)
+        record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
@@ -102,7 +102,8 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.contact):
-        shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
+        if touches(block, arrays):
+            shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
     if ti.static(features.corrected):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
     if ti.static(features.strained):
@@ -118,8 +119,8 @@ def strain_increment(block, scratch, dt, arrays: ti.template()):
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     inside = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
-        n = normals(block, arrays)
-        jump = strain_at_contact(block, scratch, dt, n, arrays)
+        strain_at_contact(block, scratch, dt, arrays)
+        n, jump = normals(block, arrays), arrays.scratch[scratch + features.push]
         return [
             inside[k] + jump * n[k // features.dimension] * n[k % features.dimension]
             for k in ti.static(range(features.dimension**2))

@@ -31,7 +31,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.contact import contact_force, contact_moment
+from mpm.contact import prepare_contact
 from mpm.lanes import add, bounded
 from mpm.layout import PADDING, Offset, Property, Setting, Worker, component
 
@@ -144,11 +144,13 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     # Lengths on the grid are in cells: times dx.
     force_scale = -4.0 * volume * per_dx
     values = scratch + features.values
+    if ti.static(features.contact):
+        prepare_contact(block, scratch, arrays)
     for i in ti.static(range(features.dimension)):
         momentum = mass * arrays.state[first + features.velocity + i]
         pull = 0.0 * mass
         if ti.static(features.contact):
-            push = volume * contact_force(block, i, arrays)
+            push = volume * arrays.scratch[scratch + features.push + i]
             if ti.static(features.forces):
                 pull = push
             else:
@@ -157,7 +159,8 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
             slope = mass * dx * arrays.state[first + features.affine + i * features.dimension + j]
             stress = arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
             if ti.static(features.contact):
-                stress = stress + contact_moment(block, i, j, arrays)
+                arm = arrays.scratch[scratch + features.push + features.dimension + j]
+                stress = stress + arrays.scratch[scratch + features.push + i] * arm
             force = force_scale * stress
             if ti.static(features.forces):
                 pull = pull - force * f[j]
