@@ -120,7 +120,7 @@ class Meshes:
         mesh: pyvista.PolyData = boxes[0].append_polydata(*boxes[1:])
         number = np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
         mesh.cell_data["baffle"] = number
-        impulse = trajectory.baffle_impulse
+        impulse = trajectory.solid_impulse
         if impulse is not None:
             gained, took = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
             mesh.cell_data["impulse"] = spatial(impulse[frame])[number]
@@ -192,7 +192,7 @@ def _parts(meshes: Meshes, frame: int, since: int) -> Iterator[tuple[str, "pyvis
     """File and mesh of each part of a frame, the same parts in every frame; what never changes has one file."""
     yield f"points-{frame:04d}.vtp", meshes.points(frame)
     if meshes.trajectory.scene.baffles:
-        changes = meshes.trajectory.baffle_impulse is not None
+        changes = meshes.trajectory.solid_impulse is not None
         yield f"baffles-{frame:04d}.vtp" if changes else "baffles.vtp", meshes.baffles(frame, since)
     yield "domain.vtp", meshes.domain()
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory
+from datasets.files import make_folder
+from datasets.trajectory import read_trajectory
 from datasets.vtk import SERIES, frames_of, write_vtk
 from validation.rendering import Colour, require, write_movie, write_picture
 
@@ -48,8 +49,7 @@ def command(
     for key, number in (("--frames", frames), ("--rate", rate)):
         if number < 1:
             raise InputError(f"expected an integer of at least 1, got {number}", key=key)
-    path = trajectory / "trajectory.npz" if trajectory.is_dir() else trajectory
-    flow = Trajectory.load(path)
+    path, flow = read_trajectory(trajectory)
     end = float(flow.time[-1])
     if time is not None and not 0.0 <= time <= end:
         raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
@@ -58,10 +58,7 @@ def command(
             require(flow, colour)
         except InputError as error:
             raise error.at(str(path)) from None
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"expected a folder to write to, {error.strerror}", where=str(out), key="--out") from None
+    make_folder(out)
     write_vtk(flow, out, every=frames, progress=True)
     shown = frames_of(flow, frames)
     print(f"{len(shown)} frames of {flow.positions.shape[1]} points, written to {out / SERIES}")

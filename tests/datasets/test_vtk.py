@@ -54,7 +54,7 @@ def flow() -> Trajectory:
         ),
         pressure=stream.random((5, 4), np.float32),
         plastic_strain=stream.random((5, 4), np.float32),
-        baffle_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
+        solid_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
     )
 
 
@@ -77,7 +77,7 @@ def flat(flow: Trajectory) -> Trajectory:
         ),
         pressure=None,
         plastic_strain=None,
-        baffle_impulse=None,
+        solid_impulse=None,
     )
 
 
