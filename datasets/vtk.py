@@ -2,10 +2,9 @@
 
 import re
 import tempfile
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,8 +22,28 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"(points-\d+|baffles(-\d+)?|domain)\.vtp")
+PARTS = re.compile(r"(points-\d+|baffles(-\d+)?|domain)\.vt[pu]")
 """The files that a series consists of, whatever its length."""
+UNITS = {
+    "velocity": "m/s",
+    "displacement": "m",
+    "stress": "Pa",
+    "pressure": "Pa",
+    "density": "kg/m^3",
+    "plastic_strain": "1",
+    "material": "1",
+    "friction_deg": "deg",
+    "baffle": "1",
+    "impulse": "N s",
+    "force": "N",
+}
+"""Of the arrays; of impulse and force in 2D per metre of width."""
+UNCHANGING = frozenset({"material", "friction_deg", "baffle"})
+"""Arrays that are the same in every frame."""
+MOVING = "points"
+"""The part whose geometry changes."""
+ACTIVE = {MOVING: "velocity", "baffles": "force"}
+"""The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
 
 class Meshes:
@@ -99,39 +118,84 @@ class Meshes:
             "friction_deg": self.friction_deg,
         }
 
-    def points(self, frame: int) -> "pyvista.PolyData":
-        """The points at `frame`, a vertex each, with all their fields."""
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What there is to draw, the same in every frame."""
+        return ("points", *(("baffles",) if self.trajectory.scene.baffles else ()), "domain")
+
+    def changes(self, part: str) -> bool:
+        """Whether a part is another one in every frame."""
+        return part == "points" or (part != "domain" and self.trajectory.solid_impulse is not None)
+
+    def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
+        """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
+        mesh = self.shape(name, frame)
+        data = mesh.point_data if name == MOVING else mesh.cell_data
+        for key, values in self.arrays(name, frame, since).items():
+            data[key] = values
+            mesh.field_data[f"{key}_units"] = [self.unit(key)]
+        if ACTIVE.get(name) in data:
+            data.active_vectors_name = ACTIVE[name]
+        return mesh
+
+    def shape(self, name: str, frame: int) -> "pyvista.PolyData":
+        """The part `name` at `frame` without its arrays: the points, a vertex each, or one of the surfaces."""
         import pyvista
 
-        mesh = pyvista.PolyData(spatial(self.trajectory.positions[frame]))
-        for key, values in self.fields(frame).items():
-            width = 6 if key == "stress" else 3
-            mesh.point_data[key] = values if values.ndim == 1 else spatial(values, width)
-        return mesh
+        if name == MOVING:
+            return pyvista.PolyData(spatial(self.trajectory.positions[frame]))
+        surface: pyvista.PolyData = (self.baffle_surface if name == "baffles" else self.domain).copy()
+        return surface
 
-    def baffles(self, frame: int, since: int) -> "pyvista.PolyData":
-        """The baffles, closed surfaces; per face which baffle it belongs to.
+    def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
+        """The arrays of a part at `frame`: of the points those of `fields`, of solids what each of their faces tells.
 
-        Where it was recorded also the `impulse` [N s] that the baffle has got until `frame`, and the mean `force` [N]
-        on it since the frame `since`, both in 2D per metre of width.
+        That is the number of the solid and, where it was recorded, the `impulse` [N s] that it has got until `frame`,
+        and the mean `force` [N] on it since the frame `since`, both in 2D per metre of width.
         """
-        trajectory = self.trajectory
-        boxes = [box(baffle.lower, baffle.size) for baffle in trajectory.scene.baffles]
-        mesh: pyvista.PolyData = boxes[0].append_polydata(*boxes[1:])
-        number = np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
-        mesh.cell_data["baffle"] = number
-        impulse = trajectory.solid_impulse
+        if name == MOVING:
+            return {
+                key: values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
+                for key, values in self.fields(frame).items()
+            }
+        if name == "domain":
+            return {}
+        number, impulse = self.baffle_of_face, self.trajectory.solid_impulse
+        arrays: dict[str, NDArray[Any]] = {"baffle": number}
         if impulse is not None:
-            gained, took = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
-            mesh.cell_data["impulse"] = spatial(impulse[frame])[number]
-            mesh.cell_data["force"] = spatial(gained / took if took > 0.0 else gained)[number]
-        return mesh
+            gained, took = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
+            arrays["impulse"] = spatial(impulse[frame])[number]
+            arrays["force"] = spatial(gained / took if took > 0.0 else gained)[number]
+        return arrays
 
+    @cached_property
+    def baffle_surface(self) -> "pyvista.PolyData":
+        """The baffles, closed surfaces."""
+        first, *others = self._baffle_boxes
+        surface: pyvista.PolyData = first.append_polydata(*others)
+        return surface
+
+    @cached_property
+    def baffle_of_face(self) -> NDArray[np.int32]:
+        """The index of the baffle that each face of `baffle_surface` belongs to, shape [F]."""
+        boxes = self._baffle_boxes
+        return np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
+
+    @property
+    def _baffle_boxes(self) -> list["pyvista.PolyData"]:
+        return [box(baffle.lower, baffle.size) for baffle in self.trajectory.scene.baffles]
+
+    @cached_property
     def domain(self) -> "pyvista.PolyData":
         """The edges of the box."""
         size = self.trajectory.scene.domain.size
         edges: pyvista.PolyData = box((0.0,) * len(size), size).extract_all_edges()
         return edges
+
+    def unit(self, name: str) -> str:
+        """Of the array `name`, in 2D per metre of width where that counts."""
+        per_width = self.trajectory.scene.dimension == 2 and name in ("impulse", "force")
+        return UNITS[name] + ("/m" if per_width else "")
 
 
 def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
@@ -158,9 +222,17 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
     return sorted({*range(0, last, every), last})
 
 
-def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress: bool = False) -> None:
+def write_vtk(
+    trajectory: Trajectory,
+    folder: Path,
+    *,
+    every: int = 1,
+    suffix: Literal[".vtp", ".vtu"] = ".vtp",
+    progress: bool = False,
+) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
+    suffix: PolyData by VTK's own writer, or unstructured grids by meshio's, which hold no units and no active vectors.
     Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole
     until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
     """
@@ -171,9 +243,10 @@ def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:
         beside = Path(name)
         for frame in tqdm(frames_of(trajectory, every), desc="vtk", unit="frame", disable=not progress):
-            for number, (file, mesh) in enumerate(_parts(meshes, frame, since)):
+            for number, part in enumerate(meshes.parts):
+                file = f"{part}-{frame:04d}{suffix}" if meshes.changes(part) else part + suffix
                 if not (beside / file).exists():
-                    _write(mesh, beside / file)
+                    _write(meshes.part(part, frame, since), beside / file)
                 time = repr(float(trajectory.time[frame]))
                 ElementTree.SubElement(collection, "DataSet", timestep=time, part=str(number), file=file)
             since = frame
@@ -184,21 +257,15 @@ def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress:
         for new in list(beside.iterdir()):
             new.replace(folder / new.name)
     ElementTree.indent(series)
-    with replacing(folder / SERIES) as part:
-        ElementTree.ElementTree(series).write(part, encoding="utf-8", xml_declaration=True)
-
-
-def _parts(meshes: Meshes, frame: int, since: int) -> Iterator[tuple[str, "pyvista.PolyData"]]:
-    """File and mesh of each part of a frame, the same parts in every frame; what never changes has one file."""
-    yield f"points-{frame:04d}.vtp", meshes.points(frame)
-    if meshes.trajectory.scene.baffles:
-        changes = meshes.trajectory.solid_impulse is not None
-        yield f"baffles-{frame:04d}.vtp" if changes else "baffles.vtp", meshes.baffles(frame, since)
-    yield "domain.vtp", meshes.domain()
+    with replacing(folder / SERIES) as index:
+        ElementTree.ElementTree(series).write(index, encoding="utf-8", xml_declaration=True)
 
 
 def _write(mesh: "pyvista.PolyData", path: Path) -> None:
-    """Write a VTP: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
+    """Write a VTP or a VTU: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
+    if path.suffix == ".vtu":
+        _write_by_meshio(mesh, path)
+        return
     from pyvista.core.utilities.writer import XMLPolyDataWriter
 
     writer: Any = XMLPolyDataWriter(path, mesh).writer
@@ -206,3 +273,14 @@ def _write(mesh: "pyvista.PolyData", path: Path) -> None:
     writer.EncodeAppendedDataOff()
     if not writer.Write():
         raise WorkFailed(f"{path.name} could not be written: is the disk full?")
+
+
+def _write_by_meshio(mesh: "pyvista.PolyData", path: Path) -> None:
+    """Write a VTU. Raises WorkFailed."""
+    import meshio
+    import pyvista
+
+    try:
+        meshio.write(path, pyvista.to_meshio(mesh), binary=True)
+    except OSError as error:
+        raise WorkFailed(f"{path.name} could not be written: {error.strerror}") from None

@@ -124,7 +124,7 @@ class Picture:
         for mass in self.trajectory.scene.masses:
             self.stage.draw_lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
         if self.trajectory.scene.baffles:
-            baffles = self.meshes.baffles(0, 0)
+            baffles = self.meshes.part("baffles", 0, 0)
             self.stage.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
             self.stage.draw_lines(baffles.extract_all_edges(), INK)
 

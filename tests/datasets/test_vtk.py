@@ -291,7 +291,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
     path = tmp_path / "points-0000.vtp"
     path.symlink_to("/dev/full")
     with pytest.raises(WorkFailed, match=r"points-0000\.vtp could not be written"):
-        vtk._write(vtk.Meshes(flow).points(0), path)
+        vtk._write(vtk.Meshes(flow).part("points", 0, 0), path)
 
 
 def test_who_writes_none_does_not_pay_for_it() -> None:
