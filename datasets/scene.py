@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid, check_solid
 from datasets.material import Material
 from datasets.strict import Strict, from_mapping
 
@@ -68,6 +69,10 @@ class Baffle(Strict):
     """Lower corner [m]."""
     size: Vector
     """Extent [m]."""
+    turned_deg: float = 0.0
+    """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
+    friction: float | None = None
+    """Coulomb coefficient of its faces [-]; the scene's `baffle_friction` where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +84,10 @@ class Scene(Strict):
     """The material of every mass that brings none of its own."""
     masses: tuple[Mass, ...]
     baffles: tuple[Baffle, ...] = ()
+    solids: tuple[Solid, ...] = ()
+    """Other fixed rigid bodies: boxes, polygons, terrain, meshes (`datasets.geometry.solid`)."""
+    open_sides: tuple[str, ...] = ()
+    """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: float = 1.0
     """Simulated time [s], a whole number of frames."""
     frame_dt: float = 0.0025
@@ -92,7 +101,7 @@ class Scene(Strict):
     wall_friction: float = 0.0
     """Coulomb coefficient of every other wall of the box [-]."""
     baffle_friction: float = 0.0
-    """Coulomb coefficient of every face of the baffles [-]."""
+    """Coulomb coefficient of the faces of every baffle that names none of its own [-]."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
@@ -235,6 +244,8 @@ def check(scene: Scene) -> None:
             require(
                 inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
             )
+    for index, solid in enumerate(scene.solids):
+        check_solid(solid, f"solids[{index}]", dimension)
     for index, mass in enumerate(scene.masses):
         if mass.velocity is not None:
             require(
