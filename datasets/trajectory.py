@@ -138,12 +138,13 @@ class Trajectory:
 
 def solid_names(scene: Scene) -> tuple[str, ...]:
     """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
-    return tuple(f"baffles[{index}]" for index in range(len(scene.baffles)))
+    baffles = (f"baffles[{index}]" for index in range(len(scene.baffles)))
+    return (*baffles, *(solid.name or f"solids[{index}]" for index, solid in enumerate(scene.solids)))
 
 
 def impulse_key(scene: Scene) -> str:
     """The key in an NPZ of `Trajectory.solid_impulse`: that of older files where there are no solids but baffles."""
-    return "baffle_impulse" if len(solid_names(scene)) == len(scene.baffles) else "solid_impulse"
+    return "solid_impulse" if scene.solids else "baffle_impulse"
 
 
 def read_trajectory(place: Path) -> tuple[Path, Trajectory]:

@@ -1,5 +1,6 @@
 """Trajectory -> a time series that ParaView opens: points with their fields, baffles as surfaces, the box's outline."""
 
+import dataclasses
 import re
 import tempfile
 from functools import cached_property
@@ -13,6 +14,7 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.files import replacing
+from datasets.geometry.surface import Surface, surface_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"(points-\d+|baffles(-\d+)?|domain)\.vt[pu]")
+PARTS = re.compile(r"(points-\d+|(baffles|solids)(-\d+)?|domain)\.vt[pu]")
 """The files that a series consists of, whatever its length."""
 UNITS = {
     "velocity": "m/s",
@@ -34,15 +36,17 @@ UNITS = {
     "material": "1",
     "friction_deg": "deg",
     "baffle": "1",
+    "solid": "1",
+    "friction": "1",
     "impulse": "N s",
     "force": "N",
 }
 """Of the arrays; of impulse and force in 2D per metre of width."""
-UNCHANGING = frozenset({"material", "friction_deg", "baffle"})
+UNCHANGING = frozenset({"material", "friction_deg", "baffle", "solid", "friction"})
 """Arrays that are the same in every frame."""
 MOVING = "points"
 """The part whose geometry changes."""
-ACTIVE = {MOVING: "velocity", "baffles": "force"}
+ACTIVE = {MOVING: "velocity", "baffles": "force", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
 
@@ -121,7 +125,8 @@ class Meshes:
     @property
     def parts(self) -> tuple[str, ...]:
         """What there is to draw, the same in every frame."""
-        return ("points", *(("baffles",) if self.trajectory.scene.baffles else ()), "domain")
+        scene = self.trajectory.scene
+        return ("points", *(("baffles",) if scene.baffles else ()), *(("solids",) if scene.solids else ()), "domain")
 
     def changes(self, part: str) -> bool:
         """Whether a part is another one in every frame."""
@@ -131,11 +136,12 @@ class Meshes:
         """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
         mesh = self.shape(name, frame)
         data = mesh.point_data if name == MOVING else mesh.cell_data
-        for key, values in self.arrays(name, frame, since).items():
+        arrays = self.arrays(name, frame, since)
+        for key, values in arrays.items():
             data[key] = values
             mesh.field_data[f"{key}_units"] = [self.unit(key)]
-        if ACTIVE.get(name) in data:
-            data.active_vectors_name = ACTIVE[name]
+        if (active := ACTIVE.get(name, "")) in arrays:
+            data.active_vectors_name = active
         return mesh
 
     def shape(self, name: str, frame: int) -> "pyvista.PolyData":
@@ -144,14 +150,16 @@ class Meshes:
 
         if name == MOVING:
             return pyvista.PolyData(spatial(self.trajectory.positions[frame]))
-        surface: pyvista.PolyData = (self.baffle_surface if name == "baffles" else self.domain).copy()
+        surfaces = {"baffles": lambda: self.baffle_surface, "solids": lambda: self.solid_surface}
+        surface: pyvista.PolyData = surfaces.get(name, lambda: self.domain)().copy()
         return surface
 
     def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
         """The arrays of a part at `frame`: of the points those of `fields`, of solids what each of their faces tells.
 
-        That is the number of the solid and, where it was recorded, the `impulse` [N s] that it has got until `frame`,
-        and the mean `force` [N] on it since the frame `since`, both in 2D per metre of width.
+        That is the number of the baffle or solid, of solids their friction, infinite without slip, and, where it was
+        recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since
+        the frame `since`, both in 2D per metre of width.
         """
         if name == MOVING:
             return {
@@ -160,8 +168,17 @@ class Meshes:
             }
         if name == "domain":
             return {}
-        number, impulse = self.baffle_of_face, self.trajectory.solid_impulse
-        arrays: dict[str, NDArray[Any]] = {"baffle": number}
+        impulse = self.trajectory.solid_impulse
+        if name == "baffles":
+            number = self.baffle_of_face
+            arrays: dict[str, NDArray[Any]] = {"baffle": number}
+        else:
+            surface = self.solid_faces
+            number = surface.solid
+            arrays = {
+                "solid": number - np.int32(len(self.trajectory.scene.baffles)),
+                "friction": surface.friction.mean(axis=1).astype(np.float32),
+            }
         if impulse is not None:
             gained, took = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
             arrays["impulse"] = spatial(impulse[frame])[number]
@@ -183,7 +200,26 @@ class Meshes:
 
     @property
     def _baffle_boxes(self) -> list["pyvista.PolyData"]:
-        return [box(baffle.lower, baffle.size) for baffle in self.trajectory.scene.baffles]
+        return [turned(box(each.lower, each.size), each.turned_deg) for each in self.trajectory.scene.baffles]
+
+    @cached_property
+    def solid_faces(self) -> Surface:
+        """The faces of the scene's solids that are free, of the union of all that is solid, baffles left out."""
+        surface = surface_of(self.trajectory.scene)
+        assert surface is not None, "asked for where there are solids"
+        chosen = surface.solid >= len(self.trajectory.scene.baffles)
+        return Surface(**{field.name: getattr(surface, field.name)[chosen] for field in dataclasses.fields(Surface)})
+
+    @cached_property
+    def solid_surface(self) -> "pyvista.PolyData":
+        """`solid_faces` as triangles, in 2D as lines."""
+        import pyvista
+
+        corners = self.solid_faces.corners
+        count, width = corners.shape[:2]
+        faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
+        points = spatial(corners.reshape(-1, corners.shape[2]))
+        return pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
 
     @cached_property
     def domain(self) -> "pyvista.PolyData":
@@ -214,6 +250,15 @@ def box(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData"
     if not z:
         return pyvista.PolyData([(x[0], y[0], 0), (x[1], y[0], 0), (x[1], y[1], 0), (x[0], y[1], 0)], [4, 0, 1, 2, 3])
     return pyvista.Box((*x, *y, *z[0]))
+
+
+def turned(mesh: "pyvista.PolyData", angle_deg: float) -> "pyvista.PolyData":
+    """A box turned about its centre: in 2D from x to y, in 3D about the vertical, from x to z."""
+    if angle_deg == 0.0:
+        return mesh
+    flat = mesh.bounds[4] == mesh.bounds[5]
+    rotate, angle = (mesh.rotate_z, angle_deg) if flat else (mesh.rotate_y, -angle_deg)
+    return rotate(angle, point=mesh.center)
 
 
 def frames_of(trajectory: Trajectory, every: int) -> list[int]:

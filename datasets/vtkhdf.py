@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
-from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from datasets.command_line import WorkFailed
 from datasets.files import replacing
@@ -74,11 +73,13 @@ class Block:
 
     def _describe_cells(self, mesh: "pyvista.PolyData") -> None:
         """Which points make up vertices, lines and polygons; the same at all times."""
+        import pyvista
+
         kinds = {"Vertices": mesh.GetVerts(), "Lines": mesh.GetLines(), "Polygons": mesh.GetPolys()}
         for name, cells in (kinds | {"Strips": mesh.GetStrips()}).items():
             group, count = self.group.create_group(name), cells.GetNumberOfCells()
-            offsets = vtk_to_numpy(cells.GetOffsetsArray()) if count else np.zeros(1)
-            connectivity = vtk_to_numpy(cells.GetConnectivityArray()) if count else np.zeros(0)
+            offsets = pyvista.convert_array(cells.GetOffsetsArray()) if count else np.zeros(1)
+            connectivity = pyvista.convert_array(cells.GetConnectivityArray()) if count else np.zeros(0)
             group["NumberOfCells"] = np.full(self.count, count)
             group["NumberOfConnectivityIds"] = np.full(self.count, len(connectivity))
             group["Offsets"], group["Connectivity"] = offsets.astype(np.int64), connectivity.astype(np.int64)
