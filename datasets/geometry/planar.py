@@ -168,6 +168,9 @@ def continued(ring: Ring, axis: int, side: int, box: Box) -> Ring:
     beyond, across = BEYOND * box.cell, 1 - axis
     points, friction = cut(ring, axis, limit, out)
     on_side = np.abs(points[:, axis] - limit) <= TOUCHING
+    # Of several edges in a row on the side only the two outermost ends are continued.
+    kept = ~(on_side & np.roll(on_side, 1) & np.roll(on_side, -1))
+    points, friction, on_side = points[kept], friction[kept], on_side[kept]
     new_points, new_friction = [], []
     count = len(points)
     for index in range(count):

@@ -14,6 +14,8 @@ from datasets.geometry.solid import Solid
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+FLAT = 1.0e-6
+"""What makes the place of a vertex between faces of one plane unique [-]."""
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 """Corners of the unit cube; the last coordinate changes fastest."""
 CUBE_TRIANGLES = np.array(
@@ -259,11 +261,17 @@ def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDA
 
 
 def grown(body: Body, gap: float) -> Floats:
-    """The vertices of a body moved outwards by `gap` [m], shape [V, 3]."""
-    _, corner_normals, _ = pseudonormals(body.vertices, body.triangles)
-    direction = np.zeros_like(body.vertices)
-    direction[body.triangles.ravel()] = corner_normals.reshape(-1, 3)
-    return np.asarray(body.vertices + gap * direction)
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
+
+    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
+    """
+    normals, _, _ = pseudonormals(body.vertices, body.triangles)
+    matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
+    for corner in range(3):
+        np.add.at(matrix, body.triangles[:, corner], normals[:, :, None] * normals[:, None, :])
+        np.add.at(right, body.triangles[:, corner], gap * normals)
+    matrix += FLAT * np.eye(3)
+    return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
 
 
 def pseudonormals(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats, Floats]:
