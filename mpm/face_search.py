@@ -22,7 +22,7 @@ def pairs_within(
     cells, triangles, distances = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
     for triangle in range(len(corners)):
         a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
-        n = np.cross(b - a, c - a)
+        n = normal_of(a, b, c)
         farthest = limit * limit * (n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         for i in range(low[triangle, 0], high[triangle, 0]):
             x = origin[0] + i * cell
@@ -64,7 +64,7 @@ def nearest_listed(corners: Floats, points: Floats, ends: Integers, listed: Inte
     for p in range(len(points)):
         for place in range(ends[p], ends[p + 1]):
             a, b, c = corners[listed[place], 0], corners[listed[place], 1], corners[listed[place], 2]
-            n = np.cross(b - a, c - a)
+            n = normal_of(a, b, c)
             square = triangle_distance_squared(a, b, c, n, points[p, 0], points[p, 1], points[p, 2])
             if square < least[p]:
                 nearest[p], least[p] = listed[place], square
@@ -72,7 +72,17 @@ def nearest_listed(corners: Floats, points: Floats, ends: Integers, listed: Inte
 
 
 @numba.njit(cache=True)
-def triangle_distance_squared(a: Floats, b: Floats, c: Floats, n: Floats, x: float, y: float, z: float) -> float:
+def normal_of(a: Floats, b: Floats, c: Floats) -> tuple[float, float, float]:
+    """(b - a) x (c - a) [m^2]."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+
+
+@numba.njit(cache=True)
+def triangle_distance_squared(
+    a: Floats, b: Floats, c: Floats, n: tuple[float, float, float], x: float, y: float, z: float
+) -> float:
     """Squared distance [m^2] of (x, y, z) from the triangle a b c, n = (b - a) x (c - a), or the segment a b = c.
 
     Between the three planes across its edges it is that from the triangle's plane, else that from an edge.
@@ -86,7 +96,7 @@ def triangle_distance_squared(a: Floats, b: Floats, c: Floats, n: Floats, x: flo
         w = (uy * pz - uz * py) * n[0] + (uz * px - ux * pz) * n[1] + (ux * py - uy * px) * n[2]
         if v >= 0.0 and w >= 0.0 and v + w <= square:
             height = px * n[0] + py * n[1] + pz * n[2]
-            return height * height / square
+            return float(height * height / square)
     return min(
         segment_distance_squared(a, b, x, y, z),
         segment_distance_squared(b, c, x, y, z),
@@ -104,4 +114,4 @@ def segment_distance_squared(a: Floats, b: Floats, x: float, y: float, z: float)
     if length > 0.0:
         share = min(1.0, max(0.0, (px * ex + py * ey + pz * ez) / length))
     px, py, pz = px - share * ex, py - share * ey, pz - share * ez
-    return px * px + py * py + pz * pz
+    return float(px * px + py * py + pz * pz)

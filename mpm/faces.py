@@ -3,13 +3,14 @@
 Cells and nodes are numbered alike, as `mpm.grid.rows_of` numbers nodes: a cell by its lowest node. Nothing is stored of
 what lies farther from the surface than a reach.
 
-**Lists.** A point of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face F. So
-F can be the nearest one of a point at a distance of `reach` at most only where d(c, F) <= min(least + 2 h, reach + h),
-with `least` the distance of c from the nearest face, and a segment of length `travel` that starts in the cell can cut it
-only where d(c, F) <= h + travel. Faces that are large against a cell are searched in pieces.
+**Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
+F. So F can be the nearest one of a point at a distance of at most `reach` only where d(c, F) <= min(least + 2 h,
+reach + h), `least` being the distance of c from its nearest face, and a segment of length `travel` that starts in the
+cell can cut F only where d(c, F) <= h + travel. Faces that are large against a cell are searched in pieces.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,20 +102,20 @@ def faces_near(scene: Scene, surface: Surface, *, reach: float = 2.0, travel: fl
     )
 
 
-def nodes_near(scene: Scene, surface: Surface, cells: Integers, faces: Integers, reach: float) -> dict[str, NDArray]:
+def nodes_near(scene: Scene, surface: Surface, cells: Integers, faces: Integers, reach: float) -> dict[str, Any]:
     """What the nodes within `reach` [m] see, by the names of `Faces`; their cells' faces hold their nearest one."""
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
-    nodes = cells[groups]
+    nodes: Integers = cells[groups]
     points = node_positions(scene, nodes)
     points_in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     ends = np.append(groups, len(cells))
     nearest, square = nearest_listed(in_space(surface.corners), points_in_space, ends, faces)
-    near = square <= reach * reach
+    near: NDArray[np.bool_] = np.asarray(square <= reach * reach, bool)
     nodes, points, nearest = nodes[near], points[near], nearest[near]
     foot = sign_and_normal(surface, points, nearest)
     _, _, weights = feet(surface.corners[nearest], points)
     friction = surface.friction[nearest]
-    stuck = np.isinf(friction).any(axis=1)
+    stuck = np.asarray(np.isinf(friction).any(axis=1))
     return {
         "nodes": nodes,
         "distance": foot.distance,
