@@ -22,6 +22,18 @@ def stopped(v, axis: ti.template(), friction):
 
 
 @ti.func
+def stopped_by(v, normal, friction):
+    """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
+    into = v.dot(normal)
+    along = v - into * normal
+    speed, grip = along.norm(), 0.0 - friction * into
+    keep = 0.0
+    if speed > grip:
+        keep = 1.0 - grip / speed
+    return keep * along
+
+
+@ti.func
 def against_walls(v, node, cells, floor_friction, wall_friction):
     """Velocity `v` of the node with the indices `node` after all walls of a box of `cells`; shape [D] each."""
     for axis in ti.static(range(v.n)):

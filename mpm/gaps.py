@@ -26,10 +26,9 @@ import taichi as ti
 
 from mpm.lanes import larger
 from mpm.layout import Offset, Property, Setting
+from mpm.properties import GAP_REACH
 from mpm.transfer import property_of
 
-REACH = 1.7
-"""Cells from a wall within which it hides mass from a particle."""
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
 TINY = 1.0e-30
@@ -46,8 +45,8 @@ def gap_seen(scene, block, scratch, arrays: ti.template()):
     square = 0.0 * mass
     for k in ti.static(range(features.dimension)):
         slope = arrays.scratch[scratch + features.density + 1 + k]
-        place = arrays.state[block * features.block + k] / (REACH * dx)
-        length = arrays.offsets[scene, Offset.CELLS_X + k] / REACH
+        place = arrays.state[block * features.block + k] / (GAP_REACH * dx)
+        length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_REACH
         low, high = larger(1.0 - place, 0.0), larger(1.0 - length + place, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
         behind = ((slope > 0.0) & (low > 0.0)) | ((slope < 0.0) & (high > 0.0))

@@ -16,7 +16,8 @@ displacements u through the gradient that the kernel uses,
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
 would have to be pulled, nor across a gate (`mpm.release`); under an elastic mass a rough floor holds it altogether. A
-geostatic mass stands between smooth gates on all its lateral faces. Baffles are no part of it.
+geostatic mass stands between smooth gates on all its lateral faces. Solids push as in `mpm.contact`, by whose law they
+are part of C_p and of K, with shear tractions where they are rough and the mass elastic.
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
 violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
@@ -76,18 +77,29 @@ MOST_STEPS = 600
 def initial_stress(scene: Scene, particles: Particles, positions: Floats | None = None) -> Floats:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx).
 
-    Zero in masses without `k0`. `positions` [m], shape [N, D]: those of the particles as the solver rounds them, where
-    that matters. Warns in one line where no equilibrium within the yield surface was found.
+    As `initial_tractions`, which has the rest.
+    """
+    return initial_tractions(scene, particles, positions)[0]
+
+
+def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
+    """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
+
+    the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
+    shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
+    equilibrium within the yield surface was found.
     """
     dimension = scene.dimension
     stress = np.zeros((len(particles.positions), 3, 3))
+    shear = np.zeros(particles.positions.shape)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
         places = particles.positions if positions is None else np.asarray(positions, np.float64)
         problem = Equilibrium(scene, particles, places, np.flatnonzero(chosen))
         stress[chosen] = problem.solution(geostatic(scene, particles, places)[chosen])
+        shear[chosen] = problem.shear_traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
-    return np.stack([stress[:, i, j] for i, j in pairs], axis=1)
+    return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
 
 
 def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
@@ -145,6 +157,7 @@ class Equilibrium:
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
         self.friction = scene.floor_friction
+        self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
         self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
@@ -173,6 +186,7 @@ class Equilibrium:
                     self.gated[inside(gate.nodes, self.nodes), gate.axis] = True
         free[self.gated] = False
         free[rough] = False
+        free[self.contact.held(scene, self.nodes)] = False
         return free, walls, rough
 
     def solution(self, stress: Floats) -> Floats:

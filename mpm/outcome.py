@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
-from datasets.trajectory import Trajectory
+from datasets.trajectory import Trajectory, solid_names
 from mpm.batch import Batch
 from mpm.failure import explain
 from mpm.layout import Offset, Worker
@@ -58,7 +58,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         batch.recording,
     )
     energies, impulses, kept = batch.energies(index), batch.impulses(index), batch.kept(index)
-    rest = int(offset[Offset.REST])
+    rest, solids = int(offset[Offset.REST]), len(solid_names(scene))
     if rest:
         for series in (energies, impulses):
             series[rest + 1 :] = series[rest]
@@ -77,7 +77,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         friction=particles.friction,
         scene=scene,
         **fields,
-        baffle_impulse=impulses[kept, : len(scene.baffles)] if scene.baffles and record.baffle_forces else None,
+        solid_impulse=impulses[kept, :solids] if solids and record.baffle_forces else None,
         summary=summarise(
             positions[-1],
             energy=energies,

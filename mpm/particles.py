@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.baffles import particles_against_baffles
+from mpm.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.gaps import gap_followed
 from mpm.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
@@ -37,14 +37,23 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 @ti.func
 def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
+    features = arrays.features
+    volume = property_of(scene, block, Property.VOLUME, arrays)
+    if ti.static(features.contact):
+        record_traction(block, scratch, volume, dt, worker, arrays)
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, scratch, dt, arrays)
+    if ti.static(features.contact):
+        mass = volume * property_of(scene, block, Property.DENSITY, arrays)
+        find_contacts(block, scratch, mass, worker, scene, arrays)
 
 
 @ti.func
 def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
-    """Move a block by its velocity; no particle leaves the box or comes into a baffle."""
+    """Move a block by its velocity; no particle leaves the box."""
     features = arrays.features
     x = bounded(block * features.block)
     v, remainder = x + features.velocity, x + features.remainder
@@ -61,11 +70,6 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
             arrays.state[x + k] = new
         else:
             arrays.state[x + k] = arrays.state[x + k] + dt * speed
-    if ti.static(features.baffles):
-        density = property_of(scene, block, Property.DENSITY, arrays)
-        present = arrays.state[block * features.block + features.present]
-        mass = property_of(scene, block, Property.VOLUME, arrays) * density * present
-        particles_against_baffles(block, scratch, mass, worker, scene, arrays)
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
@@ -89,8 +93,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    increment = midpoint_increment(gradient, features.dimension)
+    increment = strain_increment(block, scratch, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.corrected):
         remembered = arrays.state[first + features.gap]
@@ -98,11 +101,32 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.contact):
+        if touches(block, arrays):
+            shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
     if ti.static(features.corrected):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
     if ti.static(features.strained):
         at = first + features.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def strain_increment(block, scratch, dt, arrays: ti.template()):
+    """G [-] of a block, row by row: of its velocity gradient and, where there are solids, of the jump at their surface."""
+    features = arrays.features
+    first = bounded(block * features.block)
+    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    inside = midpoint_increment(gradient, features.dimension)
+    if ti.static(features.contact):
+        strain_at_contact(block, scratch, dt, arrays)
+        n, jump = normals(block, arrays), arrays.scratch[scratch + features.push]
+        return [
+            inside[k] + jump * n[k // features.dimension] * n[k % features.dimension]
+            for k in ti.static(range(features.dimension**2))
+        ]
+    else:
+        return inside
 
 
 @ti.func

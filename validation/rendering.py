@@ -61,8 +61,8 @@ RANGE_QUANTILE, RANGE_FRAMES = 0.995, 40
 """A colour bar ends near this quantile of the points of so many frames: no single point decides."""
 POINT_SIZE = 1.25
 """Diameter of a drawn point over the distance between points at the start."""
-STEEL, FAINT = "#8d9aa8", "#77736a"
-"""Colours of the baffles and of the masses' outlines."""
+STEEL, GROUND, FAINT = "#8d9aa8", "#b5aa98", "#77736a"
+"""Colours of the baffles, of other solids and of the masses' outlines."""
 ENCODERS = (("libx264", ".mp4", "yuv420p"), ("mpeg4", ".mp4", "yuv420p"), ("gif", ".gif", "rgb8"))
 """Codec, ending of the file and pixels of a movie; the first that is there is taken."""
 
@@ -124,9 +124,15 @@ class Picture:
         for mass in self.trajectory.scene.masses:
             self.stage.draw_lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
         if self.trajectory.scene.baffles:
-            baffles = self.meshes.baffles(0, 0)
+            baffles = self.meshes.part("baffles", 0, 0)
             self.stage.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
             self.stage.draw_lines(baffles.extract_all_edges(), INK)
+        if "solids" in self.meshes.parts:
+            solids = self.meshes.solid_surface
+            if self.trajectory.scene.dimension == 2:
+                self.stage.draw_lines(solids, INK)
+            else:
+                self.stage.plotter.add_mesh(solids, color=GROUND, ambient=0.25)
 
     def _draw_points(self) -> None:
         """The points, which `at` moves and colours, and the colour bar."""

@@ -26,7 +26,7 @@ ENERGY = 2.0e-4
 
 def finite(flow: Trajectory) -> Finding:
     """How many of all recorded numbers are NaN or infinite."""
-    recorded = [flow.positions, flow.velocities, flow.pressure, flow.plastic_strain, flow.baffle_impulse]
+    recorded = [flow.positions, flow.velocities, flow.pressure, flow.plastic_strain, flow.solid_impulse]
     arrays = [array for array in recorded if array is not None] + [total_energy(flow), wall_impulse(flow)]
     return Finding(check="not finite", value=sum(int((~np.isfinite(array)).sum()) for array in arrays), most=0)
 
@@ -84,8 +84,8 @@ def momentum(flow: Trajectory) -> Finding | None:
     end = flow.summary.get("end_time") or flow.summary.get("rest_time")
     time = flow.time if end is None else np.minimum(flow.time, end)
     taken = wall_impulse(flow)
-    if flow.baffle_impulse is not None:
-        taken = taken + flow.baffle_impulse.sum(axis=1)
+    if flow.solid_impulse is not None:
+        taken = taken + flow.solid_impulse.sum(axis=1)
     astray = np.linalg.norm(total - total[0] - time[:, None] * gravity + taken, axis=1)
     scale = np.maximum(time * np.linalg.norm(gravity), np.linalg.norm(total, axis=1).max())
     if flow.scene.gravity == 0.0:
