@@ -99,7 +99,6 @@ def mass_manifold(mass: "Mass", hair: float) -> "manifold3d.Manifold":
     return spatial.manifold(spatial.grown(whole, -hair), triangles)
 
 
-@lru_cache(maxsize=64)
 def solid_manifold(solid: Solid, key: str, box: Box) -> "manifold3d.Manifold":
     """A solid in 3D for the library's operations."""
     from datasets.geometry import spatial
