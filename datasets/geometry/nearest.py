@@ -19,6 +19,8 @@ PAIRS = 1_000_000
 """Pairs of a point and a face that are looked at together."""
 CLASSES = 2.0
 """Factor in size between the classes of faces that are searched together."""
+ROUNDING = 1.0e-12
+"""Distance over the extent of the surface that is none."""
 INTERIOR = 1.0e-12
 """Share of a face within which a foot lies on its rim."""
 
@@ -80,7 +82,7 @@ class Search:
             better = distance[first] < best[point[first]]
             chosen = first[better]
             best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
-        return self.signed(points, face)
+        return sign_and_normal(self.surface, points, face)
 
     def bound(self, points: Floats) -> Floats:
         """An upper bound of the distance [m] of each point, shape [N]."""
@@ -104,22 +106,21 @@ class Search:
                     found.append((np.repeat(group, counts[group]), faces[members]))
         return found
 
-    def signed(self, points: Floats, face: Integers) -> Nearest:
-        """Signed distances of `points` from the nearest of their faces `face`, shape [N]."""
-        surface = self.surface
-        foot, distance, weights = feet(surface.corners[face], points)
-        pseudonormal = normals_at(surface, face, weights)
-        offset = points - foot
-        sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
-        size = np.abs(surface.corners).max()
-        away = distance > 1.0e-12 * size
-        direction = sign[:, None] * offset / np.where(away, distance, 1.0)[:, None]
-        return Nearest(
-            distance=sign * distance,
-            foot=foot,
-            normal=np.where(away[:, None], direction, pseudonormal),
-            face=face,
-        )
+
+def sign_and_normal(surface: Surface, points: Floats, face: Integers) -> Nearest:
+    """Signed distances of `points` [m], shape [N, D], from the nearest of the surface's faces `face`, shape [N]."""
+    foot, distance, weights = feet(surface.corners[face], points)
+    pseudonormal = normals_at(surface, face, weights)
+    offset = points - foot
+    sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
+    away = distance > ROUNDING * np.abs(surface.corners).max()
+    direction = sign[:, None] * offset / np.where(away, distance, 1.0)[:, None]
+    return Nearest(
+        distance=sign * distance,
+        foot=foot,
+        normal=np.where(away[:, None], direction, pseudonormal),
+        face=face,
+    )
 
 
 def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:

@@ -10,7 +10,8 @@ from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError
-from datasets.geometry.margins import BEYOND, CLOSING, SIDES, TOUCHING, Box
+from datasets.geometry.ground import ground_line
+from datasets.geometry.margins import BEYOND, CLOSING, OUTSIDE, SIDES, TOUCHING, Box
 from datasets.geometry.solid import Solid
 
 Floats = NDArray[np.float64]
@@ -116,17 +117,8 @@ def check_simple(points: Floats, key: str) -> None:
 
 def ground_ring(solid: Solid, key: str, box: Box) -> Ring:
     """All that lies below a ground line, some cells beyond the box: it goes on level, or straight from a side."""
-    points = np.array(solid.points, dtype=np.float64)
-    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(points)).copy()
-    length, beyond = box.size[0], BEYOND * box.cell
-    for gap, name in ((points[0, 0], "start at x = 0"), (length - points[-1, 0], f"end at x = {length:g}")):
-        if gap > box.cell + TOUCHING:
-            raise InputError(
-                f"expected a ground line over the whole box, to {name} or within a cell of it, "
-                f"got x from {points[0, 0]:g} to {points[-1, 0]:g}",
-                key=f"{key}.points",
-            )
-    points, friction = lengthened(points, friction, length, beyond)
+    points, friction = ground_line(solid, key, box)
+    beyond = BEYOND * box.cell
     deep = min(-beyond, float(points[:, 1].min()) - beyond)
     under = np.array([[points[-1, 0], deep], [points[0, 0], deep]])
     # The line runs towards +x with the solid on its right: from its end back to its start is anticlockwise.
@@ -135,25 +127,6 @@ def ground_ring(solid: Solid, key: str, box: Box) -> Ring:
         friction=np.concatenate([friction[::-1], friction[[0, -1]]]),
         key=key,
     )
-
-
-def lengthened(points: Floats, friction: Floats, length: float, beyond: float) -> tuple[Floats, Floats]:
-    """A ground line that begins before -beyond and ends after length + beyond.
-
-    To the sides of the box, 0 and `length`, it goes on level; from there on as it arrives, where it does so at a side.
-    """
-    for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
-        end, other = (0, 1) if first else (-1, -2)
-        inner = (points[end, 0] > outer) if first else (points[end, 0] < outer)
-        if not inner:
-            continue
-        run = points[end, 0] - points[other, 0]
-        on_side = abs(points[end, 0] - limit) <= TOUCHING and abs(run) > TOUCHING
-        slope = (points[end, 1] - points[other, 1]) / run if on_side else 0.0
-        new = np.array([[outer, points[end, 1] + slope * (outer - points[end, 0])]])
-        points = np.concatenate([new, points] if first else [points, new])
-        friction = np.concatenate([friction[:1], friction] if first else [friction, friction[-1:]])
-    return points, friction
 
 
 def continued(ring: Ring, axis: int, side: int, box: Box) -> Ring:
@@ -168,6 +141,9 @@ def continued(ring: Ring, axis: int, side: int, box: Box) -> Ring:
     beyond, across = BEYOND * box.cell, 1 - axis
     points, friction = cut(ring, axis, limit, out)
     on_side = np.abs(points[:, axis] - limit) <= TOUCHING
+    # Of several edges in a row on the side only the two outermost ends are continued.
+    kept = ~(on_side & np.roll(on_side, 1) & np.roll(on_side, -1))
+    points, friction, on_side = points[kept], friction[kept], on_side[kept]
     new_points, new_friction = [], []
     count = len(points)
     for index in range(count):
@@ -204,7 +180,9 @@ def cut(ring: Ring, axis: int, limit: float, out: float) -> tuple[Floats, Floats
     (low if out < 0.0 else high)[axis] = limit
     inside = Polygon(points).intersection(shapely.box(*low, *high))
     parts = [part for part in getattr(inside, "geoms", [inside]) if isinstance(part, Polygon) and part.area > 0.0]
-    if len(parts) != 1:
+    if not parts:
+        raise InputError(OUTSIDE, key=ring.key)
+    if len(parts) > 1:
         raise InputError("expected a solid of which one piece lies in the box", key=ring.key)
     kept = np.array(orient(parts[0]).exterior.coords)[:-1]
     snapped = np.abs(kept[:, axis] - limit) <= TOUCHING

@@ -4,16 +4,21 @@ from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from datasets.errors import InputError
-from datasets.geometry.margins import BEYOND, CLOSING, SIDES, TOUCHING, Box
+from datasets.geometry.ground import first_diagonal, ground_grid
+from datasets.geometry.margins import BEYOND, CLOSING, OUTSIDE, SIDES, TOUCHING, Box
 from datasets.geometry.planar import turned, unit
 from datasets.geometry.solid import Solid
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+FLAT = 1.0e-6
+"""What makes the place of a vertex between faces of one plane unique [-]."""
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 """Corners of the unit cube; the last coordinate changes fastest."""
 CUBE_TRIANGLES = np.array(
@@ -107,9 +112,7 @@ def ground_body(solid: Solid, key: str, box: Box) -> Body:
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
     number = np.arange(count).reshape(len(x), len(z))
     a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    # The diagonal joins the two corners that differ less in height, so that mirror images have mirrored triangles.
-    h = heights.ravel()
-    first = (np.abs(h[a] - h[c]) <= np.abs(h[b] - h[d]))[:, None, None]
+    first = first_diagonal(heights).ravel()[:, None, None]
     faces = np.where(
         first,
         np.stack([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)], axis=1),
@@ -132,38 +135,6 @@ def ground_body(solid: Solid, key: str, box: Box) -> Body:
     )
 
 
-def ground_grid(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats, Floats, Floats]:
-    """x [X], z [Z] and elevations [X, Z] of a terrain [m], its friction [X, Z], to some cells beyond the box."""
-    heights = np.array(solid.heights, dtype=np.float64)
-    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), heights.shape)
-    axes: list[Floats] = []
-    for number, (axis, name) in enumerate(((0, "x"), (2, "z"))):
-        origin, spacing = (solid.origin or ())[number], (solid.spacing or ())[number]
-        places = origin + spacing * np.arange(heights.shape[number])
-        length, beyond = box.size[axis], BEYOND * box.cell
-        slack = max(box.cell, spacing) + TOUCHING
-        if places[0] > slack or places[-1] < length - slack:
-            raise InputError(
-                f"expected heights over the whole box, {name} from 0 to {length:g} or within a cell of it, "
-                f"got {places[0]:g} to {places[-1]:g}",
-                key=f"{key}.heights",
-            )
-        h, mu = np.moveaxis(heights, number, 0), np.moveaxis(friction, number, 0)
-        for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
-            end, other = (0, 1) if first else (-1, -2)
-            if places[end] <= outer if first else places[end] >= outer:
-                continue
-            slope = (h[end] - h[other]) / (places[end] - places[other])
-            on_side = abs(places[end] - limit) <= TOUCHING
-            new = h[end] + (slope * (outer - places[end]) if on_side else 0.0)
-            places = np.concatenate([[outer], places] if first else [places, [outer]])
-            h = np.concatenate([new[None], h] if first else [h, new[None]])
-            mu = np.concatenate([mu[:1], mu] if first else [mu, mu[-1:]])
-        axes.append(np.asarray(places, np.float64))
-        heights, friction = np.moveaxis(h, 0, number), np.moveaxis(mu, 0, number)
-    return axes[0], axes[1], heights, friction
-
-
 def continued(body: Body, axis: int, side: int, box: Box) -> Body:
     """The body cut off at a side of the box (0 or 1 of `axis`) and continued straight beyond, where it reaches it."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
@@ -178,7 +149,7 @@ def continued(body: Body, axis: int, side: int, box: Box) -> Body:
         inward[axis] = -out
         part = manifold(vertices, triangles).trim_by_plane(tuple(inward), -out * limit)
         if part.is_empty():
-            raise InputError("expected a solid that lies in the box", key=body.key)
+            raise InputError(OUTSIDE, key=body.key)
         mesh = part.to_mesh64()
         vertices, triangles = np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
         friction = np.full(len(vertices), friction[0])
@@ -259,11 +230,17 @@ def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDA
 
 
 def grown(body: Body, gap: float) -> Floats:
-    """The vertices of a body moved outwards by `gap` [m], shape [V, 3]."""
-    _, corner_normals, _ = pseudonormals(body.vertices, body.triangles)
-    direction = np.zeros_like(body.vertices)
-    direction[body.triangles.ravel()] = corner_normals.reshape(-1, 3)
-    return np.asarray(body.vertices + gap * direction)
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
+
+    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
+    """
+    normals, _, _ = pseudonormals(body.vertices, body.triangles)
+    matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
+    for corner in range(3):
+        np.add.at(matrix, body.triangles[:, corner], normals[:, :, None] * normals[:, None, :])
+        np.add.at(right, body.triangles[:, corner], gap * normals)
+    matrix += FLAT * np.eye(3)
+    return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
 
 
 def pseudonormals(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats, Floats]:
@@ -287,3 +264,29 @@ def pseudonormals(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats
     at_edge = np.zeros((int(edge.max()) + 1, 3))
     np.add.at(at_edge, edge.ravel(), np.repeat(normals, 3, axis=0))
     return normals, unit(at_vertex)[triangles], unit(at_edge)[edge.ravel()].reshape(-1, 3, 3)
+
+
+def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
+    """Volume [m^3] inside a closed surface whose triangles face outwards."""
+    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
+    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
+
+
+def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
+    """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
+    # The library cuts across its third axis.
+    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])
+    within = np.zeros(len(lattice), bool)
+    for level in np.unique(lattice[:, 1]):
+        here = np.flatnonzero(lattice[:, 1] == level)
+        rings = [shapely.Polygon(ring) for ring in body.slice(float(level)).to_polygons() if len(ring) >= 3]
+        for ring in rings:
+            # A ring inside another one is a hole.
+            within[here] ^= np.asarray(shapely.contains_xy(ring, lattice[here, 0], lattice[here, 2]), bool)
+    return within
+
+
+def enclosing(within: NDArray[np.bool_], counts: list[int]) -> NDArray[np.bool_]:
+    """Of a lattice of `counts` places along its axes, those whose neighbours are all in the body too, shape [N]."""
+    eroded = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False)
+    return np.asarray(eroded.ravel(), bool)
