@@ -37,7 +37,7 @@ def stopped(v, axis: ti.template(), friction):
 
 @ti.func
 def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
-    """Velocity `v` of the node with the indices `node` and `mass` [kg] after all walls of a box of `cells`; [D] each."""
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
         side = -1
@@ -47,9 +47,8 @@ def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
             side = 2 * axis + 1
         if side >= 0 and closed(side, scene, arrays) == 1:
             friction = arrays.settings[scene, Setting.WALL_FRICTION]
-            if ti.static(axis == 1):
-                if side == 2:
-                    friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+            if side == 2:
+                friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
             before = v
             v = stopped(v, axis, friction)
             if ti.static(features.walls_recorded):

@@ -69,7 +69,7 @@ class ContactOperator:
     def normal_stress(self, stress: Floats) -> Floats:
         """sigma_nn [Pa], shape [M], of the stress of all chosen particles [Pa], shape [N, 3, 3]."""
         size = self.normal.shape[1]
-        return np.einsum("mi,mij,mj->m", self.normal, stress[self.touching, :size, :size], self.normal)
+        return np.asarray(np.einsum("mi,mij,mj->m", self.normal, stress[self.touching, :size, :size], self.normal))
 
     def force(self, normal_stress: Floats, traction: Floats) -> Floats:
         """Nodal force [N], shape [n, D], of -sigma_nn n + q."""
@@ -103,7 +103,7 @@ class ContactOperator:
         return held
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
-        """Of its part of the stiffness, the diagonal [N/m], shape [n, D]; theta lambda, theta mu_s of all, shape [N]."""
+        """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""
         stiff = self.share * self.delta
         normal = (lame + 2.0 * shear)[self.touching]
         rough = np.where(self.friction > 0.0, shear[self.touching], 0.0)

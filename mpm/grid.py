@@ -16,7 +16,6 @@ import taichi as ti
 from mpm.boundary import against_walls, record_wall
 from mpm.contact import against_solids
 from mpm.gates import against_gates
-from mpm.lanes import add
 from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
 from mpm.nodes import cells_of, rows_of
 

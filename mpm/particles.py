@@ -130,7 +130,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
-    if ti.static(features.contact):
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if touches(block, arrays):
             shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
     if ti.static(features.corrected):
@@ -142,7 +142,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
 
 @ti.func
 def strain_increment(block, scratch, dt, arrays: ti.template()):
-    """G [-] of a block, row by row: of its velocity gradient and, where there are solids, of the jump at their surface."""
+    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
     features = arrays.features
     first = bounded(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
