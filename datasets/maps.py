@@ -15,7 +15,7 @@ from datasets.command_line import listed, run
 from datasets.files import make_folder, write_json, write_text
 from datasets.map_pictures import draw_map, draw_profile
 from datasets.plan import PlanMaps, map_edges, maps_of, station_edges
-from datasets.rasters import LOCAL, Georeference, Ring, area, outline, write_outlines, write_raster
+from datasets.rasters import LOCAL, Georeference, Ring, area, georeference, outline, write_outlines, write_raster
 from datasets.trajectory import Trajectory, read_trajectory
 
 Floats = NDArray[np.float64]
@@ -191,12 +191,13 @@ def command(
     length = flow.scene.domain.cell if cell is None else cell
     edges = station_edges(flow.scene, length) if flow.scene.dimension == 2 else map_edges(flow.scene, length)
     make_folder(out)
+    place = georeference(flow.scene)
     maps = maps_of(flow, edges, threshold=threshold, progress=True)
     if flow.scene.dimension == 2:
         write_profile(flow, maps, out, chosen)
     else:
-        write_maps(flow, maps, out, chosen, LOCAL)
-    print(f"{heading(KINDS[0], maps, summary(flow, maps, LOCAL))}, written to {out}")
+        write_maps(flow, maps, out, chosen, place)
+    print(f"{heading(KINDS[0], maps, summary(flow, maps, place))}, written to {out}")
 
 
 if __name__ == "__main__":

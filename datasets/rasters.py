@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.files import write_text
+from datasets.scene import Scene
 
 Floats = NDArray[np.float64]
 Ring = list[list[float]]
@@ -42,6 +43,14 @@ class Georeference:
 
 LOCAL = Georeference()
 """Coordinates of the box itself."""
+
+
+def georeference(scene: Scene) -> Georeference:
+    """Where the box of `scene` lies: where the raster of its terrain says, the first that says so; else `LOCAL`."""
+    for solid in scene.solids:
+        if solid.corner is not None:
+            return Georeference(east=solid.corner[0], north=solid.corner[1], crs=solid.crs)
+    return LOCAL
 
 
 def write_raster(

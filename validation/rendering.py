@@ -18,6 +18,7 @@ from tqdm import tqdm
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.plan import volumes_of
 from datasets.trajectory import Trajectory
 from datasets.vtk import Meshes, box, spatial
 from validation.stage import INK, Stage, scale_marks
@@ -115,13 +116,11 @@ class Picture:
     @property
     def spacing(self) -> float:
         """Distance between neighbouring points at the start [m]."""
-        scene, points = self.trajectory.scene, self.trajectory.positions.shape[1]
-        volume = sum(float(np.prod(mass.size)) for mass in scene.masses)
-        return float((volume / points) ** (1.0 / scene.dimension))
+        return float(np.mean(volumes_of(self.trajectory)) ** (1.0 / self.trajectory.scene.dimension))
 
     def _draw_boxes(self) -> None:
-        """The baffles, and the outlines of the masses at the start."""
-        for mass in self.trajectory.scene.masses:
+        """The baffles and other solids, and the outlines of the masses that were boxes at the start."""
+        for mass in [mass for mass in self.trajectory.scene.masses if mass.kind == "box"]:
             self.stage.draw_lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
         if self.trajectory.scene.baffles:
             baffles = self.meshes.part("baffles", 0, 0)

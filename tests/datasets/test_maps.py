@@ -13,6 +13,7 @@ from shapely.geometry import shape
 
 from datasets.command_line import run
 from datasets.geometry.solid import Solid
+from datasets.library import read_scene
 from datasets.map_pictures import draw_map
 from datasets.maps import COLUMNS, command, write_maps, write_profile
 from datasets.material import Material
@@ -158,6 +159,56 @@ def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     np.testing.assert_allclose(velocity[depth > 0.03], np.hypot(1.0, 0.2), rtol=1e-3)
     outlines = json.loads((tmp_path / "outline.geojson").read_text())["features"]
     assert [feature["properties"]["name"] for feature in outlines] == ["deposit", "covered", "release"]
+
+
+def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A slope that falls to the east, surveyed in UTM; the box begins 10 m east and 5 m north of its corner."""
+    elevation = np.tile(20.0 - 0.5 * (np.arange(60) + 0.5), (40, 1))
+    profile = {
+        "driver": "GTiff",
+        "width": 60,
+        "height": 40,
+        "count": 1,
+        "dtype": "float64",
+        "crs": "EPSG:25832",
+        "transform": rasterio.Affine(1.0, 0.0, 690_000.0, 0.0, -1.0, 5_300_040.0),
+    }
+    with rasterio.open(tmp_path / "dem.tif", "w", **profile) as raster:
+        raster.write(elevation, 1)
+    (tmp_path / "slope.toml").write_text(
+        "duration = 0.1\nframe_dt = 0.1\n[domain]\nsize = [20.0, 30.0, 30.0]\ncell = 1.0\n"
+        "[material]\nfriction_deg = 30.0\n"
+        '[[solids]]\nkind = "terrain"\nfile = "dem.tif"\nat = [-10.0, -5.0]\n'
+        "[[masses]]\nlower = [2.0, 18.0, 22.0]\nsize = [4.0, 2.0, 6.0]\n"
+    )
+    scene = read_scene(str(tmp_path / "slope.toml"))
+    start = initial_particles(scene)
+    flow = Trajectory(
+        positions=start.positions[None].astype(np.float32),
+        time=np.zeros(1),
+        velocity0=start.velocities.astype(np.float32),
+        friction=start.friction,
+        scene=scene,
+    )
+    flow.save(tmp_path / "trajectory.npz")
+    assert (
+        run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), "--formats", "tif,geojson"])
+        == 0
+    )
+    with rasterio.open(tmp_path / "thickness.tif") as raster:
+        assert raster.crs.to_epsg() == 25832
+        assert raster.bounds == pytest.approx((690_010.0, 5_300_005.0, 690_030.0, 5_300_035.0))
+        ((west, south, east, north),) = [shape(each["geometry"]).bounds for each in deposits(tmp_path)]
+    assert (west, east) == pytest.approx((690_012.0, 690_016.0), abs=1.0)
+    assert (south, north) == pytest.approx((5_300_027.0, 5_300_033.0), abs=1.0)
+    maps = maps_of(flow, map_edges(scene, 1.0))
+    # Half a metre of fall for every metre; the raster's own values at the middles of its cells.
+    np.testing.assert_allclose(maps.ground, np.tile(elevation[0, 10:30], (30, 1)).T, atol=1e-9)
+
+
+def deposits(folder: Path) -> list[Any]:
+    features = json.loads((folder / "outline.geojson").read_text())["features"]
+    return [feature for feature in features if feature["properties"]["name"] == "deposit"]
 
 
 def test_pictures_show_the_deposit_on_the_ground(tmp_path: Path, flow: Trajectory) -> None:
