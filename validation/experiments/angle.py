@@ -49,8 +49,9 @@ class Search:
 
     @property
     def done(self) -> bool:
-        """Whether a run is close enough, or the bounds have been reached without."""
-        return any(abs(found - self.target) <= CLOSE * self.spread for found in self.known.values()) or self.exhausted
+        """Whether a run is close enough and another tells the slope, or the bounds have been reached without."""
+        close = any(abs(found - self.target) <= CLOSE * self.spread for found in self.known.values())
+        return (close and len(self.known) > 1) or self.exhausted
 
     @property
     def exhausted(self) -> bool:
@@ -87,7 +88,7 @@ class Search:
         return angles[0], angles[1]
 
     def slope(self, near: float) -> float:
-        """Change of the extent with the angle [m/deg], from the run at `near` [deg] to the next that is apart enough."""
+        """Change of the extent with the angle [m/deg], from the run at `near` [deg] to the next apart enough."""
         others = sorted((angle for angle in self.known if angle != near), key=lambda angle: abs(angle - near))
         if not others:
             return math.nan

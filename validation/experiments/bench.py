@@ -34,7 +34,7 @@ def bench(out: Path | None, *, quick: bool = False, folder: Path = FOLDER, simul
         shipped = [with_cells(each, QUICK_FACTOR) for each in flat]
     with tempfile.TemporaryDirectory() as keep:
         run = simulate or (lambda scenes: deposits_of(scenes, Path(keep)))
-        findings = compute(shipped, run, QUICK_ROUNDS) if quick else compute(shipped, run)
+        findings = compute(shipped, run, rounds=QUICK_ROUNDS) if quick else compute(shipped, run)
     if out is not None:
         draw(out / "experiments.png", findings)
         write_text(out / "experiments.md", page(findings, quick=quick))

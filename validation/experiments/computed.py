@@ -1,18 +1,25 @@
 """All runs of the experiments: forward at every angle that was measured independently, backward from the extents."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+import mpm.simulate
 from datasets.measures import Positions
 from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from validation.experiments.angle import ROUNDS, Search, search_all
-from validation.experiments.experiment import Angle, Case, Shipped, Variant
-from validation.experiments.quantities import quantity
+from validation.experiments.experiment import Angle, Case, Course, Shipped, Variant
+from validation.experiments.quantities import Floats, quantity
 from validation.experiments.scores import AngleScore, Score
 
 Simulate = Callable[[Sequence[Scene]], Sequence[Positions]]
 """Scenes in, their deposits [m], each of shape [N, D], out."""
+Follow = Callable[[Scene], Trajectory]
+"""A scene in, its whole motion out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +39,19 @@ class VariantFound:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CourseFound:
+    """An extent over time at the angle that was inferred from its end, beside the measured one."""
+
+    experiment: str
+    case: Case
+    course: Course
+    deg: float
+    """Angle of friction [deg]."""
+    found: tuple[float, ...]
+    """Extents [m] at the times of the course."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Findings:
     """Everything that a page says."""
 
@@ -42,6 +62,7 @@ class Findings:
     """By its other angles."""
     angles: tuple[AngleScore, ...]
     variants: tuple[VariantFound, ...]
+    courses: tuple[CourseFound, ...] = ()
 
 
 def with_cells(shipped: Shipped, factor: float) -> Shipped:
@@ -58,8 +79,10 @@ def with_cells(shipped: Shipped, factor: float) -> Shipped:
     return dataclasses.replace(shipped, experiment=experiment)
 
 
-def compute(shipped: Sequence[Shipped], simulate: Simulate, rounds: int = ROUNDS) -> Findings:
-    """Run everything; rounds: of the search for the angles."""
+def compute(
+    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = mpm.simulate.simulate, rounds: int = ROUNDS
+) -> Findings:
+    """Run everything; follow: for extents over time; rounds: of the search for the angles."""
     forward = run_forward(shipped, simulate)
     searches = {
         (each.name, case.name, cell): search_from(each, case, cell, forward)
@@ -91,6 +114,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate, rounds: int = ROUNDS
             if case.target is not None
         ),
         variants=tuple(run_variants(shipped, simulate, forward)),
+        courses=tuple(run_courses(shipped, searches, follow)),
     )
 
 
@@ -183,3 +207,34 @@ def run_variants(shipped: Sequence[Shipped], simulate: Simulate, forward: Forwar
             )
         )
     return found
+
+
+def run_courses(
+    shipped: Sequence[Shipped], searches: Mapping[tuple[str, str, float], Search], follow: Follow
+) -> list[CourseFound]:
+    """Extents over time, on the fine cells, at the angles that the searches came to."""
+    found = []
+    for each in shipped:
+        for case in each.experiment.cases:
+            if case.course is None or case.target is None:
+                continue
+            cell = each.cells(case)[1]
+            deg = searches[each.name, case.name, cell].inferred().deg
+            if math.isnan(deg):
+                continue
+            flow = follow(each.scene(case.scene, cell, deg))
+            extents = [extent(each, case, flow.scene, positions) for positions in flow.positions]
+            extents_at = extents_over_time(flow.time, extents, case.course)
+            found.append(CourseFound(experiment=each.name, case=case, course=case.course, deg=deg, found=extents_at))
+    return found
+
+
+def extents_over_time(time: Floats, extents: Sequence[float], course: Course) -> tuple[float, ...]:
+    """The extents [m] of a motion at the times of a course, counted from when it is as far as the course's first row.
+
+    time: [s] of the motion's frames, extents: [m] at them.
+    """
+    # What falls back by the scatter of a quantile has still been there.
+    furthest = np.maximum.accumulate(np.array(extents))
+    start = float(np.interp(course.values[0], furthest, time))
+    return tuple(float(value) for value in np.interp(start + np.array(course.times), time, furthest))

@@ -5,6 +5,7 @@ the authors do not state is listed with the choice made for it.
 """
 
 import dataclasses
+import itertools
 import math
 from dataclasses import dataclass
 from enum import StrEnum
@@ -102,6 +103,33 @@ class Measured(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Course(Strict):
+    """An extent over time; time counts from the first row on, at which the computation is as far as the measurement."""
+
+    times: tuple[float, ...]
+    """[s], ascending from 0."""
+    values: tuple[float, ...]
+    """[m]."""
+    spreads: tuple[float, ...]
+    """[m]."""
+    spread_from: str
+    status: Status
+    source: str
+
+    def __post_init__(self) -> None:
+        if not len(self.times) == len(self.values) == len(self.spreads) > 1:
+            raise InputError(
+                f"expected as many values and spreads as times, two or more, got {len(self.times)} times,"
+                f" {len(self.values)} values and {len(self.spreads)} spreads",
+                key="times",
+            )
+        if self.times[0] != 0.0 or any(later <= earlier for earlier, later in itertools.pairwise(self.times)):
+            raise InputError("expected times that ascend from 0", key="times")
+        if min(self.spreads) <= 0.0:
+            raise InputError("expected positive lengths in m", key="spreads")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Case(Strict):
     """A scene and what was measured in it."""
 
@@ -112,6 +140,8 @@ class Case(Strict):
     """Its own grid cells [m]; the experiment's where absent."""
     measured: tuple[Measured, ...]
     """The first one that is a front or a radius is what an angle is inferred from."""
+    course: Course | None = None
+    """The same extent over time, to be held against a run at the angle that was inferred."""
 
     @property
     def target(self) -> int | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from inverse.report import table
 from validation.accuracy_report import paragraph, percent, signed
-from validation.experiments.computed import Findings, VariantFound
+from validation.experiments.computed import CourseFound, Findings, VariantFound
 from validation.experiments.experiment import Quantity, Shipped
 from validation.experiments.scores import CLOSE, AngleScore, Score, rms
 from validation.machine import machine
@@ -24,6 +24,7 @@ def page(findings: Findings, *, quick: bool) -> str:
         *tables(findings).split("\n"),
     ]
     lines += ["![measured against found](experiments.png)", "", *outside(findings), *variants(findings.variants)]
+    lines += courses(findings.courses)
     lines += ["## The experiments", ""]
     for each in findings.shipped:
         lines += described(each)
@@ -160,13 +161,36 @@ def variants(found: Sequence[VariantFound]) -> list[str]:
     lines = ["## What one respect is worth", ""]
     for each in found:
         value, spread = each.measured
+        error = (each.found - value) / spread
         moved = 1000.0 * (each.found - each.usual)
         lines.append(
             f"- {each.shipped.name}, {each.variant.name}: the front is at {each.found:.3f} m, {moved:+.0f} mm from that"
-            f" of the case itself on the same cells ({1000.0 * each.cell:g} mm) and {(each.found - value) / spread:+.1f}"
+            f" of the case itself on the same cells ({1000.0 * each.cell:g} mm) and {error:+.1f}"
             f" spreads from the measured one: {each.variant.says}"
         )
     return [*lines, ""]
+
+
+def courses(found: Sequence[CourseFound]) -> list[str]:
+    """Extents over time at an effective angle: what one angle cannot say of a flow."""
+    lines = ["## Over time", ""] if found else []
+    for each in found:
+        course = each.course
+        errors = [(f - v) / s for f, v, s in zip(each.found, course.values, course.spreads, strict=True)][1:]
+        worst = max(errors, key=abs)
+        lines += paragraph(f"""
+            {each.experiment}, {each.case.name}, at the angle that its end implies, {each.deg:.1f}°: the extent over
+            time differs from the measured one by {rms(errors):.1f} spreads rms, {worst:+.1f} at most. Time counts from
+            the first row, where both are equally far. {course.status}: {course.source}. Spread: {course.spread_from}.
+        """)
+        rows = [
+            [f"{time:.3f}", f"{1000.0 * value:.1f} ± {1000.0 * spread:.1f}", f"{1000.0 * computed:.1f}", f"{miss:+.1f}"]
+            for time, value, spread, computed, miss in zip(
+                course.times, course.values, course.spreads, each.found, [0.0, *errors], strict=True
+            )
+        ]
+        lines += [*table(["time [s]", "measured [mm]", "found [mm]", "error [spreads]"], rows), ""]
+    return lines
 
 
 def described(shipped: Shipped) -> list[str]:

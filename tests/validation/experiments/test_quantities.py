@@ -1,0 +1,67 @@
+"""Fronts, heights and profiles of deposits that are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.scene import Domain, Mass, Scene
+from validation.experiments.experiment import Measured, Quantity, Status
+from validation.experiments.quantities import edge, quantity
+
+BLOCK = Scene(
+    domain=Domain(size=(1.0, 0.2), cell=0.01),
+    material=Material(friction_deg=30.0),
+    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)),),
+    jitter=0.0,
+)
+AT_START = initial_particles(BLOCK).positions
+
+
+def number(kind: Quantity, **other: object) -> Measured:
+    """A measured number of a kind."""
+    return Measured(
+        quantity=kind,
+        value=0.1,
+        spread=0.01,
+        spread_from="",
+        status=Status.READ,
+        source="",
+        **other,  # type: ignore[arg-type]
+    )
+
+
+def test_height_is_that_of_the_surface() -> None:
+    assert quantity(number(Quantity.HEIGHT, within=0.05), BLOCK, AT_START, Path()) == pytest.approx(0.1)
+
+
+def test_front_by_share_and_by_thickness() -> None:
+    assert quantity(number(Quantity.FRONT), BLOCK, AT_START, Path()) == pytest.approx(0.4, abs=0.006)
+    thin = quantity(number(Quantity.FRONT, thicker_than=0.05), BLOCK, AT_START, Path())
+    assert thin == pytest.approx(0.4, abs=0.006)
+
+
+def test_edge_is_linear_between_stations_and_ends_with_the_deposit() -> None:
+    stations = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.0]), 0.05) == pytest.approx(0.25)
+    # A crumb beyond a gap does not belong to the deposit.
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.2]), 0.05) == pytest.approx(0.25)
+    assert edge(stations, np.array([0.3, 0.3, 0.3, 0.3, 0.3]), 0.05) == 0.4
+    assert edge(stations, np.array([0.0, 0.0, 0.01, 0.0, 0.0]), 0.05) == pytest.approx(0.2)
+
+
+def test_radius_is_about_the_vertical_axis() -> None:
+    angles = np.linspace(0.0, np.pi / 2.0, 1001)
+    circle = np.stack([0.3 * np.cos(angles), np.zeros(1001), 0.3 * np.sin(angles)], axis=1)
+    assert quantity(number(Quantity.RADIUS), BLOCK, circle, Path()) == pytest.approx(0.3)
+
+
+def test_profile_is_held_against_the_rows(tmp_path: Path) -> None:
+    measured = Measured(
+        quantity=Quantity.PROFILE, spread=0.01, spread_from="", status=Status.READ, source="", file="p.csv"
+    )
+    (tmp_path / "p.csv").write_text("x,height\n0.1,0.1\n0.2,0.12\n0.3,0.1\n0.6,0.0\n")
+    # One row of four is 20 mm off.
+    assert quantity(measured, BLOCK, AT_START, tmp_path) == pytest.approx(0.01, rel=1e-3)
