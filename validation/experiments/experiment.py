@@ -86,6 +86,9 @@ class Measured(Strict):
     """Why the computation may miss it: printed where it does, by more than twice the spread."""
     thicker_than: float | None = None
     """Thickness [m] by which the measurement defines a front."""
+    beside_walls: float | None = None
+    """In 3D, width [m] of the strips along both side walls over which a front by thickness is taken: what a camera sees
+    that looks through a wall. The whole width where absent."""
     within: float | None = None
     """Strip [m] next to the wall over which a height is taken."""
     file: str | None = None

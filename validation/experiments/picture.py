@@ -29,7 +29,7 @@ def draw(path: Path, findings: Findings) -> None:
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
         axis.invert_yaxis()
-        axis.legend(fontsize=8, frameon=False, loc="best")
+        axis.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     with files.replacing(path) as part:
         figure.savefig(part, dpi=140)
     plt.close(figure)

@@ -1,6 +1,5 @@
 """What a computed deposit shows of the quantities that experiments measure."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -36,13 +35,22 @@ def quantity(measured: Measured, scene: Scene, positions: Positions, folder: Pat
     if measured.thicker_than is None:
         return front(positions)
     stations = profile_stations(scene, STATION * scene.domain.cell)
-    return edge(stations, mean_profile(scene, positions, stations), measured.thicker_than)
+    return edge(stations, mean_profile(scene, positions, stations, measured.beside_walls), measured.thicker_than)
 
 
-def mean_profile(scene: Scene, positions: Positions, stations: Floats) -> Floats:
-    """Height of the deposit at its initial density [m] at `stations` [m], in 3D the mean over z; shape [S]."""
-    width = math.prod(scene.domain.size[2:])
-    return height_profile(positions, particle_volumes(scene, len(positions)) / width, stations)
+def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_walls: float | None = None) -> Floats:
+    """Height of the deposit at its initial density [m] at `stations` [m], shape [S]; in 3D the mean over z.
+
+    beside_walls: width [m] of the strips along the walls z = 0 and z = width that the mean is over; all of it if None.
+    """
+    volumes = particle_volumes(scene, len(positions))
+    if scene.dimension == 2:
+        return height_profile(positions, volumes, stations)
+    width = scene.domain.size[2]
+    strip = 0.5 * width if beside_walls is None else beside_walls
+    z = positions[:, 2]
+    seen = (z <= strip) | (z >= width - strip)
+    return height_profile(positions[seen], volumes[seen] / (2.0 * strip), stations)
 
 
 def edge(stations: Floats, heights: Floats, least: float) -> float:
