@@ -8,10 +8,9 @@ leaves open, not what the model misses.
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-
-from validation.experiments.experiment import Case, Shipped
+from typing import TypeVar
 
 BOUNDS_DEG = (8.0, 50.0)
 """Angles that are tried [deg]."""
@@ -32,14 +31,13 @@ APART_DEG = 2.0
 """Runs closer than this tell no slope [deg]: the scatter of a front would be much of their difference."""
 
 
+K = TypeVar("K", bound=Hashable)
+
+
 @dataclass(kw_only=True)
 class Search:
-    """The search for the angle of one case on one grid."""
+    """The search for the angle that gives one measured extent."""
 
-    shipped: Shipped
-    case: Case
-    cell: float
-    """[m]."""
     target: float
     """Measured extent [m]."""
     spread: float
@@ -123,15 +121,12 @@ class Inferred:
 
 
 def search_all(
-    searches: Sequence[Search],
-    extents: Callable[[Sequence[tuple[Search, float]]], Sequence[float]],
-    rounds: int = ROUNDS,
+    searches: Mapping[K, Search], extents: Callable[[Sequence[tuple[K, float]]], Sequence[float]], rounds: int = ROUNDS
 ) -> None:
-    """Run all searches, in rounds: `extents` gives the extent [m] of each (search, angle [deg])."""
+    """Run all searches, in rounds: `extents` gives the extent [m] of each (key of a search, angle [deg])."""
     for _ in range(rounds):
-        left = [search for search in searches if not search.done]
-        if not left:
+        asked = [(key, search.next_deg()) for key, search in searches.items() if not search.done]
+        if not asked:
             return
-        asked = [(search, search.next_deg()) for search in left]
-        for (search, angle), found in zip(asked, extents(asked), strict=True):
-            search.known[angle] = found
+        for (key, angle), found in zip(asked, extents(asked), strict=True):
+            searches[key].known[angle] = found

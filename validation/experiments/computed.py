@@ -18,6 +18,8 @@ from validation.experiments.scores import AngleScore, Score
 
 Simulate = Callable[[Sequence[Scene]], Sequence[Positions]]
 """Scenes in, their deposits [m], each of shape [N, D], out."""
+Key = tuple[str, str, float]
+"""Experiment, case and cell [m]."""
 Follow = Callable[[Scene], Trajectory]
 """A scene in, its whole motion out."""
 
@@ -84,22 +86,23 @@ def compute(
 ) -> Findings:
     """Run everything; follow: for extents over time; rounds: of the search for the angles."""
     forward = run_forward(shipped, simulate)
-    searches = {
-        (each.name, case.name, cell): search_from(each, case, cell, forward)
+    places = {
+        (each.name, case.name, cell): (each, case)
         for each in shipped
         for case in each.experiment.cases
         if case.target is not None
         for cell in each.cells(case)
     }
+    searches = {key: search_from(*places[key], key[2], forward) for key in places}
 
-    def extents(asked: Sequence[tuple[Search, float]]) -> list[float]:
-        scenes = [search.shipped.scene(search.case.scene, search.cell, angle) for search, angle in asked]
+    def extents(asked: Sequence[tuple[Key, float]]) -> list[float]:
+        scenes = [places[key][0].scene(places[key][1].scene, key[2], angle) for key, angle in asked]
         return [
-            extent(search.shipped, search.case, scene, deposit)
-            for (search, _), scene, deposit in zip(asked, scenes, simulate(scenes), strict=True)
+            extent(*places[key], scene, deposit)
+            for (key, _), scene, deposit in zip(asked, scenes, simulate(scenes), strict=True)
         ]
 
-    search_all(list(searches.values()), extents, rounds)
+    search_all(searches, extents, rounds)
     scores = [score(each, case, angle, forward) for each, case, angle in forward_cases(shipped)]
     flat = [one for some in scores for one in some]
     first = {each.name: each.experiment.angles[0] for each in shipped if each.experiment.angles}
@@ -118,8 +121,8 @@ def compute(
     )
 
 
-def angle_score(shipped: Shipped, case: Case, searches: Mapping[tuple[str, str, float], Search]) -> AngleScore:
-    """What the searches of a case, by (experiment, case, cell [m]), came to."""
+def angle_score(shipped: Shipped, case: Case, searches: Mapping[Key, Search]) -> AngleScore:
+    """What the searches of a case came to."""
     assert case.target is not None, "only asked of cases that have one"
     coarse, fine = (searches[shipped.name, case.name, cell].inferred() for cell in shipped.cells(case))
     return AngleScore(
@@ -166,7 +169,7 @@ def search_from(shipped: Shipped, case: Case, cell: float, forward: Forward) -> 
         deg: extent(shipped, case, *forward[shipped.name, case.name, cell, deg])
         for deg in (angle.deg for angle in shipped.experiment.angles)
     }
-    return Search(shipped=shipped, case=case, cell=cell, target=measured.value, spread=measured.spread, known=known)
+    return Search(target=measured.value, spread=measured.spread, known=known)
 
 
 def score(shipped: Shipped, case: Case, angle: Angle, forward: Forward) -> list[Score]:
@@ -209,9 +212,7 @@ def run_variants(shipped: Sequence[Shipped], simulate: Simulate, forward: Forwar
     return found
 
 
-def run_courses(
-    shipped: Sequence[Shipped], searches: Mapping[tuple[str, str, float], Search], follow: Follow
-) -> list[CourseFound]:
+def run_courses(shipped: Sequence[Shipped], searches: Mapping[Key, Search], follow: Follow) -> list[CourseFound]:
     """Extents over time, on the fine cells, at the angles that the searches came to."""
     found = []
     for each in shipped:

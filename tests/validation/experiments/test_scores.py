@@ -18,14 +18,12 @@ from validation.experiments.scores import error, rms
 from .conftest import deposits, front_of
 
 
-def search_for(shelf: Path, target: float, known: dict[float, float] | None = None) -> Search:
-    """A search on the fine cells of the wedge."""
-    (shipped,) = read_experiments(shelf)
-    case = shipped.experiment.cases[0]
-    return Search(shipped=shipped, case=case, cell=0.01, target=target, spread=0.005, known=dict(known or {}))
+def search_for(target: float, known: dict[float, float] | None = None) -> Search:
+    """A search of 5 mm spread."""
+    return Search(target=target, spread=0.005, known=dict(known or {}))
 
 
-def extents(asked: Sequence[tuple[Search, float]]) -> list[float]:
+def extents(asked: Sequence[tuple[str, float]]) -> list[float]:
     """Fronts of a curved law: 1 / angle [deg] times 12.5 m."""
     return [12.5 / angle for _, angle in asked]
 
@@ -58,10 +56,10 @@ def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
 
 
 @pytest.mark.parametrize("target", [0.35, 0.5, 0.6, 0.8])
-def test_searches_end_at_the_target(shelf: Path, target: float) -> None:
+def test_searches_end_at_the_target(target: float) -> None:
     for known in ({}, {25.0: 0.5}, {20.0: 0.625, 25.0: 0.5}):
-        search = search_for(shelf, target, known)
-        search_all([search], extents, 8)
+        search = search_for(target, known)
+        search_all({"one": search}, extents, 8)
         found = search.inferred()
         assert abs(found.miss) <= CLOSE
         assert found.deg == pytest.approx(12.5 / target, abs=0.1)
@@ -69,17 +67,17 @@ def test_searches_end_at_the_target(shelf: Path, target: float) -> None:
         assert found.half_width_deg == pytest.approx(0.005 * found.deg**2 / 12.5, rel=0.45)
 
 
-def test_a_target_that_no_angle_gives_is_said(shelf: Path) -> None:
+def test_a_target_that_no_angle_gives_is_said() -> None:
     for target in (5.0, 0.01):
-        search = search_for(shelf, target)
-        search_all([search], extents, 20)
+        search = search_for(target)
+        search_all({"one": search}, extents, 20)
         assert search.exhausted
         assert math.isnan(search.inferred().deg)
         assert set(search.known) & set(BOUNDS_DEG)
 
 
-def test_a_front_that_does_not_fall_tells_no_width(shelf: Path) -> None:
-    search = search_for(shelf, 0.5, {20.0: 0.5, 25.0: 0.5})
+def test_a_front_that_does_not_fall_tells_no_width() -> None:
+    search = search_for(0.5, {20.0: 0.5, 25.0: 0.5})
     assert search.inferred().half_width_deg == math.inf
 
 
