@@ -26,6 +26,10 @@ BENCHES = {
         says="measured experiments, forward with independently measured angles and backward from their fronts",
         module="validation.experiments.bench",
     ),
+    "case-history": Bench(
+        says="the friction of a bed back-analysed from a runout at field scale",
+        module="validation.case_history.bench",
+    ),
 }
 
 
