@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.measures import Positions, front
@@ -71,6 +72,13 @@ class ReadHistory:
     name: str
     folder: Path
     history: History
+
+    @property
+    def ground(self) -> NDArray[np.float64]:
+        """The line of the first terrain of the scene [m], shape [P, 2]; no points where it has none."""
+        solids = read_toml(self.folder / self.history.scene).get("solids", [])
+        lines = [each["points"] for each in solids if "points" in each]
+        return np.array(lines[0] if lines else np.zeros((0, 2)), dtype=np.float64)
 
     def scene(self, bed_friction: float, cell: float, seed: int) -> Scene:
         """The scene with another bed friction [-], cell [m] and jitter. Raises InputError."""

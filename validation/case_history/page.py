@@ -98,7 +98,9 @@ def conclusion(found: BackAnalysis) -> list[str]:
 def draw(path: Path, found: BackAnalysis) -> None:
     """Ground, release and both deposits, heights exaggerated as the axes say."""
     figure, axes = plt.subplots(2, 1, figsize=(11.0, 6.4), layout="constrained")
+    ground = found.read.ground
     for axis, window in zip(axes, (None, found.observed), strict=True):
+        axis.plot(ground[:, 0], ground[:, 1], color="#888888", linewidth=0.8)
         for points, colour, name in (
             (found.start, "#222222", "release"),
             (found.twin, "#d95f02", "deposit of the twin"),
