@@ -158,7 +158,7 @@ def run_forward(shipped: Sequence[Shipped], simulate: Simulate) -> Forward:
 def extent(shipped: Shipped, case: Case, scene: Scene, deposit: Positions) -> float:
     """The front or radius [m] that an angle is inferred from, of a deposit."""
     assert case.target is not None, "only asked of cases that have one"
-    return quantity(case.measured[case.target], scene, deposit, shipped.folder)
+    return quantity(case.measured[case.target], scene, deposit)
 
 
 def search_from(shipped: Shipped, case: Case, cell: float, forward: Forward) -> Search:
@@ -178,7 +178,7 @@ def score(shipped: Shipped, case: Case, angle: Angle, forward: Forward) -> list[
     runs = [forward[shipped.name, case.name, cell, angle.deg] for cell in cells]
     scores = []
     for measured in case.measured:
-        coarse, fine = (quantity(measured, scene, deposit, shipped.folder) for scene, deposit in runs)
+        coarse, fine = (quantity(measured, scene, deposit) for scene, deposit in runs)
         scores.append(
             Score(experiment=shipped.name, case=case, measured=measured, angle=angle, cells=cells, found=(coarse, fine))
         )

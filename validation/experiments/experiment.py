@@ -91,16 +91,20 @@ class Measured(Strict):
     that looks through a wall. The whole width where absent."""
     within: float | None = None
     """Strip [m] next to the wall over which a height is taken."""
-    file: str | None = None
-    """CSV of a profile, columns x and height [m]."""
+    x: tuple[float, ...] = ()
+    """Where the heights of a profile were measured [m], ascending."""
+    heights: tuple[float, ...] = ()
+    """Of the surface at `x` [m]."""
 
     def __post_init__(self) -> None:
         if self.spread <= 0.0:
             raise InputError(f"expected a positive length in m, got {self.spread:g}", key="spread")
-        needs = {Quantity.HEIGHT: "within", Quantity.PROFILE: "file"}
-        key = needs.get(self.quantity)
-        if key is not None and getattr(self, key) is None:
-            raise InputError(f"expected a value, a {self.quantity} needs one", key=key)
+        if self.quantity is Quantity.HEIGHT and self.within is None:
+            raise InputError("expected a value, a height needs one", key="within")
+        if self.quantity is Quantity.PROFILE and not len(self.x) == len(self.heights) > 1:
+            raise InputError(f"expected as many heights as x, {len(self.x)}, and two or more", key="heights")
+        if any(later <= earlier for earlier, later in itertools.pairwise(self.x)):
+            raise InputError("expected lengths that ascend", key="x")
         if self.quantity is not Quantity.PROFILE and self.value <= 0.0:
             raise InputError(f"expected a positive length in m, got {self.value:g}", key="value")
 

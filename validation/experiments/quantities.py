@@ -1,14 +1,11 @@
 """What a computed deposit shows of the quantities that experiments measure."""
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.measures import FRONT_QUANTILE, Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.measured import read_rows
 from validation.experiments.experiment import Measured, Quantity
 
 Floats = NDArray[np.float64]
@@ -19,11 +16,8 @@ SURFACE_QUANTILE = 0.99
 """Of the particles' heights in a strip: the surface without the fate of single particles."""
 
 
-def quantity(measured: Measured, scene: Scene, positions: Positions, folder: Path) -> float:
-    """What the deposit at `positions` [m], shape [N, D], of `scene` shows of `measured` [m].
-
-    folder: where the CSV of a profile lies. Raises InputError for a CSV that is no profile.
-    """
+def quantity(measured: Measured, scene: Scene, positions: Positions) -> float:
+    """What the deposit at `positions` [m], shape [N, D], of `scene` shows of `measured` [m]."""
     if measured.quantity is Quantity.RADIUS:
         x = positions.astype(np.float64)
         return float(np.quantile(np.hypot(x[:, 0], x[:, -1]), FRONT_QUANTILE))
@@ -31,7 +25,7 @@ def quantity(measured: Measured, scene: Scene, positions: Positions, folder: Pat
         assert measured.within is not None, "a measured height has been checked"
         return surface_at_wall(scene, positions, measured.within)
     if measured.quantity is Quantity.PROFILE:
-        return profile_difference(folder / str(measured.file), scene, positions)
+        return profile_difference(np.array(measured.x), np.array(measured.heights), scene, positions)
     if measured.thicker_than is None:
         return front(positions)
     stations = profile_stations(scene, STATION * scene.domain.cell)
@@ -76,9 +70,8 @@ def surface_at_wall(scene: Scene, positions: Positions, within: float) -> float:
     return float(np.quantile(strip, SURFACE_QUANTILE)) + half
 
 
-def profile_difference(path: Path, scene: Scene, positions: Positions) -> float:
-    """Root mean square difference [m] of the deposit's heights from those of a CSV, over the rows of the CSV."""
-    x, height = read_rows(path)
+def profile_difference(x: Floats, heights: Floats, scene: Scene, positions: Positions) -> float:
+    """Root mean square difference [m] of the deposit's heights from measured `heights` at `x` [m], shape [R] each."""
     stations = profile_stations(scene, STATION * scene.domain.cell)
     computed = np.interp(x, stations, mean_profile(scene, positions, stations))
-    return float(np.sqrt(np.mean((computed - height) ** 2)))
+    return float(np.sqrt(np.mean((computed - heights) ** 2)))
