@@ -1,5 +1,6 @@
 """Every experiment that ships is complete and can be run; a wrong one is refused by name."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -7,7 +8,20 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from validation.experiments.experiment import Quantity, Shipped, Status, read_experiment, read_experiments
+from validation.experiments.experiment import (
+    Angle,
+    Case,
+    Course,
+    Experiment,
+    Measured,
+    Quantity,
+    Shipped,
+    Status,
+    Unsaid,
+    Variant,
+    read_experiment,
+    read_experiments,
+)
 
 SHIPPED = read_experiments()
 PLAUSIBLE_DEG = 25.0
@@ -85,3 +99,15 @@ def test_a_missing_scene_is_named(shelf: Path) -> None:
     shipped = read_experiment(changed(shelf, 'scene = "wedge.toml"', 'scene = "gone.toml"'))
     with pytest.raises(InputError, match=r"gone\.toml"):
         shipped.scene("gone.toml", 0.02, 25.0)
+
+
+def test_the_page_on_formats_names_every_key() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
+    for kind in (Experiment, Angle, Case, Measured, Course, Variant, Unsaid):
+        for each in dataclasses.fields(kind):
+            assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
+    for status in Status:
+        assert status in section.replace("\n", " ")
+    for quantity in Quantity:
+        assert f"`{quantity}`" in section
