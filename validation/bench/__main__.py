@@ -22,6 +22,10 @@ class Bench:
 
 
 BENCHES = {
+    "contact": Bench(
+        says="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
+        module="validation.contact.bench",
+    ),
     "experiments": Bench(
         says="measured experiments, forward with independently measured angles and backward from their fronts",
         module="validation.experiments.bench",
