@@ -181,11 +181,12 @@ def bench(out: Path | None, *, quick: bool = False) -> str:
     solids = rests[1:]
     off = max(abs(found / block_acceleration(angle) - 1.0) for angle, _, found in blocks)
     fronts = max(abs(line / floor - 1.0) for _, floor, line in inclines)
+    heaviest = 100.0 * max(abs(each.force) for each in solids)
     through = sum(passed(flow) for _, _, flow in throws) + sum(count for _, count in grounds)
     conclusion = [
         f"- **At rest**: layers on baffles and terrain anywhere between the nodes change their height by"
         f" {max(abs(each.height) for each in solids):.2g} cells at most, gain"
-        f" {max(each.gain for each in solids):.1e} of their energy, and weigh within {100.0 * max(abs(each.force) for each in solids):.2g} % of their weight.",
+        f" {max(each.gain for each in solids):.1e} of their energy, and weigh within {heaviest:.2g} % of their weight.",
         f"- **Sliding**: blocks accelerate within {100.0 * off:.2g} % of the closed form; sand runs down a polyline"
         f" as far as down the floor of a tilted box within {100.0 * fronts:.2g} %.",
         f"- **Leaks**: {through} particles of all passed a plate or got into a solid.",
