@@ -11,7 +11,7 @@ from datasets.command_line import run
 from datasets.errors import InputError
 from gns import checkpoint
 from gns.rollout import shipped
-from inverse import observations, report
+from inverse import report
 from inverse.finite_difference import central
 from inverse.gns_forward import MEMORY_GIB, GnsForward, GnsSource
 from inverse.gradient import automatic
@@ -21,7 +21,7 @@ from inverse.mpm_forward import MpmForward
 from inverse.observations import Observation, Values
 from inverse.problem import Method, Problem, read_problem
 from inverse.result import Result
-from inverse.target import Target, read_target, with_noise
+from inverse.target import Target, observation_of, read_target
 from inverse.unknowns import with_unknowns
 from mpm.simulate import simulate, simulate_many
 
@@ -78,8 +78,7 @@ def main(
         raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    observation = observations.build(asked.observation, asked.scene)
-    asked = with_noise(asked, observation)
+    observation = observation_of(asked)
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:

@@ -28,8 +28,6 @@ AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25)}
 
 Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
 """
-DRAWS = 400
-"""Of noise on the heights, by which that of the observation is known to 4 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +43,14 @@ class MeasuredProfile:
         """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
         return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
 
-    def drawn(self, noise: float, seed: int) -> "MeasuredProfile":
-        """The profile with normal noise on each height, `noise` its standard deviation as a share of the height."""
-        factors = 1.0 + noise * np.random.default_rng(seed).standard_normal(len(self.x))
-        return MeasuredProfile(x=self.x, height=np.maximum(self.height * factors, 0.0))
+    def deviation(self, *, share: float, noise: float) -> Floats:
+        """Standard deviation [m] of each height, shape [R]: a `share` of it and, for all alike, `noise` [m].
+
+        Where the ground is bare, and beside it, there is no deposit to be mistaken about.
+        """
+        covered = self.height > 0.0
+        edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
+        return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
 
 
 def read_profile(folder: Path, settings: TargetSettings, length: float, released: float) -> MeasuredProfile:

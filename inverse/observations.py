@@ -101,10 +101,14 @@ class Profile(Observation):
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
+        return self.at(positions, self.stations)
+
+    def at(self, positions: NDArray[np.floating], stations: Values) -> Values:
+        """The profile [m] at evenly spaced `stations` [m]; positions [m], shape [N, D]."""
         volumes = particle_volumes(self.scene, len(positions))
         # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
         share = volumes * (self.volume / (volumes.sum() * self.width))
-        return measures.height_profile(positions, share, self.stations)
+        return measures.height_profile(positions, share, stations)
 
     def of_heights(self, heights: Values) -> Values:
         """The observation [M] of a profile [m] at `stations`."""
@@ -114,7 +118,12 @@ class Profile(Observation):
         return self.of_heights(self.heights(positions))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        stations = torch.from_numpy(self.stations)
+        return self._sideways(self.smooth_heights(positions, volumes, self.stations))
+
+    @staticmethod
+    def smooth_heights(positions: Tensor, volumes: Tensor, along: Values) -> Tensor:
+        """The profile at evenly spaced stations `along` x [m], but for a constant factor, shape [S]; differentiable."""
+        stations = torch.from_numpy(along)
         spacing, last = stations[1] - stations[0], len(stations) - 1
         place = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
         left = place.detach().long().clamp(max=last - 1)
@@ -125,7 +134,7 @@ class Profile(Observation):
         # Half of a station's length lies beyond the wall.
         ends = torch.ones_like(heights)
         ends[[0, last]] = 2.0
-        return self._sideways(heights * ends)
+        return heights * ends
 
     def _sideways(self, heights: Tensor) -> Tensor:
         stations = torch.from_numpy(self.stations)

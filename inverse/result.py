@@ -24,6 +24,8 @@ class Verdict(StrEnum):
 
     CONFIRMED = "confirmed"
     UNCONFIRMED = "unconfirmed"
+    NOT_IDENTIFIABLE = "not-identifiable"
+    """It fits, but the observation does not tell every unknown: other values within the bounds fit as well."""
     UNREACHABLE = "unreachable"
 
 
@@ -128,6 +130,9 @@ class Result:
     other_minima: Sequence[Minimum] = field(default_factory=list)
     """Where those ended, if elsewhere."""
     identifiability: Identifiability | None = None
+    discrepancy: float | None = None
+    """By which factor the half-widths are wider because the fit is worse than noise and chance allow; 1 where it is
+    not, None where nothing tells."""
     mpm_runs: Sequence[RunRecord] = field(default_factory=list)
     mpm_seconds: float = 0.0
     total_seconds: float
@@ -196,6 +201,7 @@ class Result:
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
                 "identifiability": None if self.identifiability is None else told(self.identifiability),
+                "discrepancy": self.discrepancy,
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {

@@ -13,9 +13,10 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.measured import DRAWS, MeasuredProfile, read_profile
-from inverse.observations import Deposit, Observation, Profile, Values
+from inverse.measured import MeasuredProfile, read_profile
+from inverse.observations import Deposit, Observation, Profile, Values, build
 from inverse.problem import Problem
+from inverse.sampled import REPRESENTATION, SampledProfile
 from inverse.unknowns import kind, with_unknowns
 
 
@@ -31,6 +32,13 @@ class Target:
     """Where known: positions of the deposit [m], shape [N, D]."""
     profile: tuple[NDArray[np.float64], Values] | None = None
     """Where it was measured: stations and heights of the deposit [m], both of shape [S]."""
+    deviation: Values | None = None
+    """Of a measured profile: standard deviation of each of these heights [m], shape [S]."""
+    noise: float = 0.0
+    """Standard deviation of each of the values by errors of the measurement; of values that err together (below) that
+    of the combination of them, a unit vector, that errs most."""
+    covariance: NDArray[np.float64] | None = None
+    """Of the values by errors of the measurement, shape [M, M]; where absent they err independently, by `noise`."""
     truth: dict[str, float] | None = None
     """Where known: the true unknowns."""
 
@@ -39,6 +47,8 @@ class Target:
 
         Where the target's deposit is not known, both reach as far as the observation says.
         """
+        if math.isnan(self.edge):
+            return math.nan
         known = self.deposit is not None
         reached = measures.front(deposit) if known else observation.edge(observation.exact(deposit))
         return (reached - self.edge) / self.edge
@@ -55,15 +65,29 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
     """The target of `problem`; a hidden one is made with `simulate`. Raises InputError."""
     settings = problem.target
     if settings.least:
-        return Target(values=np.zeros(1), edge=math.nan)
+        return Target(values=np.zeros(1), edge=math.nan, noise=settings.noise)
     if settings.value is not None or settings.values is not None:
         values = np.array([settings.value] if settings.values is None else settings.values)
-        return Target(values=values, edge=observation.edge(values))
+        noise = settings.noise + settings.noise_share * float(abs(values[0]))
+        return Target(values=values, edge=observation.edge(values), noise=noise)
     if settings.csv is not None:
         assert isinstance(observation, Profile)
-        heights = measured_profile(problem, observation).at(observation.stations)
+        profile = measured_profile(problem, observation)
+        heights = profile.at(observation.stations)
         values = observation.of_heights(heights)
-        return Target(values=values, edge=observation.edge(values), profile=(observation.stations, heights))
+        seen = (observation.stations, heights)
+        if not isinstance(observation, SampledProfile):
+            return Target(values=values, edge=observation.edge(values), profile=seen, noise=settings.noise)
+        deviation = deviation_of(problem, profile)
+        covariance = observation.covariance(profile, deviation)
+        return Target(
+            values=values,
+            edge=observation.edge(values),
+            profile=seen,
+            deviation=np.interp(observation.stations, profile.x, deviation, left=0.0, right=0.0),
+            noise=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
+            covariance=covariance,
+        )
     truth = None
     if settings.hidden:
         scene = hidden_scene(problem)
@@ -84,29 +108,30 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
             f"expected the {points} points of the problem's scene for a target of kind deposit, got {len(deposit)}",
             where=str(settings.trajectory),
         )
-    return Target(values=observation.exact(deposit), edge=measures.front(deposit), deposit=deposit, truth=truth)
+    return Target(
+        values=observation.exact(deposit),
+        edge=measures.front(deposit),
+        deposit=deposit,
+        truth=truth,
+        noise=settings.noise,
+    )
 
 
-def with_noise(problem: Problem, observation: Observation) -> Problem:
-    """`problem`, a noise stated as a share made that of each number observed [m; of a share that passed -].
+def observation_of(problem: Problem) -> Observation:
+    """What is compared of a deposit of `problem`; of a measured profile its rows alone. Raises InputError."""
+    observation = build(problem.observation, problem.scene)
+    if problem.target.csv is None:
+        return observation
+    assert isinstance(observation, Profile), "a problem has been checked"
+    rows = measured_profile(problem, observation).x
+    return SampledProfile(problem.scene, problem.observation.spacing, rows)
 
-    A share of a measured number is that of the number; of a measured profile that of each of its heights, whose effect
-    on the observation is found by drawing them. Its numbers then err together, so what counts is the standard deviation
-    of the combination of them (a unit vector) that errs most. Raises InputError.
-    """
+
+def deviation_of(problem: Problem, profile: MeasuredProfile) -> Values:
+    """Standard deviation [m] of each height of a measured profile: the stated noise and that of representation."""
     settings = problem.target
-    if settings.noise_share == 0.0:
-        return problem
-    if settings.csv is not None:
-        assert isinstance(observation, Profile)
-        profile = measured_profile(problem, observation)
-        drawn = [profile.drawn(settings.noise_share, seed).at(observation.stations) for seed in range(DRAWS)]
-        covariance = np.cov([observation.of_heights(each) for each in drawn], rowvar=False)
-        noise = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
-    else:
-        assert settings.value is not None, "a problem has been checked"
-        noise = settings.noise_share * settings.value
-    return dataclasses.replace(problem, target=dataclasses.replace(settings, noise=noise, noise_share=0.0))
+    blurred = REPRESENTATION * problem.scene.domain.cell
+    return profile.deviation(share=settings.noise_share, noise=math.hypot(settings.noise, blurred))
 
 
 def measured_profile(problem: Problem, observation: Profile) -> MeasuredProfile:

@@ -58,6 +58,8 @@ class Kind(ABC):
     """Decimals with which it is printed."""
     step: ClassVar[float]
     """Step of a finite difference, unless the problem has its own."""
+    positive: ClassVar[bool] = False
+    """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
     moves_the_start: ClassVar[bool] = False
     """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
 
@@ -113,6 +115,7 @@ class Friction(Strength):
     """Angle of internal friction [deg]; the surrogate is told its tangent."""
 
     unit = "deg"
+    positive = True
     digits = 2
     step = 0.05  # the paper's
 
@@ -134,6 +137,7 @@ class Cohesion(Strength):
     """Cohesion [Pa]."""
 
     unit = "Pa"
+    positive = True
     digits = 1
     step = 1.0
 

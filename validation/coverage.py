@@ -88,7 +88,7 @@ def hidden(
     chance = np.random.default_rng([problem.target.seed, 2]).normal(size=len(target.values))
     values = target.values + sigma * chance
     known = dataclasses.replace(problem, target=dataclasses.replace(problem.target, noise=sigma))
-    return known, Target(values=values, edge=observation.edge(values), truth=target.truth)
+    return known, Target(values=values, edge=observation.edge(values), truth=target.truth, noise=sigma)
 
 
 def page(problem: Problem, results: Sequence[Result], noise: float) -> list[str]:

@@ -9,6 +9,9 @@ from inverse.observations import Values
 from inverse.problem import Observable, Problem
 from inverse.target import Target
 
+MOST_WIDENED = 4.0
+"""Scatter of a measured profile's rows over the stated noise, up to which it is taken for noise that was understated."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
@@ -37,14 +40,18 @@ def distance(kind: Observable, values: Values, wanted: Values, components: int) 
             return float(abs(values[0] - wanted[0]))
 
 
-def allowed(problem: Problem, target: Target, chance: float, components: int) -> float:
+def allowed(problem: Problem, target: Target, chance: float, components: int, *, widened: float = 1.0) -> float:
     """How far the MPM at the answer may be from the target to confirm, in the measure of `distance`.
 
     chance: the same measure between two runs that differ in their jitter seed alone, root mean square. Where it is
     known and twice of it is more than what was asked, that is what can be had; not for a front, whose runs are
-    averaged, nor for a deposit. Stated noise of many numbers stays in the misfit of the best of answers.
+    averaged, nor for a deposit. Stated noise of many numbers stays in the misfit of the best of answers; of a measured
+    profile `widened` by as much as its rows scatter more than stated (`validation.discrepancy`), if by less than
+    `MOST_WIDENED`.
     """
-    loop, cell, noise = problem.loop, problem.scene.domain.cell, problem.target.noise
+    loop, cell, noise = problem.loop, problem.scene.domain.cell, target.noise
+    if target.deviation is not None:
+        noise *= min(widened, MOST_WIDENED)
     match problem.observation.kind:
         case Observable.FRONT:
             return loop.confirm_within
@@ -60,16 +67,28 @@ def allowed(problem: Problem, target: Target, chance: float, components: int) ->
             return math.hypot(loop.deposit_within * cell, 2.0 * noise * math.sqrt(components))
 
 
-def meets(problem: Problem, target: Target, seen: Seen, *, chance: float, front_chance: float) -> bool:
+def meets(
+    problem: Problem, target: Target, seen: Seen, *, chance: float, front_chance: float, widened: float = 1.0
+) -> bool:
     """The verdict on what the MPM shows.
 
     chance: see `allowed`; front_chance: relative difference of the fronts of the same two runs. Twice of it will do
-    for the front of a profile: the whole of the profile says where it should be, the target's front is one flow's.
+    for the front of a profile: the whole of the profile says where it should be, the target's front is one flow's. Of
+    a measured one also what its noise does to the front. widened: see `allowed`.
     """
     kind = problem.observation.kind
     if kind is Observable.FRONT:
         return abs(seen.front_error) <= problem.loop.confirm_within
-    if kind is Observable.PROFILE and abs(seen.front_error) > max(problem.loop.confirm_within, 2.0 * front_chance):
+    if kind is Observable.PROFILE and abs(seen.front_error) > of_the_front(problem, target, front_chance, widened):
         return False
     miss = distance(kind, seen.observation, target.values, seen.components)
-    return miss <= allowed(problem, target, chance, seen.components)
+    return miss <= allowed(problem, target, chance, seen.components, widened=widened)
+
+
+def of_the_front(problem: Problem, target: Target, front_chance: float, widened: float) -> float:
+    """Relative error of the front of a profile that is allowed [-]; the arguments are those of `meets`."""
+    most = max(problem.loop.confirm_within, 2.0 * front_chance)
+    if target.covariance is None:
+        return most
+    edge = min(widened, MOST_WIDENED) * math.sqrt(float(target.covariance[-1, -1])) / target.edge
+    return math.hypot(most, 2.0 * edge)

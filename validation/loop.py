@@ -17,7 +17,7 @@ from inverse.observations import Observation
 from inverse.optimise import Bounds
 from inverse.problem import Problem, read_problem
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from inverse.target import Target, read_target, with_noise
+from inverse.target import Target, observation_of, read_target
 from mpm.simulate import simulate_many
 from validation import answers, loop_report, several, starts
 from validation.certainty import Certainty
@@ -52,10 +52,12 @@ def solve(
     else:
         several.search(state, proposal)
     worth: Certainty | None = None
+    widths: dict[str, float] | None = None
     answer, verdict = Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), Verdict.UNREACHABLE
     if state.reachable:
         answer, worth = answers.settle(state, members)
-        verdict = answers.verdict(state, answer, worth)
+        widths = answers.half_widths(state, answer, worth)
+        verdict = answers.verdict(state, answer, worth, widths)
     surrogate = source.start(answer.runs[0].trajectory)
     (seen,) = surrogate.observe([answer.unknowns])
     checks = [(Purpose.CHECK, checked, runs) for checked in state.checked]
@@ -68,7 +70,7 @@ def solve(
         target=target,
         verdict=verdict,
         answer=answer.unknowns,
-        certainty=answers.half_widths(state, answer, certain) if certain else None,
+        certainty=widths if certain else None,
         surrogate=seen,
         mpm=answer.observation,
         front_error_pct=100.0 * answer.front_error,
@@ -78,6 +80,7 @@ def solve(
         other_starts=state.other_starts,
         other_minima=state.other_minima,
         identifiability=certain.identifiability if certain else None,
+        discrepancy=certain.widened if certain and certain.discrepancy else None,
         mpm_runs=records,
         mpm_seconds=sum(record.seconds for record in records),
         total_seconds=time.perf_counter() - began,
@@ -140,8 +143,7 @@ def main(
     asked = read_problem(problem)
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    observation = observations.build(asked.observation, asked.scene)
-    asked = with_noise(asked, observation)
+    observation = observation_of(asked)
     source = GnsSource(
         checkpoint.load(model or shipped(asked.scene.dimension)).simulator, asked, observation, memory_gib
     )

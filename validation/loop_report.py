@@ -32,7 +32,8 @@ from inverse.report import (
 )
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
 from validation import worth
-from validation.judgement import allowed, distance
+from validation.answers import undetermined
+from validation.judgement import allowed, distance, of_the_front
 from validation.solved import Solved
 
 APART = {
@@ -136,11 +137,31 @@ def sentence(solved: Solved) -> str:
         return design(solved, who)
     measured = miss(solved)
     return {
-        Verdict.CONFIRMED: f"**The MPM confirms**: {who} is {measured}.",
-        Verdict.UNCONFIRMED: f"**The MPM does not confirm**: {who} is {measured}.",
+        Verdict.CONFIRMED: f"**The MPM confirms**: {who} is {measured}.{widened(result)}",
+        Verdict.UNCONFIRMED: f"**The MPM does not confirm**: {who} is {measured}.{widened(result)}",
+        Verdict.NOT_IDENTIFIABLE: f"**It fits, but is not identifiable**: {who} is {measured}. {unidentified(result)}",
         Verdict.UNREACHABLE: "**Nothing within the bounds reaches the target, not even in the MPM.** "
         f"Below is the nearest that was found; there {who} is {measured}.",
     }[result.verdict]
+
+
+def widened(result: Result) -> str:
+    """A sentence on a fit that is worse than noise and chance allow; empty where it is not."""
+    if result.discrepancy is None or result.discrepancy == 1.0:
+        return ""
+    return (
+        f" The fit is {result.discrepancy:.2g} times worse than the stated noise and chance allow: the half-widths are "
+        "that much wider."
+    )
+
+
+def unidentified(result: Result) -> str:
+    """Which unknowns an observation that is met does not tell, and what it tells of them together."""
+    names = undetermined(result.problem, result.answer, result.certainty or {})
+    told_of = worth.told_combinations(result) if len(result.unknowns) > 1 else []
+    does = f"it tells {'; '.join(told_of)}" if told_of else "it tells nothing of them"
+    many = "Half-widths of" if len(names) > 1 else "The half-width of"
+    return f"{many} {', '.join(code(names))} are about as wide as the bounds or the values: other values fit as well; {does}."
 
 
 def design(solved: Solved, who: str) -> str:
@@ -161,14 +182,16 @@ def miss(solved: Solved) -> str:
     components = build(problem.observation, problem.scene).components
     chance = solved.certainty.misfit if solved.certainty else 0.0
     found = distance(kind, solved.answer.observation, result.target.values, components)
-    most, asked = (allowed(problem, result.target, each, components) for each in (chance, 0.0))
+    factor = result.discrepancy or 1.0
+    most = allowed(problem, result.target, chance, components, widened=factor)
+    asked = allowed(problem, result.target, 0.0, components, widened=factor)
     scale = 1e3 if kind in (Observable.TOE, Observable.DEPOSIT) else 100.0
     unit = APART[kind].split(",")[0].split()[0]
     why = ", twice what two MPM runs differ by" if most > asked else ""
     said = f"off the target by {scale * found:.3g} {APART[kind]}; at most {scale * most:.3g} {unit} is allowed{why}"
     if kind is Observable.PROFILE and math.isfinite(solved.answer.front_error):
-        scatter = 2.0 * solved.certainty.front_misfit if solved.certainty else 0.0
-        most_of_front = f"at most {100.0 * max(problem.loop.confirm_within, scatter):.3g} % is allowed"
+        scatter = solved.certainty.front_misfit if solved.certainty else 0.0
+        most_of_front = f"at most {100.0 * of_the_front(problem, result.target, scatter, factor):.3g} % is allowed"
         said += f". Its front is off by {100.0 * solved.answer.front_error:+.2f} %; {most_of_front}"
     return said
 
@@ -278,6 +301,10 @@ def summary(result: Result) -> str:
     off = "-" if result.loss_mpm is None else away(result.problem, result.loss_mpm)
     if "front" in result.error_pct:
         off += f", front {result.front_error_pct:+.2f} %,"
+    if said := widened(result):
+        lines.append(f"  {'fit':<{width}}{said}")
+    if result.verdict is Verdict.NOT_IDENTIFIABLE:
+        lines.append(f"  {'told':<{width}} {unidentified(result)}")
     lines.append(f"  {'away':<{width}} {off} in the MPM, {len(result.checks)} MPM runs")
     seconds = result.seconds
     lines.append(f"  {'time':<{width}} {seconds['total']:.0f} s, {seconds['per_iteration']:.1f} s per gradient")

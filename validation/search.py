@@ -177,7 +177,8 @@ def search(state: Search, proposal: Vector) -> None:
         if step > STUCK:
             continue
         if len(state.checked) > 1:
-            state.reachable = False
+            # Of many numbers what is left may be the model's fault: the ensemble's slopes tell.
+            state.reachable = len(anchor.observation) > 1
             return
         # So far it is the surrogate alone that knows no way on: look at the MPM a step away.
         proposal = anchor.unknowns + np.where(anchor.unknowns > state.bounds.middle, -reach, reach)
@@ -189,8 +190,11 @@ def near(state: Search, run: Checked) -> bool:
 
 
 def off_by_more_than_scatter(state: Search, run: Checked) -> bool:
-    """Whether the front of `run` misses the target's by more than chance explains."""
-    return abs(run.front_error) > state.problem.loop.confirm_within + 3.0 * state.scatter / state.target.edge
+    """Whether the front of `run` misses the target's by more than chance and a measured profile's noise explain."""
+    known = state.target.covariance
+    noise = 0.0 if known is None else 2.0 * math.sqrt(float(known[-1, -1]))
+    most = state.problem.loop.confirm_within + (3.0 * state.scatter + noise) / state.target.edge
+    return abs(run.front_error) > most
 
 
 def propose(state: Search, corrected: Corrected, reach: Vector) -> Vector:

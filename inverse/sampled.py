@@ -1,0 +1,78 @@
+"""A profile that was measured at few places: the model's own is seen at the same ones before the two are compared.
+
+    h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
+
+P interpolates the model's profile at its stations to the rows. A chord between two rows cuts what lies between them off
+both profiles alike; a measured profile refined to the model's stations would be short of it where the model's is not.
+
+A row is the height at one place, the model's a mean over its spacing. The difference is an error of representation
+(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278):
+`REPRESENTATION` of a cell, added to the noise of each height.
+"""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.scene import Scene
+from inverse.measured import MeasuredProfile
+from inverse.observations import SHARES, Profile, Values
+
+REPRESENTATION = 0.25
+"""Standard deviation of a height at one place from the model's mean around it, in cells."""
+DRAWS = 400
+"""Of noise on the heights, by which the covariance of the observation is known to 7 %."""
+
+
+class SampledProfile(Profile):
+    """`Profile`, of which the heights at given rows alone are known."""
+
+    def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64]) -> None:
+        """rows: [m], ascending, shape [R]; beyond the last of them they go on to the wall, as far apart as the last two."""
+        super().__init__(scene, spacing)
+        self.fine, self.stations = self.stations, to_the_wall(rows, scene.domain.size[0])
+        places = np.eye(len(self.fine))
+        self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in places], axis=1)
+
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        """The profile [m] at the rows, shape [R]; positions [m], shape [N, D]."""
+        return np.asarray(self.sampling @ self.at(positions, self.fine))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        heights = self.smooth_heights(positions, volumes, self.fine)
+        return self._sideways(torch.from_numpy(self.sampling) @ heights)
+
+    def _sideways(self, heights: Tensor) -> Tensor:
+        stations = torch.from_numpy(self.stations)
+        spacing = stations.diff()
+        pieces = 0.5 * (heights[1:] + heights[:-1]) * spacing
+        area = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(pieces, 0)])
+        wanted = torch.tensor(SHARES, dtype=torch.float64) * area[-1]
+        right = torch.searchsorted(area.detach(), wanted.detach()).clamp(1, len(pieces))
+        low, rest = heights[right - 1], wanted - area[right - 1]
+        bend = 2.0 * (heights[right] - low) / spacing[right - 1]
+        # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
+        return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
+
+    def covariance(self, profile: MeasuredProfile, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance [m^2], shape [M, M], of the observation of `profile` by errors of its heights.
+
+        deviation: standard deviation of each height [m], shape [R] as the profile; its errors are independent of each
+        other and the numbers that they make are not.
+        """
+        rng = np.random.default_rng(0)
+        draws = np.maximum(profile.height + deviation * rng.standard_normal((DRAWS, len(profile.x))), 0.0)
+        seen = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in draws]
+        covariance: NDArray[np.float64] = np.cov(seen, rowvar=False)
+        return covariance
+
+
+def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:
+    """`rows` [m], from the wall at x = 0 to the one at `length` [m]: where they end before it, they go on as they did."""
+    rows = np.clip(rows, 0.0, length)
+    before = np.arange(rows[0] - (rows[1] - rows[0]), 0.0, rows[0] - rows[1])[::-1]
+    beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), length, rows[-1] - rows[-2])
+    every = np.concatenate([[0.0], before, rows, beyond, [length]])
+    # A last step that ends a hair before the wall is none.
+    return every[np.concatenate([[True], np.diff(every) > 1e-6 * length])]
