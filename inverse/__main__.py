@@ -17,11 +17,12 @@ from inverse.gns_forward import MEMORY_GIB, GnsForward, GnsSource
 from inverse.gradient import automatic
 from inverse.gradient_free import explore
 from inverse.inversion import invert, unconfirmed
+from inverse.measurements import prepare
 from inverse.mpm_forward import MpmForward
 from inverse.observations import Observation, Values
 from inverse.problem import Method, Problem, read_problem
 from inverse.result import Result
-from inverse.target import Target, observation_of, read_target
+from inverse.target import Target
 from inverse.unknowns import with_unknowns
 from mpm.simulate import simulate, simulate_many
 
@@ -78,7 +79,7 @@ def main(
         raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    observation = observation_of(asked)
+    observation, target = prepare(asked, simulate)
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:
@@ -89,7 +90,6 @@ def main(
         beginning = None if frames is None else simulate(frames)
         mpm_seconds = time.perf_counter() - began
         chosen = source.start(beginning)
-    target = read_target(asked, observation, simulate)
     wanted = chosen.wanted(target.values) if isinstance(chosen, GnsForward) else target.values
     if gradient is None:
         gradient = Gradient.AD if isinstance(chosen, GnsForward) else Gradient.FD

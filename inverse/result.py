@@ -190,6 +190,22 @@ class Result:
             "total": self.total_seconds,
         }
 
+    def raw(self, values: Values) -> Values:
+        """`values` [M] in their units: of several observations they are compared in standard deviations."""
+        return values if self.target.combined is None else self.target.combined.raw(values)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Of several observations: which numbers are whose, and the standard deviation of each."""
+        combined = self.target.combined
+        if combined is None:
+            return {}
+        parts = [
+            {"name": part.name, "unit": part.observation.unit, "first": part.numbers.start, "end": part.numbers.stop}
+            for part in combined.parts
+        ]
+        return {"parts": parts, "deviation": plain(combined.scale)}
+
     def write(self, folder: Path) -> None:
         """Write `result.json` into `folder`."""
         first = next(stage for stage in self._stages if (stage.number, stage.start) == (0, 0)).evaluations[0]
@@ -205,10 +221,11 @@ class Result:
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {
-                    "target": plain(self.target.values),
-                    "surrogate": plain(self.surrogate),
-                    "mpm": None if self.mpm is None else plain(self.mpm),
-                },
+                    "target": plain(self.raw(self.target.values)),
+                    "surrogate": plain(self.raw(self.surrogate)),
+                    "mpm": None if self.mpm is None else plain(self.raw(self.mpm)),
+                }
+                | self.parts,
                 "loss": {"surrogate": self.loss_surrogate, "mpm": self.loss_mpm, "initial": first.loss},
                 "mpm_runs": [
                     {

@@ -29,7 +29,7 @@ class SampledProfile(Profile):
     """`Profile`, of which the heights at given rows alone are known."""
 
     def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64]) -> None:
-        """rows: [m], ascending, shape [R]; beyond the last of them they go on to the wall, as far apart as the last two."""
+        """rows: [m], ascending, shape [R]; beyond their ends they go on to the walls, as far apart as the last two."""
         super().__init__(scene, spacing)
         self.fine, self.stations = self.stations, to_the_wall(rows, scene.domain.size[0])
         places = np.eye(len(self.fine))
@@ -64,15 +64,16 @@ class SampledProfile(Profile):
         rng = np.random.default_rng(0)
         draws = np.maximum(profile.height + deviation * rng.standard_normal((DRAWS, len(profile.x))), 0.0)
         seen = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in draws]
-        covariance: NDArray[np.float64] = np.cov(seen, rowvar=False)
+        apart = np.stack(seen) - np.mean(seen, axis=0)
+        covariance: NDArray[np.float64] = apart.T @ apart / (DRAWS - 1.0)
         return covariance
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:
-    """`rows` [m], from the wall at x = 0 to the one at `length` [m]: where they end before it, they go on as they did."""
+    """`rows` [m] from the wall at x = 0 to the one at `length` [m]; where they end before it, they go on as before."""
     rows = np.clip(rows, 0.0, length)
     before = np.arange(rows[0] - (rows[1] - rows[0]), 0.0, rows[0] - rows[1])[::-1]
     beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), length, rows[-1] - rows[-2])
     every = np.concatenate([[0.0], before, rows, beyond, [length]])
     # A last step that ends a hair before the wall is none.
-    return every[np.concatenate([[True], np.diff(every) > 1e-6 * length])]
+    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * length])])

@@ -13,8 +13,9 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.measured import MeasuredProfile, read_profile
-from inverse.observations import Deposit, Observation, Profile, Values, build
+from inverse.combined import Combined
+from inverse.measured import MeasuredProfile, profile_of
+from inverse.observations import Deposit, Observation, OfDeposit, Profile, Values, build
 from inverse.problem import Problem
 from inverse.sampled import REPRESENTATION, SampledProfile
 from inverse.unknowns import kind, with_unknowns
@@ -34,6 +35,8 @@ class Target:
     """Where it was measured: stations and heights of the deposit [m], both of shape [S]."""
     deviation: Values | None = None
     """Of a measured profile: standard deviation of each of these heights [m], shape [S]."""
+    roughness: float = 1.0
+    """By how much the heights of a measured profile scatter more than their stated noise; it is part of `deviation`."""
     noise: float = 0.0
     """Standard deviation of each of the values by errors of the measurement; of values that err together (below) that
     of the combination of them, a unit vector, that errs most."""
@@ -41,16 +44,20 @@ class Target:
     """Of the values by errors of the measurement, shape [M, M]; where absent they err independently, by `noise`."""
     truth: dict[str, float] | None = None
     """Where known: the true unknowns."""
+    combined: Combined | None = None
+    """Of several observations: what they are, and in which units their numbers are."""
 
     def front_error(self, observation: Observation, deposit: NDArray[np.floating]) -> float:
         """Relative error of the front of `deposit`, positions [m], shape [N, D].
 
         Where the target's deposit is not known, both reach as far as the observation says.
         """
-        if math.isnan(self.edge):
+        if self.deposit is not None:
+            reached = measures.front(deposit)
+        elif isinstance(observation, OfDeposit):
+            reached = observation.edge(observation.exact(deposit))
+        else:
             return math.nan
-        known = self.deposit is not None
-        reached = measures.front(deposit) if known else observation.edge(observation.exact(deposit))
         return (reached - self.edge) / self.edge
 
 
@@ -61,7 +68,7 @@ def hidden_scene(problem: Problem) -> Scene:
     return dataclasses.replace(scene, seed=problem.target.seed)
 
 
-def read_target(problem: Problem, observation: Observation, simulate: Callable[[Scene], Trajectory]) -> Target:
+def read_target(problem: Problem, observation: OfDeposit, simulate: Callable[[Scene], Trajectory]) -> Target:
     """The target of `problem`; a hidden one is made with `simulate`. Raises InputError."""
     settings = problem.target
     if settings.least:
@@ -72,18 +79,21 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
         return Target(values=values, edge=observation.edge(values), noise=noise)
     if settings.csv is not None:
         assert isinstance(observation, Profile)
-        profile = measured_profile(problem, observation)
+        profile = measured_profile(problem)
         heights = profile.at(observation.stations)
         values = observation.of_heights(heights)
         seen = (observation.stations, heights)
         if not isinstance(observation, SampledProfile):
             return Target(values=values, edge=observation.edge(values), profile=seen, noise=settings.noise)
-        deviation = deviation_of(problem, profile)
+        deviation, rough = deviation_of(
+            profile, share=settings.noise_share, noise=settings.noise, cell=problem.scene.domain.cell
+        )
         covariance = observation.covariance(profile, deviation)
         return Target(
             values=values,
             edge=observation.edge(values),
             profile=seen,
+            roughness=rough,
             deviation=np.interp(observation.stations, profile.x, deviation, left=0.0, right=0.0),
             noise=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
             covariance=covariance,
@@ -117,24 +127,36 @@ def read_target(problem: Problem, observation: Observation, simulate: Callable[[
     )
 
 
-def observation_of(problem: Problem) -> Observation:
-    """What is compared of a deposit of `problem`; of a measured profile its rows alone. Raises InputError."""
-    observation = build(problem.observation, problem.scene)
+def observation_of(problem: Problem) -> OfDeposit:
+    """The one thing that is compared of a deposit of `problem`; of a measured profile its rows alone.
+
+    Raises InputError. For several observations see `inverse.measurements`.
+    """
     if problem.target.csv is None:
-        return observation
-    assert isinstance(observation, Profile), "a problem has been checked"
-    rows = measured_profile(problem, observation).x
+        return build(problem.observation, problem.scene)
+    rows = measured_profile(problem).x
     return SampledProfile(problem.scene, problem.observation.spacing, rows)
 
 
-def deviation_of(problem: Problem, profile: MeasuredProfile) -> Values:
-    """Standard deviation [m] of each height of a measured profile: the stated noise and that of representation."""
-    settings = problem.target
-    blurred = REPRESENTATION * problem.scene.domain.cell
-    return profile.deviation(share=settings.noise_share, noise=math.hypot(settings.noise, blurred))
+def deviation_of(profile: MeasuredProfile, *, share: float, noise: float, cell: float) -> tuple[Values, float]:
+    """Standard deviation [m] of each height of a measured profile, shape [R], and by how much it is above the stated.
+
+    Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of `cell`
+    [m] comes on top (`inverse.sampled`). Rows that scatter more than that have more noise than was stated.
+    """
+    stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
+    rough = profile.roughness(stated)
+    return rough * stated, rough
 
 
-def measured_profile(problem: Problem, observation: Profile) -> MeasuredProfile:
+def measured_profile(problem: Problem) -> MeasuredProfile:
     """The profile of the problem's CSV, checked against its scene. Raises InputError."""
-    released = observation.volume / observation.width
-    return read_profile(problem.folder, problem.target, problem.scene.domain.size[0], released)
+    settings = problem.target
+    return profile_of(
+        problem.folder / str(settings.csv),
+        unit=settings.unit,
+        datum=settings.datum,
+        heights=settings.heights,
+        length=problem.scene.domain.size[0],
+        released=None if problem.changes_volume else problem.released,
+    )

@@ -60,6 +60,10 @@ class Kind(ABC):
     """Step of a finite difference, unless the problem has its own."""
     positive: ClassVar[bool] = False
     """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
+    changes_volume: ClassVar[bool] = False
+    """Whether more or less material is released with it."""
+    by_surrogate: ClassVar[bool] = True
+    """Whether the learned surrogate is told of it, and is differentiable in it."""
     moves_the_start: ClassVar[bool] = False
     """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
 

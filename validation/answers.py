@@ -109,14 +109,7 @@ def sharpened(state: Search, worth: Certainty, run: Checked) -> Answer:
 def confirms(state: Search, answer: Answer, worth: Certainty) -> bool:
     """Whether the MPM at the answer, on average over its runs, meets the target."""
     seen = Seen(observation=answer.observation, front_error=answer.front_error, components=state.observation.components)
-    return meets(
-        state.problem,
-        state.target,
-        seen,
-        chance=worth.misfit,
-        front_chance=worth.front_misfit,
-        widened=worth.widened,
-    )
+    return meets(state.problem, state.target, seen, chance=worth.misfit, front_chance=worth.front_misfit)
 
 
 def verdict(state: Search, answer: Answer, worth: Certainty, widths: Mapping[str, float]) -> Verdict:
@@ -155,7 +148,7 @@ def out_of_reach(state: Search, answer: Answer, worth: Certainty) -> bool:
     """
     observed, components = state.problem.observation.kind, state.observation.components
     miss = distance(observed, answer.observation, state.target.values, components)
-    if miss <= allowed(state.problem, state.target, worth.misfit, components, widened=worth.widened):
+    if miss <= allowed(state.problem, state.target, worth.misfit, components):
         return False
     slope = worth.slope
     if slope is None or len(slope) != len(state.target.values):

@@ -319,7 +319,7 @@ def of_several(state: Search, joint: Joint) -> Identifiability:
     def by_name(values: NDArray[np.float64]) -> dict[str, float]:
         return dict(zip(names, values.tolist(), strict=True))
 
-    share = state.problem.observation.kind is Observable.PASSED
+    share = state.problem.observation.kind in (Observable.PASSED, Observable.SEVERAL)
     return Identifiability(
         combinations=combinations,
         half_a_cell=None if share else by_name(0.5 * state.problem.scene.domain.cell * gain),

@@ -5,7 +5,7 @@
 | symbol | variable | meaning |
 |---|---|---|
 | r | `residual` | what is observed less what the k runs of the MPM at the answer show on average, M numbers |
-| n, c | `noise`, `chance` | standard deviations of the measurement and of one flow (over the jitter seeds of the ensemble) |
+| n, c | `noise`, `chance` | standard deviations of the measurement and of one flow, over the jitter seeds |
 | U | `unknowns` | how many were fitted |
 | S | `ratio` | 1 where the fit is as good as it should be |
 

@@ -109,7 +109,7 @@ def estimate(
 ) -> Joint:
     """What runs at u0, `here` of shape [n, M], and their slopes per range, shape [K, M, U], say of a `target` [M].
 
-    noise: standard deviation of each number of the target by errors of the measurement; where these are not independent,
+    noise: standard deviation of each number of the target by errors of the measurement; where these are dependent,
     `covariance` of shape [M, M] counts instead. distance: h, of the runs on either side, as a fraction of the range.
     given: the slopes are not from runs.
     """

@@ -13,8 +13,10 @@ import numpy as np
 from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from inverse.combined import Combined
 from inverse.forward import SurrogateSource
 from inverse.gradient import automatic
+from inverse.measurements import CHANCE_CELLS, CHANCE_OF_A_SHARE
 from inverse.observations import Observation, Values, loss
 from inverse.optimise import Bounds, best, minimise
 from inverse.problem import Method, Observable, OptimiserSettings, Problem
@@ -25,10 +27,6 @@ from validation.correction import Corrected
 from validation.judgement import Seen, meets
 from validation.runs import KeptRuns
 
-SCATTER_CELLS = 0.25
-"""The MPM's own scatter over jitter seeds before an ensemble has measured it, in cells (1 to 3 mm at 10 mm)."""
-SCATTER_OF_A_SHARE = 0.005
-"""The same of a share that passed [-]."""
 SETTLED = 0.02
 """A proposal this close to the best MPM run, as a fraction of the range, is left to the ensemble (0.8 degrees)."""
 STUCK = 0.0025
@@ -88,7 +86,7 @@ class Search:
     def judge(self, unknowns: Vector, trajectory: Trajectory) -> Checked:
         """Hold an MPM run against the target."""
         deposit = trajectory.positions[-1]
-        observation = self.observation.exact(deposit)
+        observation = self.observation.observe(trajectory)
         return Checked(
             unknowns=unknowns,
             trajectory=trajectory,
@@ -129,10 +127,15 @@ class Search:
 
     @property
     def scatter(self) -> float:
-        """What an observed number of the MPM is expected to scatter over jitter seeds [m; of a share -]."""
+        """What an observed number of the MPM is expected to scatter over jitter seeds [m; of a share -].
+
+        Of several observations in standard deviations.
+        """
+        if isinstance(self.observation, Combined):
+            return self.observation.by_chance
         if self.problem.observation.kind is Observable.PASSED:
-            return SCATTER_OF_A_SHARE
-        return SCATTER_CELLS * self.problem.scene.domain.cell
+            return CHANCE_OF_A_SHARE
+        return CHANCE_CELLS * self.problem.scene.domain.cell
 
     @property
     def single(self) -> bool:

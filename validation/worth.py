@@ -24,6 +24,12 @@ def words(result: Result, certainty: Certainty) -> list[str]:
         "Each half-width is meant to hold the truth 95 times in 100.",
         "",
     ]
+    if result.target.roughness > 1.0:
+        lines += [
+            f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
+            "noise: so much noise is counted.",
+            "",
+        ]
     lines += of_discrepancy(certainty)
     if len(result.unknowns) == 1:
         lines += of_one(result, certainty)
@@ -45,6 +51,8 @@ def scatter(result: Result, certainty: Certainty) -> str:
             what = f"{length(certainty.misfit)} in the place of a point (root mean square)"
         case Observable.PASSED:
             what = f"{100.0 * certainty.misfit:.2g} % of the material"
+        case Observable.SEVERAL:
+            what = f"{certainty.misfit:.2g} standard deviations (root mean square over the numbers)"
     return f"two runs that differ in nothing but the jitter are {what} apart"
 
 
@@ -53,7 +61,9 @@ def of_discrepancy(certainty: Certainty) -> list[str]:
     known = certainty.discrepancy
     if known is None:
         return []
-    compared = f"The {known.numbers} numbers compared are {known.ratio:.2g} times as far from the MPM as the stated noise "
+    compared = (
+        f"The {known.numbers} numbers compared are {known.ratio:.2g} times as far from the MPM as the stated noise "
+    )
     compared += "and the chance of two flows let expect"
     if known.factor == 1.0:
         return [f"{compared}: chance explains that (p = {known.probability:.2g}).", ""]
@@ -80,6 +90,9 @@ def of_one(result: Result, certainty: Certainty) -> list[str]:
         moves = f"{100.0 * calibration.slope:+.3g} % of the material per {kind(name).unit} of `{name}`"
         chance = f"{100.0 * calibration.scatter:.2g} %"
     lines = [f"Near the answer the observation moves by {moves} and scatters by {chance} from run to run."]
+    if result.problem.observation.kind is Observable.SEVERAL:
+        moves = f"{calibration.slope:+.3g} standard deviations per {kind(name).unit} of `{name}`"
+        chance = f"{calibration.scatter:.2g}"
     if calibration.half_width >= unknown.upper - unknown.lower:
         lines += [f"The slope drowns in the scatter: this observation does not tell `{name}` within its bounds."]
     return lines

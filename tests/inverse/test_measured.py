@@ -11,8 +11,8 @@ from datasets.errors import InputError
 from inverse.measured import closed
 from inverse.observations import Profile
 from inverse.problem import Observable, Problem, read_problem
-from inverse.settings import Heights, LengthUnit, TargetSettings
 from inverse.sampled import REPRESENTATION, SampledProfile
+from inverse.settings import Heights, LengthUnit, TargetSettings
 from inverse.target import Target, observation_of, read_target
 
 X = np.linspace(0.0, 0.48, 25)
@@ -62,7 +62,7 @@ def test_a_profile_is_the_same_target_however_it_is_written(
 @pytest.mark.parametrize(
     ("x", "height", "settings", "message"),
     [
-        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; target.unit"),
+        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; unit says"),
         (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
         (X, 1000.0 * HEIGHT, {}, r"times; target.unit, datum and heights say"),
         (X, 1.15 * HEIGHT, {}, r"1.21 times"),
