@@ -17,7 +17,7 @@ from inverse.measured import MeasuredProfile, check_box, profile_of, read_column
 from inverse.observations import Front, Observation, Passed, Runout, Toe, Values
 from inverse.over_time import FrontOverTime, Gauges, Impulse, Outline, PeakForce
 from inverse.problem import Problem
-from inverse.sampled import SampledProfile
+from inverse.sampled import SampledProfile, sampled
 from inverse.settings import Measurable, MeasurementSettings
 from inverse.target import Target, deviation_of, hidden_scene, observation_of, read_target
 from inverse.unknowns import kind
@@ -163,7 +163,8 @@ def measurement(problem: Problem, settings: MeasurementSettings, *, given: bool)
             return made(Toe(scene), sized(numbers, scene.dimension))
         case Measurable.PROFILE:
             if not given:
-                return made(SampledProfile(scene, settings.spacing, stations(scene, settings.spacing)), None)
+                rows = stations(scene, settings.spacing)
+                return made(sampled(settings.heights)(scene, settings.spacing, rows), None)
             profile = profile_of(
                 problem.folder / str(settings.csv),
                 unit=settings.unit,
@@ -172,7 +173,7 @@ def measurement(problem: Problem, settings: MeasurementSettings, *, given: bool)
                 length=length,
                 released=None if problem.changes_volume else problem.released,
             )
-            seen = SampledProfile(scene, settings.spacing, profile.x)
+            seen = sampled(settings.heights)(scene, settings.spacing, profile.x)
             return made(seen, seen.of_heights(profile.at(seen.stations)), profile)
         case Measurable.FRONT_OVER_TIME:
             if settings.csv is not None:

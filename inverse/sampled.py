@@ -10,6 +10,8 @@ A row is the height at one place, the model's a mean over its spacing. The diffe
 `REPRESENTATION` of a cell, added to the noise of each height.
 """
 
+import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from torch import Tensor
 from datasets.scene import Scene
 from inverse.measured import MeasuredProfile
 from inverse.observations import SHARES, Profile, Values
+from inverse.settings import Heights
 
 REPRESENTATION = 0.25
 """Standard deviation of a height at one place from the model's mean around it, in cells."""
@@ -67,6 +70,35 @@ class SampledProfile(Profile):
         apart = np.stack(seen) - np.mean(seen, axis=0)
         covariance: NDArray[np.float64] = apart.T @ apart / (DRAWS - 1.0)
         return covariance
+
+
+class SurfaceProfile(SampledProfile):
+    """`SampledProfile` of the deposit's surface: how high its particles lie, loosened or not.
+
+    At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
+    of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
+    material reaches half a particle further up than a centre, the highest of several lies about as much above the rest.
+    The surrogate follows too few points for a surface: its smooth form is that of the equivalent
+    heights, and what the two differ by is left to the correction by the MPM (`validation.correction`).
+    """
+
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        scene = self.scene
+        spacing = float(self.fine[1] - self.fine[0])
+        rows = len(self.fine)
+        widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
+        place = np.clip(np.rint(positions[:, 0] / spacing).astype(np.int64), 0, rows - 1)
+        for axis, count in enumerate(widths, 2):
+            across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
+            place = place * count + across
+        top = np.zeros(rows * math.prod(widths))
+        np.maximum.at(top, place, positions[:, 1].astype(np.float64))
+        return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
+
+
+def sampled(heights: Heights) -> type[SampledProfile]:
+    """What a measured profile of such heights is compared with."""
+    return SurfaceProfile if heights is Heights.SURFACE else SampledProfile
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:

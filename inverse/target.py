@@ -17,7 +17,7 @@ from inverse.combined import Combined
 from inverse.measured import MeasuredProfile, profile_of
 from inverse.observations import Deposit, Observation, OfDeposit, Profile, Values, build
 from inverse.problem import Problem
-from inverse.sampled import REPRESENTATION, SampledProfile
+from inverse.sampled import REPRESENTATION, SampledProfile, sampled
 from inverse.unknowns import kind, with_unknowns
 
 
@@ -135,7 +135,7 @@ def observation_of(problem: Problem) -> OfDeposit:
     if problem.target.csv is None:
         return build(problem.observation, problem.scene)
     rows = measured_profile(problem).x
-    return SampledProfile(problem.scene, problem.observation.spacing, rows)
+    return sampled(problem.target.heights)(problem.scene, problem.observation.spacing, rows)
 
 
 def deviation_of(profile: MeasuredProfile, *, share: float, noise: float, cell: float) -> tuple[Values, float]:

@@ -11,7 +11,7 @@ from datasets.errors import InputError
 from inverse.measured import closed
 from inverse.observations import Profile
 from inverse.problem import Observable, Problem, read_problem
-from inverse.sampled import REPRESENTATION, SampledProfile
+from inverse.sampled import REPRESENTATION, SampledProfile, SurfaceProfile
 from inverse.settings import Heights, LengthUnit, TargetSettings
 from inverse.target import Target, observation_of, read_target
 
@@ -120,7 +120,7 @@ def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, 
     scene = told(tmp_path).scene
     x = np.linspace(0.0, 0.56, rows)
     # Of the height 3 A / L (1 - x / L)^2 with A = 0.08 m^2, L = 0.6 m.
-    problem = told(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2, heights=Heights.SURFACE)
+    problem = told(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
     sampled, refined = observation_of(problem), Profile(scene, 0.02)
     target = target_of(problem)
     assert target.profile is not None
@@ -166,3 +166,19 @@ def with_target(folder: Path, target: str) -> Path:
         f'[observation]\nkind = "front"\n[target]\n{target}\n'
     )
     return path
+
+
+def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
+    """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
+    observation = observation_of(told(tmp_path, heights=Heights.SURFACE))
+    assert isinstance(observation, SurfaceProfile)
+    rng = np.random.default_rng(6)
+    x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
+    surface = 0.4 * (1.0 - x / 0.42) * (1.0 + x / 0.42)
+    deposit = np.stack([x, surface * rng.random(40_000)], axis=1)
+    rows = observation.stations
+    expected = np.maximum(0.0, 0.4 * (1.0 - rows / 0.42) * (1.0 + rows / 0.42))
+    np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
+    exact = observation.exact(deposit)
+    np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
+    assert np.abs(SampledProfile(observation.scene, 0.02, rows).exact(deposit) - exact).max() > 0.02
