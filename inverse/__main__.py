@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from gns import checkpoint
+from gns import card, checkpoint
 from gns.rollout import shipped
 from inverse import report
 from inverse.finite_difference import central
@@ -20,10 +20,10 @@ from inverse.inversion import invert, unconfirmed
 from inverse.measurements import prepare
 from inverse.mpm_forward import MpmForward
 from inverse.observations import Observation, Values
-from inverse.problem import Method, Problem, read_problem
+from inverse.problem import Method, Problem, Surrogate, read_problem
 from inverse.result import Result
 from inverse.target import Target
-from inverse.unknowns import with_unknowns
+from inverse.unknowns import kind, with_unknowns
 from mpm.simulate import simulate, simulate_many
 
 
@@ -51,7 +51,7 @@ def main(
     *,
     out: Path,
     gradient: Gradient | None = None,
-    forward: ForwardModel = ForwardModel.GNS,
+    forward: ForwardModel | None = None,
     model: Path | None = None,
     memory_gib: float = MEMORY_GIB,
 ) -> None:
@@ -68,13 +68,15 @@ def main(
     gradient
         Automatic differentiation, the MPM has none; central differences, its default; or none, a search without.
     forward
-        What predicts the observation: the surrogate or the MPM.
+        What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again.
     """
     asked = read_problem(problem)
+    if forward is None:
+        forward = ForwardModel.MPM if asked.surrogate is Surrogate.NONE else ForwardModel.GNS
     if forward is ForwardModel.MPM and gradient is Gradient.AD:
         raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
@@ -83,7 +85,14 @@ def main(
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:
-        simulator = checkpoint.load(model or shipped(asked.scene.dimension)).simulator
+        strange = [name for name in asked.names if not kind(name).by_surrogate]
+        if strange or not observation.by_surrogate:
+            what = ", ".join(strange) or "forces"
+            raise InputError(f"expected mpm, no surrogate is told of {what}", where="--forward gns")
+        weights = model or shipped(asked.scene.dimension)
+        if note := card.warning(weights, with_unknowns(asked.scene, asked.names, asked.initial)):
+            print(note, file=sys.stderr)
+        simulator = checkpoint.load(weights).simulator
         source = GnsSource(simulator, asked, observation, memory_gib)
         frames = source.first_frames(with_unknowns(asked.scene, asked.names, asked.initial))
         began = time.perf_counter()

@@ -196,6 +196,11 @@ def check_search(
             if kind(unknown.name).moves_the_start:
                 message = f"expected rest, the MPM's first frames depend on {unknown.name}"
                 raise InputError(message, key="optimiser.start")
+    if observation.kind is Observable.DEPOSIT:
+        for unknown in unknowns:
+            if kind(unknown.name).changes_volume:
+                message = f"expected another kind than deposit: with {unknown.name} the number of particles changes"
+                raise InputError(message, key="observation.kind")
     if optimiser.method is Method.GAUSS_NEWTON and observation.kind is Observable.DEPOSIT:
         others = " or ".join(method for method in Method if method is not Method.GAUSS_NEWTON)
         raise InputError(f"expected {others}: a deposit is too many numbers for their Jacobian", key="optimiser.method")

@@ -116,7 +116,7 @@ def question(problem: Problem) -> str:
 
 def quantity(name: str, value: float) -> str:
     """A value of an unknown with its unit."""
-    return f"{number(name, value)} {kind(name).unit}"
+    return f"{number(name, value)} {kind(name).unit}".removesuffix(" -")
 
 
 def number(name: str, value: float) -> str:
