@@ -203,7 +203,7 @@ def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
 
 
 def test_momentum_goes_into_sides_and_solids_alone() -> None:
-    """P(t) - P(0) = M g t - what every side of the box and every solid took, sloped terrain and turned box among them."""
+    """P(t) - P(0) = M g t less what every side of the box and every solid took, a slope and a turned box among them."""
     scene = Scene(
         domain=Domain(size=(1.0, 0.6), cell=CELL),
         material=SAND,
@@ -221,7 +221,7 @@ def test_momentum_goes_into_sides_and_solids_alone() -> None:
     mass = SAND.density * scene.particle_volume
     momentum = mass * flow.velocities.sum(axis=1, dtype=float)
     weight = np.outer(flow.time, scene.gravity_vector) * mass * flow.positions.shape[1]
-    sides = np.sum([series for series in flow.summary["side_impulse"].values()], axis=0)
+    sides = np.sum(list(flow.summary["side_impulse"].values()), axis=0)
     error = momentum - weight + sides + flow.solid_impulse.sum(axis=1)
     assert np.abs(error).max() < 1.0e-5 * np.abs(weight).max()
     assert flow.solid_impulse[-1, 1, 0] > 0.0

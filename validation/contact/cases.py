@@ -67,7 +67,7 @@ def block_acceleration(slope_deg: float) -> float:
     return max(0.0, GRAVITY * (math.sin(theta) - BASE_FRICTION * math.cos(theta)))
 
 
-def on_incline(cell: float) -> tuple[Scene, Scene]:
+def on_incline(cell: float, seed: int) -> tuple[Scene, Scene]:
     """The same sand runs down the floor of a tilted box, and down a polyline in a level one."""
     theta = math.radians(SLOPE_DEG)
     box = ((0.2, 0.0), (0.5, 0.0), (0.5, 0.2), (0.2, 0.2))
@@ -80,6 +80,7 @@ def on_incline(cell: float) -> tuple[Scene, Scene]:
         duration=0.8,
         frame_dt=0.01,
         step_fraction=0.9,
+        seed=seed,
     )
     # A hair above the line, so that rounding leaves no corner below it.
     turned = tuple(level(x, y + 1.0e-6) for x, y in box)
