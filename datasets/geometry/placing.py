@@ -62,12 +62,26 @@ def overlap(scene: "Scene", mass: "Mass", solid: Solid, key: str) -> bool:
     """Whether a mass shares volume with a solid: boxes, polygons and meshes exactly, others by their particles."""
     box = Box(scene.domain.size, scene.domain.cell)
     if mass.kind in ("layer", "particles"):
-        from datasets.geometry.nearest import inside
-        from datasets.geometry.surface import surface_in
-
-        return bool(inside(surface_in(box, (solid,), (key,)), places(scene, mass)).any())
+        if mass.kind == "layer" and solid.kind == "terrain":
+            return False  # it lies on the highest terrain
+        return bool(in_solid(solid, key, box, places(scene, mass)).any())
     shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
     return overlap_of_shapes(shape, solid, key, box)
+
+
+def in_solid(solid: Solid, key: str, box: Box, points: Floats) -> NDArray[np.bool_]:
+    """Which of N points [m], shape [N, D], lie in a solid, shape [N]."""
+    from datasets.geometry.nearest import inside
+    from datasets.geometry.surface import surface_in
+
+    if solid.kind == "terrain":
+        level = [axis for axis in range(box.dimension) if axis != 1]
+        return np.asarray(points[:, 1] < elevation((solid,), box, points[:, level]) - TOUCHING)
+    surface = surface_in(box, (solid,), (key,))
+    low, high = surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))
+    found = np.asarray(((points > low) & (points < high)).all(axis=1))
+    found[found] = inside(surface, points[found])
+    return found
 
 
 @lru_cache(maxsize=256)
