@@ -4,7 +4,7 @@ The sign is that of the offset along the pseudonormal of the face, edge or corne
 for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,16 @@ class Nearest:
     """The face that the foot lies on, shape [N]."""
 
 
-def nearest(surface: Surface, points: Floats) -> Nearest:
-    """The nearest places of `surface` for `points` [m], shape [N, D]."""
+def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:
+    """The nearest places of `surface` for `points` [m], shape [N, D].
+
+    Points farther from it than `within` [m] cost less: their distance is inf, or right, whatever side they are on; what
+    else is said of those at inf is that of a place near by.
+    """
     points = np.atleast_2d(np.asarray(points, np.float64))
     search = Search(surface)
-    parts = [search.nearest(points[first : first + PAIRS // 50]) for first in range(0, len(points), PAIRS // 50)]
+    portion = PAIRS // 50
+    parts = [search.nearest(points[first : first + portion], within) for first in range(0, len(points), portion)]
     return Nearest(
         distance=np.concatenate([part.distance for part in parts] or [np.empty(0)]),
         foot=np.concatenate([part.foot for part in parts] or [np.empty((0, surface.dimension))]),
@@ -63,35 +68,40 @@ class Search:
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
         self.centres = 0.5 * (surface.corners.min(axis=1) + surface.corners.max(axis=1))
-        radii = np.linalg.norm(surface.corners - self.centres[:, None], axis=-1).max(axis=1)
+        radii = self.radii = np.linalg.norm(surface.corners - self.centres[:, None], axis=-1).max(axis=1)
         order = np.floor(np.log(radii / radii.max()) / np.log(CLASSES)).astype(int)
         self.classes = []
         for number in np.unique(order):
             faces = np.flatnonzero(order == number)
             self.classes.append((faces, cKDTree(self.centres[faces]), float(radii[faces].max())))
 
-    def nearest(self, points: Floats) -> Nearest:
-        """The nearest places for `points` [N, D]."""
-        bound = self.bound(points)
+    def nearest(self, points: Floats, within: float) -> Nearest:
+        """The nearest places for `points` [N, D], of those farther than `within` [m] some near place."""
+        bound, least, face = self.bound(points)
         best = np.full(len(points), np.inf)
-        face = np.zeros(len(points), np.int64)
-        for point, candidate in self.pairs(points, bound):
+        close = np.flatnonzero(least <= within)
+        for point, candidate in self.pairs(points[close], bound[close]):
+            point = close[point]
             _, distance, _ = feet(self.surface.corners[candidate], points[point])
             order = np.lexsort((candidate, distance, point))
             first = order[np.unique(point[order], return_index=True)[1]]
             better = distance[first] < best[point[first]]
             chosen = first[better]
             best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
-        return sign_and_normal(self.surface, points, face)
+        found = sign_and_normal(self.surface, points, face)
+        return replace(found, distance=np.where(least <= within, found.distance, np.inf))
 
-    def bound(self, points: Floats) -> Floats:
-        """An upper bound of the distance [m] of each point, shape [N]."""
-        bound = np.full(len(points), np.inf)
-        for faces, tree, _ in self.classes:
-            _, number = tree.query(points)
+    def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
+        """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""
+        bound, least = np.full(len(points), np.inf), np.full(len(points), np.inf)
+        face = np.zeros(len(points), np.int64)
+        for faces, tree, radius in self.classes:
+            centre, number = tree.query(points)
             _, distance, _ = feet(self.surface.corners[faces[number]], points)
+            face = np.where(distance < bound, faces[number], face)
             bound = np.minimum(bound, distance)
-        return bound
+            least = np.minimum(least, centre - radius)
+        return bound, least, face
 
     def pairs(self, points: Floats, bound: Floats) -> list[tuple[Integers, Integers]]:
         """Points and faces that may lie within `bound` of them, in portions."""
@@ -102,8 +112,12 @@ class Search:
             groups = np.split(np.arange(len(points)), np.flatnonzero(np.diff(np.cumsum(counts) // PAIRS)) + 1)
             for group in groups:
                 if counts[group].sum():
-                    members = np.concatenate([lists[index] for index in group]).astype(np.int64)
-                    found.append((np.repeat(group, counts[group]), faces[members]))
+                    members = faces[np.concatenate([lists[index] for index in group]).astype(np.int64)]
+                    point = np.repeat(group, counts[group])
+                    # A face lies within its own radius of its centre, most have less than the largest of the class.
+                    off = np.linalg.norm(points[point] - self.centres[members], axis=1)
+                    kept = off <= (bound[point] + self.radii[members]) * (1.0 + 1.0e-9)
+                    found.append((point[kept], members[kept]))
         return found
 
 
