@@ -150,7 +150,8 @@ def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
     top.fill_between(x, 0.0, ground, color=EARTH, linewidth=0.0)
     top.fill_between(x, ground, ground + maps.thickness, color=SAND, linewidth=0.0, label="deposit")
     top.plot(x, ground + maps.thickness, color=INK, linewidth=1.2)
-    top.plot(x, ground + maps.depth, color=SKY, linewidth=1.0, label="largest depth")
+    deepest = np.where(maps.depth > 0.0, ground + maps.depth, np.nan)
+    top.plot(x, deepest, color=SKY, linewidth=1.0, label="largest depth")
     if maps.start is not None:
         top.plot(
             x, np.where(maps.start > 0.0, ground + maps.start, np.nan), "--", color=INK, linewidth=1.0, label="start"
@@ -158,16 +159,17 @@ def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
     top.plot(x, ground, color=INK, linewidth=0.8)
     top.set_ylabel("elevation [m]")
     top.set_ylim(bottom=0.0)
-    top.margins(x=0.0)
     top.legend(frameon=False, fontsize=9)
     top.set_title(titles[0], loc="left", fontsize=10)
     if maps.velocity is not None:
-        axes[1].plot(x, maps.velocity, color=SKY, linewidth=1.2)
+        covered = maps.depth > maps.threshold
+        axes[1].plot(x, np.where(covered, maps.velocity, np.nan), color=SKY, linewidth=1.2)
         axes[1].set_ylabel("velocity [m/s]")
-        axes[1].set_ylim(bottom=0.0)
+        axes[1].set_ylim(0.0, max(1.1 * float(maps.velocity.max()), 1e-6))
         axes[1].set_title(titles[1], loc="left", fontsize=10)
     for axis in axes:
         axis.grid(alpha=0.25)
+    axes[-1].set_xlim(x[0], x[-1])
     axes[-1].set_xlabel("x [m]")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)

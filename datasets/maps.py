@@ -108,7 +108,7 @@ def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path, formats:
             writer.writerow([f"{value:.9g}" for value in row])
         write_text(folder / PROFILE, text.getvalue())
     if "png" in formats:
-        titles = [heading(KINDS[0], maps, said), f"largest velocity, mean over the depth: {said['velocity_max']} m/s"]
+        titles = [heading(KINDS[0], maps, said), heading(KINDS[2], maps, said)]
         draw_profile(folder / "profile.png", maps, titles)
     write_json(folder / SUMMARY, said)
 

@@ -18,6 +18,9 @@ from tqdm import tqdm
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.geometry.margins import Box
+from datasets.geometry.planar import ring_of
+from datasets.geometry.surface import solids_of
 from datasets.plan import volumes_of
 from datasets.trajectory import Trajectory
 from datasets.vtk import Meshes, box, spatial
@@ -127,11 +130,37 @@ class Picture:
             self.stage.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
             self.stage.draw_lines(baffles.extract_all_edges(), INK)
         if "solids" in self.meshes.parts:
-            solids = self.meshes.solid_surface
-            if self.trajectory.scene.dimension == 2:
-                self.stage.draw_lines(solids, INK)
-            else:
-                self.stage.plotter.add_mesh(solids, color=GROUND, ambient=0.25)
+            self._draw_solids()
+
+    def _draw_solids(self) -> None:
+        """The other solids, as far as the view goes: in 3D their free surface, in 2D their areas too."""
+        if self.trajectory.scene.dimension == 3:
+            self.stage.plotter.add_mesh(self._seen(self.meshes.solid_surface), color=GROUND, ambient=0.25)
+            return
+        for area in self._areas():
+            self.stage.plotter.add_mesh(self._seen(area), color=GROUND, lighting=False)
+        self.stage.draw_lines(self._seen(self.meshes.solid_surface), INK)
+
+    def _areas(self) -> list[pyvista.PolyData]:
+        """The areas of the other solids in 2D, behind the points."""
+        scene = self.trajectory.scene
+        solids, keys = solids_of(scene)
+        box_of_scene = Box(scene.domain.size, scene.domain.cell)
+        areas = []
+        for solid, key in list(zip(solids, keys, strict=True))[len(scene.baffles) :]:
+            points = spatial(ring_of(solid, key, box_of_scene).points)
+            # Before the pane that is behind all, behind the points.
+            points[:, 2] = 0.01 * self.spacing
+            areas.append(pyvista.PolyData(points, [len(points), *range(len(points))]).triangulate())
+        return areas
+
+    def _seen(self, mesh: pyvista.PolyData) -> pyvista.PolyData:
+        """The part of a surface that the view holds, of any depth in 2D."""
+        low, high = self.stage.view.lower.copy(), self.stage.view.upper.copy()
+        if self.trajectory.scene.dimension == 2:
+            low[2], high[2] = -1.0, 1.0
+        clipped = mesh.clip_box(np.stack([low, high], axis=1).ravel().tolist(), invert=False)
+        return clipped.extract_surface(algorithm=None)
 
     def _draw_points(self) -> None:
         """The points, which `at` moves and colours, and the colour bar."""
