@@ -58,6 +58,11 @@ def page(found: BackAnalysis) -> str:
     if not math.isnan(fine.deg):
         off = front(found.deposit) / front(found.twin) - 1.0
         lines += paragraph(f"The front of the deposit at the inferred friction is {signed(off)} from the twin's.")
+    scene = f"validation/case_history/{found.read.name}/{history.scene}"
+    lines += paragraph(f"""
+        Depth, velocity and deposit of the twin along the ground, as a table and a picture: `python -m mpm.run {scene}
+        --out out/twin --fields`, then `python -m datasets.maps out/twin --out out/twin/maps`.
+    """)
     lines += paragraph(f"Source: {history.source}")
     lines += [
         f"Licence: {history.licence}.",

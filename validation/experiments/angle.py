@@ -1,7 +1,7 @@
 """Backward: the angle of friction at which the MPM comes as far as the measurement.
 
 The front falls with the angle. Each round runs every search once more, at the angle where the line through the two
-runs next to the target meets it (regula falsi where they enclose it, else the secant), until a run is within a tenth of
+runs next to the target meets it (regula falsi where they enclose it, else the secant), until a run is within a fifth of
 the measurement's spread. The half-width is the spread over the slope of the front there: it holds what the measurement
 leaves open, not what the model misses.
 """
@@ -16,9 +16,9 @@ BOUNDS_DEG = (8.0, 50.0)
 """Angles that are tried [deg]."""
 FIRST_DEG = (22.0, 30.0)
 """Where a search begins whose material has no angle of its own [deg]."""
-CLOSE = 0.1
+CLOSE = 0.2
 """A run this near to the target ends a search, in spreads."""
-ROUNDS = 6
+ROUNDS = 4
 SECOND_DEG = 3.0
 """From the first angle to the second [deg]."""
 LARGEST_DEG = 8.0
