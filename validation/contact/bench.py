@@ -251,7 +251,8 @@ def bench(out: Path | None, *, quick: bool = False) -> str:
         "",
         f"`flume-35`: sand lets go on a slope of 35°, runs out on a level floor and meets a wall. Its front"
         f" comes to {flume.front:.3f} m; the wall bears {flume.peak[0]:.0f} N/m at most, at"
-        f" {flume.peak[1]:.2f} s; momentum balances within {flume.balance:.1e} of the weight times the time (double precision).",
+        f" {flume.peak[1]:.2f} s;"
+        f" momentum balances within {flume.balance:.1e} of the weight times the time (double precision).",
         "",
         *(["![the flume](contact-flume.png)", ""] if out is not None else []),
         "## Where a baffle stands",
