@@ -123,7 +123,7 @@ def impulses(trajectory: Trajectory) -> dict[str, Floats]:
     scene, taken = trajectory.scene, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         taken |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
-    walls: Any = trajectory.summary.get("wall_impulse")
+    walls: Any = trajectory.summary.get("side_impulse", trajectory.summary.get("wall_impulse"))
     if walls is not None:
         frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
         named = walls if isinstance(walls, Mapping) else {WALLS: walls}

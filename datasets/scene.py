@@ -19,6 +19,8 @@ Vector = tuple[float, ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
+SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
+"""The sides of the box; y- is the floor."""
 RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""
 
@@ -271,7 +273,7 @@ def check(scene: Scene) -> None:
             require(
                 inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
             )
-    open_sides = ("x-", "x+", "y-", "y+", "z-", "z+")[: 2 * dimension]
+    open_sides = SIDES[: 2 * dimension]
     for index, side in enumerate(scene.open_sides):
         require(side in open_sides, f"open_sides[{index}]", f"one of {', '.join(open_sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))

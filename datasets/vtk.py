@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
@@ -76,10 +77,14 @@ class Meshes:
     def material(self) -> NDArray[np.int32]:
         """Index into `materials` of each point, shape [N].
 
-        Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points.
+        Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points;
+        by the nearest particle of the scene's own where a mass is no box.
         """
         scene, start = self.trajectory.scene, self.start
         materials = self.materials
+        if any(mass.kind != "box" for mass in scene.masses):
+            own = initial_particles(scene)
+            return np.asarray(own.material[cKDTree(own.positions).query(start)[1]])
         nearest, index = np.full(len(start), np.inf), np.zeros(len(start), np.int32)
         for mass in scene.masses:
             lower, upper = np.array(mass.lower), np.add(mass.lower, mass.size)

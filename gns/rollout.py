@@ -15,7 +15,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.trajectory import Floats, Trajectory
 from datasets.vtk import write_vtk
-from gns import checkpoint
+from gns import card, checkpoint
 from gns.grid import UP
 from gns.start import after_frames, at_rest
 from gns.unroll import unroll
@@ -97,6 +97,8 @@ def rollout(
             problem = after_frames(frames, wanted, settings, rng)
     except InputError as error:
         raise error if error.where else error.at(scene) from None
+    if note := card.warning(model or shipped(wanted.dimension), wanted):
+        print(note, file=sys.stderr)
     there = problem.to(device)
     clock = time.perf_counter()
     with torch.no_grad():

@@ -9,20 +9,21 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from gns import checkpoint
+from gns import card, checkpoint
 from gns.rollout import shipped
-from inverse import observations, report
+from inverse import report
 from inverse.finite_difference import central
 from inverse.gns_forward import MEMORY_GIB, GnsForward, GnsSource
 from inverse.gradient import automatic
 from inverse.gradient_free import explore
 from inverse.inversion import invert, unconfirmed
+from inverse.measurements import prepare
 from inverse.mpm_forward import MpmForward
 from inverse.observations import Observation, Values
-from inverse.problem import Method, Problem, read_problem
+from inverse.problem import Method, Problem, Surrogate, read_problem
 from inverse.result import Result
-from inverse.target import Target, read_target, with_noise
-from inverse.unknowns import with_unknowns
+from inverse.target import Target
+from inverse.unknowns import kind, with_unknowns
 from mpm.simulate import simulate, simulate_many
 
 
@@ -50,7 +51,7 @@ def main(
     *,
     out: Path,
     gradient: Gradient | None = None,
-    forward: ForwardModel = ForwardModel.GNS,
+    forward: ForwardModel | None = None,
     model: Path | None = None,
     memory_gib: float = MEMORY_GIB,
 ) -> None:
@@ -67,30 +68,37 @@ def main(
     gradient
         Automatic differentiation, the MPM has none; central differences, its default; or none, a search without.
     forward
-        What predicts the observation: the surrogate or the MPM.
+        What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again.
     """
     asked = read_problem(problem)
+    if forward is None:
+        forward = ForwardModel.MPM if asked.surrogate is Surrogate.NONE else ForwardModel.GNS
     if forward is ForwardModel.MPM and gradient is Gradient.AD:
         raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    observation = observations.build(asked.observation, asked.scene)
-    asked = with_noise(asked, observation)
+    observation, target = prepare(asked, simulate)
     mpm_seconds = 0.0
     chosen: GnsForward | MpmForward = MpmForward(asked, observation, simulate_many)
     if forward is ForwardModel.GNS:
-        simulator = checkpoint.load(model or shipped(asked.scene.dimension)).simulator
+        strange = [name for name in asked.names if not kind(name).by_surrogate]
+        if strange or not observation.by_surrogate:
+            what = ", ".join(strange) or "forces"
+            raise InputError(f"expected mpm, no surrogate is told of {what}", where="--forward gns")
+        weights = model or shipped(asked.scene.dimension)
+        if note := card.warning(weights, with_unknowns(asked.scene, asked.names, asked.initial)):
+            print(note, file=sys.stderr)
+        simulator = checkpoint.load(weights).simulator
         source = GnsSource(simulator, asked, observation, memory_gib)
         frames = source.first_frames(with_unknowns(asked.scene, asked.names, asked.initial))
         began = time.perf_counter()
         beginning = None if frames is None else simulate(frames)
         mpm_seconds = time.perf_counter() - began
         chosen = source.start(beginning)
-    target = read_target(asked, observation, simulate)
     wanted = chosen.wanted(target.values) if isinstance(chosen, GnsForward) else target.values
     if gradient is None:
         gradient = Gradient.AD if isinstance(chosen, GnsForward) else Gradient.FD

@@ -80,6 +80,8 @@ def check_observation(scene: Scene, observation: ObservationSettings) -> None:
     """Raise InputError for an observation that cannot be made of a deposit of `scene`."""
     length = scene.domain.size[0]
     spacing, line, width = observation.spacing, observation.line, observation.width
+    if observation.kind is Observable.SEVERAL:
+        return  # Each is checked where it is read (`inverse.measurements`).
     require(0.0 < spacing <= length / 2, "observation.spacing", f"a length in (0, {length / 2:g}] m", spacing)
     if observation.kind is Observable.PASSED:
         require(line is not None, "observation.line", "the x [m] of a line that the flow may pass", "none")
@@ -137,6 +139,23 @@ def check_target(scene: Scene, names: Sequence[str], observation: ObservationSet
         raise InputError("expected hidden = true beside a truth", key="target.truth")
 
 
+def check_several(scene: Scene, names: Sequence[str], observation: ObservationSettings, target: TargetSettings) -> None:
+    """Raise InputError for a target beside several observations that is neither hidden nor a trajectory."""
+    require(observation.kind is Observable.SEVERAL, "observation.kind", "several", observation.kind)
+    allowed = ("hidden", "seed", "truth", "trajectory")
+    for part in dataclasses.fields(target):
+        usual = part.default if part.default is not dataclasses.MISSING else {}
+        if part.name not in allowed and getattr(target, part.name) != usual:
+            message = f"expected {', '.join(allowed)} beside several observations, which bring the rest themselves"
+            raise InputError(message, key=f"target.{part.name}")
+    if target.hidden and target.trajectory is not None:
+        raise InputError("expected hidden = true or a trajectory, got both", key="target")
+    if target.hidden:
+        _check_hidden(scene, names, target)
+    elif target.truth:
+        raise InputError("expected hidden = true beside a truth", key="target.truth")
+
+
 def _check_hidden(scene: Scene, names: Sequence[str], target: TargetSettings) -> None:
     if target.seed < 0 or target.seed == scene.seed:
         raise InputError(f"expected a seed of at least 0 and other than the scene's {scene.seed}", key="target.seed")
@@ -168,6 +187,7 @@ def check_search(
         ("loop.toe_within", loop.toe_within, 100.0),
         ("loop.deposit_within", loop.deposit_within, 100.0),
         ("loop.passed_within", loop.passed_within, 1.0),
+        ("loop.several_within", loop.several_within, 100.0),
         ("loop.trust", loop.trust, 1.0),
     ):
         require(value is None or 0.0 < value <= most, key, f"a number in (0, {most:g}]", value)
@@ -176,6 +196,11 @@ def check_search(
             if kind(unknown.name).moves_the_start:
                 message = f"expected rest, the MPM's first frames depend on {unknown.name}"
                 raise InputError(message, key="optimiser.start")
+    if observation.kind is Observable.DEPOSIT:
+        for unknown in unknowns:
+            if kind(unknown.name).changes_volume:
+                message = f"expected another kind than deposit: with {unknown.name} the number of particles changes"
+                raise InputError(message, key="observation.kind")
     if optimiser.method is Method.GAUSS_NEWTON and observation.kind is Observable.DEPOSIT:
         others = " or ".join(method for method in Method if method is not Method.GAUSS_NEWTON)
         raise InputError(f"expected {others}: a deposit is too many numbers for their Jacobian", key="optimiser.method")

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from inverse.observations import build
 from inverse.pictures import COLOURS, WIDTH, save
-from inverse.problem import Problem
+from inverse.problem import Observable, Problem
 from inverse.result import Round
 from inverse.unknowns import kind
 
@@ -169,5 +169,7 @@ def _finish(
 
 def loss_unit(problem: Problem) -> str:
     """Unit of the loss of a problem."""
+    if problem.observation.kind is Observable.SEVERAL:
+        return "-"
     unit = build(problem.observation, problem.scene).unit
     return f"{unit}^2" if unit else "-"

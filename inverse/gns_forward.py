@@ -15,7 +15,7 @@ from gns.simulator import Simulator
 from gns.start import InitialValueProblem, after_frames, at_rest
 from gns.unroll import step_activation_bytes, unroll
 from inverse.launch import Launch, Start
-from inverse.observations import Observation, Values
+from inverse.observations import Observation, Rollout, Values
 from inverse.problem import Problem
 from inverse.unknowns import Vector, launched
 
@@ -41,12 +41,17 @@ class GnsForward:
         self.simulator, self.problem, self.observation = simulator, problem, observation
         self.launch = Launch.of(flow, problem.scene, step=simulator.settings.step, dtype=dtype)
         self.indices, self.steps = flow.indices, flow.steps
+        # What an observation over time sees before the rollout begins; others are spared it.
+        self.before = torch.from_numpy(flow.known[:-1])
+        self.times = flow.times(simulator.settings.step)[0 if observation.over_time else len(self.before) :]
         bytes_per_step = step_activation_bytes(simulator, self.launch.state, self.launch.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
     def predict(self, unknowns: Tensor) -> Tensor:
         """The smooth observation, float64 of shape [m], of unknowns, float64 of shape [U]."""
-        return self.observation.smooth(self._final(unknowns), self.launch.conditions.volume)
+        return self.observation.predict(
+            Rollout(positions=self._path(unknowns), times=self.times, volumes=self.launch.conditions.volume)
+        )
 
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
         """The smooth observation [m] of each vector of unknowns [U], one after the other."""
@@ -56,15 +61,17 @@ class GnsForward:
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         """Where the points come to rest [m], shape [n, D]."""
         with torch.no_grad():
-            return self._final(torch.from_numpy(unknowns)).numpy()
+            return self._path(torch.from_numpy(unknowns))[-1].numpy()
 
     def wanted(self, target: Values) -> Values:
         """What of an exact `target` [M] the predictions [m] are held against: that of the points followed here."""
         return self.observation.of_points(target, self.indices)
 
-    def _final(self, unknowns: Tensor) -> Tensor:
+    def _path(self, unknowns: Tensor) -> Tensor:
+        """Positions [m] at `times`, shape [T, n, D]."""
         launch = launched(self.launch, self.problem.names, unknowns)
-        return unroll(self.simulator, launch.state, launch.conditions, self.steps, kept_steps=self.kept_steps)[-1]
+        moved = unroll(self.simulator, launch.state, launch.conditions, self.steps, kept_steps=self.kept_steps)
+        return torch.cat((self.before.to(moved.dtype), moved)) if self.observation.over_time else moved
 
 
 def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialValueProblem:

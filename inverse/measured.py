@@ -6,14 +6,17 @@ What the rows leave open at their ends is extrapolated linearly over at most two
 """
 
 import csv
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.settings import Heights, TargetSettings
+from inverse.settings import Heights, LengthUnit
 
 Floats = NDArray[np.float64]
 
@@ -21,15 +24,19 @@ EDGE = 0.01
 """Height over the largest, below which a deposit has ended."""
 FURTHEST = 2.0
 """Distances of the last two rows over which a profile is extrapolated."""
+ALONG = 4
+"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
 BELOW = 0.05
 """Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
+RARE = 0.05
+"""A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
+LEAST_FREEDOM = 4
+"""Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
 AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25)}
 """Area of a profile over the released one: what a measurement may miss, and of a surface also what loosening adds.
 
 Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
 """
-DRAWS = 400
-"""Of noise on the heights, by which that of the observation is known to 4 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,50 +52,85 @@ class MeasuredProfile:
         """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
         return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
 
-    def drawn(self, noise: float, seed: int) -> "MeasuredProfile":
-        """The profile with normal noise on each height, `noise` its standard deviation as a share of the height."""
-        factors = 1.0 + noise * np.random.default_rng(seed).standard_normal(len(self.x))
-        return MeasuredProfile(x=self.x, height=np.maximum(self.height * factors, 0.0))
+    def deviation(self, *, share: float, noise: float) -> Floats:
+        """Standard deviation [m] of each height, shape [R]: a `share` of it and, for all alike, `noise` [m].
+
+        Where the ground is bare, and beside it, there is no deposit to be mistaken about.
+        """
+        covered = self.height > 0.0
+        edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
+        return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
+
+    def roughness(self, deviation: Floats) -> float:
+        """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
+
+        e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
+        Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
+        625-633), which know of no model. Only what chance explains less often than `RARE` counts: their sum of squares
+        has half as many degrees of freedom as a sum of independent ones, roughly.
+        """
+        if len(self.x) < 3:
+            return 1.0
+        before, after = self.x[1:-1] - self.x[:-2], self.x[2:] - self.x[1:-1]
+        left, right = after / (before + after), before / (before + after)
+        residual = self.height[1:-1] - left * self.height[:-2] - right * self.height[2:]
+        variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
+        # Where the ground is bare on both sides nothing scatters.
+        told = (self.height[1:-1] > 0.0) & (variance > 0.0)
+        freedom = 0.5 * int(told.sum())
+        if freedom < LEAST_FREEDOM:
+            return 1.0
+        square = float(np.mean(residual[told] ** 2 / variance[told]))
+        return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
 
 
-def read_profile(folder: Path, settings: TargetSettings, length: float, released: float) -> MeasuredProfile:
-    """The profile of `settings.csv` in a box of `length` [m], of a body of the area `released` [m^2].
+def profile_of(
+    path: Path, *, unit: LengthUnit, datum: float, heights: Heights, length: float, released: float | None
+) -> MeasuredProfile:
+    """The profile in the CSV `path`, in a box of `length` [m], of a body of the area `released` [m^2].
 
-    Raises InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of
-    the deposit, or hold another area than was released.
+    unit: of both columns; datum: height of the floor in the file [unit]. Where nothing is known of what was released
+    its area is not looked at. Raises InputError, which names the file, for rows that are no profile, lie outside of the
+    box, end in the middle of the deposit, or hold another area than was released.
     """
-    path = folder / str(settings.csv)
+    x, height = read_columns(path, ("x", "height"))
     try:
-        x, height = read_rows(path)
-        metres = settings.unit.metres
-        x, height = x * metres, (height - settings.datum) * metres
+        if not np.all(np.diff(x) > 0.0):
+            raise InputError("expected x in ascending order")
+        x, height = x * unit.metres, (height - datum) * unit.metres
         check_box(x, length)
         check_heights(height)
         profile = closed(x, np.maximum(height, 0.0), length)
-        check_area(profile, settings.heights, released)
+        if released is not None:
+            check_area(profile, heights, released)
         return profile
     except InputError as error:
         raise error.at(str(path)) from None
 
 
-def read_rows(path: Path) -> tuple[Floats, Floats]:
-    """The columns x and height as they stand in the file, each of shape [R]. Raises InputError."""
+def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = ()) -> list[Floats]:
+    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
+
+    Raises InputError, which names the file.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.DictReader(file))
     except FileNotFoundError:
-        raise InputError("expected a measured profile (CSV), there is none") from None
+        raise InputError("expected a measurement (CSV), there is none", where=str(path)) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"expected a readable CSV, {error}") from None
-    if len(rows) < 2 or not {"x", "height"} <= rows[0].keys():
-        raise InputError("expected the columns x and height and at least two rows")
+        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
+    several = f"the columns {' and '.join(names)}"
+    if len(rows) < 2 or not set(names) <= rows[0].keys():
+        raise InputError(f"expected {several} and at least two rows", where=str(path))
+    asked = [*names, *(name for name in optional if name in rows[0])]
     try:
-        x, height = (np.array([float(row[column]) for row in rows]) for column in ("x", "height"))
+        columns = [np.array([float(row[name]) for row in rows]) for name in asked]
     except (TypeError, ValueError):
-        raise InputError("expected numbers in the columns x and height") from None
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(height)) and np.all(np.diff(x) > 0.0)):
-        raise InputError("expected finite numbers, x in ascending order")
-    return x, height
+        raise InputError(f"expected numbers in {several}", where=str(path)) from None
+    if not all(np.all(np.isfinite(column)) for column in columns):
+        raise InputError("expected finite numbers", where=str(path))
+    return columns
 
 
 def check_box(x: Floats, length: float) -> None:
@@ -97,8 +139,8 @@ def check_box(x: Floats, length: float) -> None:
     outside = x[(x < -slack) | (x > length + slack)]
     if len(outside):
         raise InputError(
-            f"expected x between the walls, 0 and {length:g} m, got {outside[-1]:g} m; target.unit says in what unit "
-            "the file is"
+            f"expected x between the walls, 0 and {length:g} m, got {outside[-1]:g} m; unit says in what unit the "
+            "file is"
         )
 
 
@@ -115,10 +157,10 @@ def check_heights(height: Floats) -> None:
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
     """The profile with its ends at a wall or at the deposit's edge. Raises InputError where they are too far.
 
-    An end at which the deposit goes on is extrapolated along its last two rows, towards larger x only downwards.
+    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
     """
-    first = extrapolated(x[0], height[0], (height[1] - height[0]) / (x[1] - x[0]), x[1] - x[0], height.max())
-    slope = (height[-1] - height[-2]) / (x[-1] - x[-2])
+    first = extrapolated(x[0], height[0], slope_of(x[:ALONG], height[:ALONG]), x[1] - x[0], height.max())
+    slope = slope_of(x[-ALONG:], height[-ALONG:])
     last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
     for end, place, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
         if end is None:
@@ -130,6 +172,12 @@ def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
     beyond = [(x[-1] + way, h) for way, h in last or []]
     rows = np.array([*before, *zip(x, height, strict=True), *beyond])
     return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
+
+
+def slope_of(x: Floats, height: Floats) -> float:
+    """Least-squares slope [-] of a few rows [m]."""
+    off = x - x.mean()
+    return float(off @ height / (off @ off))
 
 
 def extrapolated(

@@ -10,7 +10,7 @@ from inverse.forward import Simulate
 from inverse.observations import Observation, Values
 from inverse.problem import Problem
 from inverse.unknowns import Vector, with_unknowns
-from mpm.recording import LAST
+from mpm.recording import ALL, LAST
 
 
 class MpmForward:
@@ -27,8 +27,9 @@ class MpmForward:
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
         """The exact observation [M] of an MPM run at each vector of unknowns [U]."""
         self.runs += len(unknowns)
-        trajectories = self.simulate([self.scene(values) for values in unknowns], record=LAST)
-        return [self.observation.exact(trajectory.positions[-1]) for trajectory in trajectories]
+        record = ALL if self.observation.over_time else LAST
+        trajectories = self.simulate([self.scene(values) for values in unknowns], record=record)
+        return [self.observation.observe(trajectory) for trajectory in trajectories]
 
     def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
         """Where the points come to rest [m], shape [N, D]."""

@@ -6,6 +6,7 @@ The exact forms are those of `datasets.measures`; a target is always exact. A ne
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
@@ -17,6 +18,7 @@ from torch import Tensor
 from datasets import measures
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from inverse.problem import Observable, ObservationSettings
 
 Values = NDArray[np.float64]
@@ -26,21 +28,37 @@ SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANT
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Rollout:
+    """Where particles were from the start to the end, as the surrogate predicts it."""
+
+    positions: Tensor
+    """[m], shape [T, N, D]."""
+    times: Values
+    """[s], shape [T]."""
+    volumes: Tensor
+    """[m^D], shape [N]."""
+
+
 class Observation(ABC):
-    """Something measured on a deposit: M numbers."""
+    """Something measured on a flow: M numbers."""
 
     unit = "m"
     """Of the numbers; empty for a share."""
     components = 1
     """How many of the numbers are the components of one point: their squared differences add up (see `loss`)."""
+    over_time = False
+    """Whether it needs more of a trajectory than its last frame."""
+    by_surrogate = True
+    """Whether a learned surrogate can tell it."""
 
     @abstractmethod
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        """Of the positions of all points [m], shape [N, D]; returns shape [M]."""
+    def observe(self, trajectory: Trajectory) -> Values:
+        """Of a run, exactly; shape [M]."""
 
     @abstractmethod
-    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        """Of positions [m], shape [N, D], of points with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
+    def predict(self, rollout: Rollout) -> Tensor:
+        """Of a rollout of the surrogate, differentiable; shape [M]."""
 
     @abstractmethod
     def edge(self, values: Values) -> float:
@@ -51,7 +69,25 @@ class Observation(ABC):
         return values
 
 
-class Front(Observation):
+class OfDeposit(Observation):
+    """Something measured on a deposit."""
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        return self.exact(trajectory.positions[-1])
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        return self.smooth(rollout.positions[-1], rollout.volumes)
+
+    @abstractmethod
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        """Of the positions of all points [m], shape [N, D]; returns shape [M]."""
+
+    @abstractmethod
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        """Of positions [m], shape [N, D], of points with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
+
+
+class Front(OfDeposit):
     """The x that 99.5 % of the points are behind."""
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -64,7 +100,7 @@ class Front(Observation):
         return float(values[0])
 
 
-class Runout(Observation):
+class Runout(OfDeposit):
     """The largest x; smoothly, the mean of x under weights exp(x / width) over the points.
 
     The width is a quarter of a cell: points further than a cell behind the first hardly count.
@@ -84,7 +120,7 @@ class Runout(Observation):
         return float(values[0])
 
 
-class Profile(Observation):
+class Profile(OfDeposit):
     """The height profile, read sideways: the x behind which a given share of its area lies, for `SHARES` of it.
 
     The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
@@ -101,10 +137,14 @@ class Profile(Observation):
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
+        return self.at(positions, self.stations)
+
+    def at(self, positions: NDArray[np.floating], stations: Values) -> Values:
+        """The profile [m] at evenly spaced `stations` [m]; positions [m], shape [N, D]."""
         volumes = particle_volumes(self.scene, len(positions))
         # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
         share = volumes * (self.volume / (volumes.sum() * self.width))
-        return measures.height_profile(positions, share, self.stations)
+        return measures.height_profile(positions, share, stations)
 
     def of_heights(self, heights: Values) -> Values:
         """The observation [M] of a profile [m] at `stations`."""
@@ -114,7 +154,12 @@ class Profile(Observation):
         return self.of_heights(self.heights(positions))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        stations = torch.from_numpy(self.stations)
+        return self._sideways(self.smooth_heights(positions, volumes, self.stations))
+
+    @staticmethod
+    def smooth_heights(positions: Tensor, volumes: Tensor, along: Values) -> Tensor:
+        """The profile at evenly spaced stations `along` x [m], but for a constant factor, shape [S]; differentiable."""
+        stations = torch.from_numpy(along)
         spacing, last = stations[1] - stations[0], len(stations) - 1
         place = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
         left = place.detach().long().clamp(max=last - 1)
@@ -125,7 +170,7 @@ class Profile(Observation):
         # Half of a station's length lies beyond the wall.
         ends = torch.ones_like(heights)
         ends[[0, last]] = 2.0
-        return self._sideways(heights * ends)
+        return heights * ends
 
     def _sideways(self, heights: Tensor) -> Tensor:
         stations = torch.from_numpy(self.stations)
@@ -140,7 +185,7 @@ class Profile(Observation):
         return float(values[-1])
 
 
-class Toe(Observation):
+class Toe(OfDeposit):
     """The centroid of the furthest 10 % of the points, D numbers; the loss is the paper's |c - c_target|^2.
 
     Smoothly, a point at x belongs to them by 1 / (1 + exp((t - x) / width)), with the t at which the volume of all that
@@ -176,7 +221,7 @@ class Toe(Observation):
         return float(values[0])
 
 
-class Deposit(Observation):
+class Deposit(OfDeposit):
     """Where every point came to rest, N D numbers; the loss is the paper's mean over the points of |p - p_target|^2.
 
     The surrogate follows some of the points: it is held against the same ones of the target.
@@ -198,7 +243,7 @@ class Deposit(Observation):
         return np.asarray(values.reshape(-1, self.components)[indices].ravel())
 
 
-class Passed(Observation):
+class Passed(OfDeposit):
     """The share of the volume that came to rest beyond a line across the flow, x = `line` [m].
 
     Smoothly, a point at x counts as 1 / (1 + exp((line - x) / width)).
@@ -237,12 +282,12 @@ def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:
     return (torch.from_numpy(weights) * ordered).sum()
 
 
-def _passed(settings: ObservationSettings, scene: Scene) -> Observation:
+def _passed(settings: ObservationSettings, scene: Scene) -> OfDeposit:
     assert settings.line is not None, "a problem has been checked"
     return Passed(scene, settings.line, settings.width or scene.domain.cell)
 
 
-_BUILDERS: dict[Observable, Callable[[ObservationSettings, Scene], Observation]] = {
+_BUILDERS: dict[Observable, Callable[[ObservationSettings, Scene], OfDeposit]] = {
     Observable.FRONT: lambda settings, scene: Front(),
     Observable.RUNOUT: lambda settings, scene: Runout(scene),
     Observable.PROFILE: lambda settings, scene: Profile(scene, settings.spacing),
@@ -252,7 +297,7 @@ _BUILDERS: dict[Observable, Callable[[ObservationSettings, Scene], Observation]]
 }
 
 
-def build(settings: ObservationSettings, scene: Scene) -> Observation:
+def build(settings: ObservationSettings, scene: Scene) -> OfDeposit:
     """The observation that `settings` describe, for deposits of `scene`."""
     return _BUILDERS[settings.kind](settings, scene)
 

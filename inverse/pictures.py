@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datasets import files, measures
 from datasets.scene import Scene
 from inverse import plan_view, side_view
-from inverse.observations import Passed, Profile, Toe, Values, build
+from inverse.observations import OfDeposit, Passed, Profile, Toe, Values, build
 from inverse.problem import Observable, Problem
 from inverse.target import Target
 from inverse.unknowns import Vector, with_unknowns
@@ -41,7 +41,7 @@ def draw_deposits(
     In 2D from the side, in 3D from above, coloured by the height. Baffles stand where they were at the start, are at
     the `answer` [U] and were in truth; the toe and the line of `passed` are marked where they are what was observed.
     """
-    observation = build(problem.observation, problem.scene)
+    observation = single(problem)
     scenes = standings(problem, target, answer)
     reach = extent(problem.scene, [*deposits.values()])
     figure, axes = sheet(len(deposits) + 1, flatness(problem.scene, reach))
@@ -84,7 +84,7 @@ def draw_stages(
                 axis.plot(profile.stations, heights, color=COLOURS["target"], linewidth=1.0)
         else:
             plan_view.paint(axis, deposit, {"found": scene}, "found", top=reach[1])
-        observation = build(problem.observation, problem.scene)
+        observation = single(problem)
         mark(axis, observation, deposit, colour, target.values if isinstance(observation, Toe) else None)
         axis.set_title(title, loc="left", fontsize=8)
         frame(axis, problem.scene, reach)
@@ -107,9 +107,16 @@ def standings(problem: Problem, target: Target, answer: Vector) -> dict[str, Sce
     return scenes if moved else {"found": scenes["found"]}
 
 
+def single(problem: Problem) -> OfDeposit | None:
+    """The one thing that is observed of a deposit; None where it is several."""
+    if problem.observation.kind is Observable.SEVERAL:
+        return None
+    return build(problem.observation, problem.scene)
+
+
 def caption(problem: Problem, deposit: Deposit) -> str:
     """What was observed of a deposit, in a few words."""
-    observation = build(problem.observation, problem.scene)
+    observation = single(problem)
     if isinstance(observation, Toe | Passed):
         return seen(problem, observation.exact(deposit))
     if problem.observation.kind is Observable.RUNOUT:
@@ -120,6 +127,8 @@ def caption(problem: Problem, deposit: Deposit) -> str:
 def seen(problem: Problem, values: Values) -> str:
     """An observation in words, with its unit."""
     kind = problem.observation.kind
+    if kind is Observable.SEVERAL:
+        return f"{len(values)} numbers"
     if kind is Observable.PASSED:
         return f"{100.0 * values[0]:.2f} % beyond {problem.observation.line:g} m"
     if kind is Observable.TOE:

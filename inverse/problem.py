@@ -18,11 +18,13 @@ from inverse import checks
 from inverse.launch import Start, untouched
 from inverse.settings import (
     LoopSettings,
+    MeasurementSettings,
     Method,
     Observable,
     ObservationSettings,
     OptimiserSettings,
     Sampler,
+    Surrogate,
     TargetSettings,
     Unknown,
 )
@@ -30,6 +32,7 @@ from inverse.unknowns import Vector, kind, swept
 
 __all__ = [
     "LoopSettings",
+    "MeasurementSettings",
     "Method",
     "Observable",
     "ObservationSettings",
@@ -37,6 +40,7 @@ __all__ = [
     "Problem",
     "Sampler",
     "Start",
+    "Surrogate",
     "TargetSettings",
     "Unknown",
     "read_problem",
@@ -51,10 +55,12 @@ class _File(Strict):
 
     scene: str
     unknowns: tuple[Unknown, ...]
-    observation: ObservationSettings
-    target: TargetSettings
+    observation: ObservationSettings | None = None
+    observations: tuple[MeasurementSettings, ...] = ()
+    target: TargetSettings | None = None
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
+    surrogate: Surrogate = Surrogate.AUTO
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,11 +79,17 @@ class Problem:
     target: TargetSettings
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
+    surrogate: Surrogate = Surrogate.AUTO
+    observations: tuple[MeasurementSettings, ...] = ()
+    """Where `observation` is several: what they are."""
 
     def __post_init__(self) -> None:
         checks.check_unknowns(self.scene, self.unknowns)
         checks.check_observation(self.scene, self.observation)
-        checks.check_target(self.scene, self.names, self.observation, self.target)
+        if self.observations:
+            checks.check_several(self.scene, self.names, self.observation, self.target)
+        else:
+            checks.check_target(self.scene, self.names, self.observation, self.target)
         checks.check_search(self.unknowns, self.observation, self.optimiser, self.loop)
 
     @property
@@ -99,6 +111,16 @@ class Problem:
     def steps(self) -> Vector:
         """Step of a finite difference in each unknown, shape [U]."""
         return np.array([unknown.step or kind(unknown.name).step for unknown in self.unknowns])
+
+    @property
+    def released(self) -> float:
+        """Volume of the scene's masses over its width [m^2]; in 2D their area."""
+        return sum(math.prod(mass.size) for mass in self.scene.masses) / math.prod(self.scene.domain.size[2:])
+
+    @property
+    def changes_volume(self) -> bool:
+        """Whether how much is released is itself unknown."""
+        return any(kind(name).changes_volume for name in self.names)
 
     @cached_property
     def start(self) -> Start:
@@ -122,9 +144,26 @@ def read_problem(name: str) -> Problem:
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
         parts: dict[str, Any] = {part.name: getattr(file, part.name) for part in dataclasses.fields(file)}
-        return Problem(name=path.stem, folder=path.parent, **(parts | {"scene": scene}))
+        observed = one_or_several(file)
+        return Problem(name=path.stem, folder=path.parent, **(parts | observed | {"scene": scene}))
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def one_or_several(file: _File) -> dict[str, Any]:
+    """Observation and target of a file that has one of both, or several observations. Raises InputError."""
+    if file.observations:
+        if file.observation is not None:
+            raise InputError("expected one [observation] or several [[observations]], got both", key="observation")
+        target = file.target or TargetSettings()
+        return {"observation": ObservationSettings(kind=Observable.SEVERAL), "target": target}
+    for key in ("observation", "target"):
+        if getattr(file, key) is None:
+            raise InputError("expected a value, the key is missing", key=key)
+    assert file.observation is not None
+    if file.observation.kind is Observable.SEVERAL:
+        raise InputError("expected [[observations]] for several", key="observation.kind")
+    return {"observation": file.observation, "target": file.target}
 
 
 def with_noise_share(data: Mapping[str, Any]) -> dict[str, Any]:

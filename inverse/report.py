@@ -1,6 +1,7 @@
 """`report.md` of a single inversion, and the words and tables that it shares with other reports."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -26,6 +27,7 @@ OBSERVED = {
     Observable.TOE: "the toe, the centroid of the furthest 10 % of the points",
     Observable.DEPOSIT: "where every point of the deposit came to rest",
     Observable.PASSED: "the share of the material that came to rest beyond the line",
+    Observable.SEVERAL: "several things",
 }
 MANY = 2
 """With more unknowns than these they are drawn side by side as well."""
@@ -106,12 +108,15 @@ def question(problem: Problem) -> str:
     what = OBSERVED[problem.observation.kind]
     if problem.observation.kind is Observable.PASSED:
         what += f" x = {problem.observation.line:g} m"
+    if problem.observations:
+        counted = Counter(str(each.name or each.kind) for each in problem.observations)
+        what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
     return f"Unknown: {names}. Observed: {what}."
 
 
 def quantity(name: str, value: float) -> str:
     """A value of an unknown with its unit."""
-    return f"{number(name, value)} {kind(name).unit}"
+    return f"{number(name, value)} {kind(name).unit}".removesuffix(" -")
 
 
 def number(name: str, value: float) -> str:
@@ -175,6 +180,8 @@ def observation_row(problem: Problem, who: str, values: Values | None, loss: flo
 def away(problem: Problem, loss: float) -> str:
     """How far from the target a loss is: a length, also in cells, or a share."""
     root = math.sqrt(loss)
+    if problem.observation.kind is Observable.SEVERAL:
+        return f"{root:.3g} standard deviations"
     if problem.observation.kind is Observable.PASSED:
         return f"{100.0 * root:.2f} % of the material"
     return f"{length(root)} ({root / problem.scene.domain.cell:.2g} cells)"

@@ -24,6 +24,8 @@ class Verdict(StrEnum):
 
     CONFIRMED = "confirmed"
     UNCONFIRMED = "unconfirmed"
+    NOT_IDENTIFIABLE = "not-identifiable"
+    """It fits, but the observation does not tell every unknown: other values within the bounds fit as well."""
     UNREACHABLE = "unreachable"
 
 
@@ -128,6 +130,9 @@ class Result:
     other_minima: Sequence[Minimum] = field(default_factory=list)
     """Where those ended, if elsewhere."""
     identifiability: Identifiability | None = None
+    discrepancy: float | None = None
+    """By which factor the half-widths are wider because the fit is worse than noise and chance allow; 1 where it is
+    not, None where nothing tells."""
     mpm_runs: Sequence[RunRecord] = field(default_factory=list)
     mpm_seconds: float = 0.0
     total_seconds: float
@@ -185,6 +190,22 @@ class Result:
             "total": self.total_seconds,
         }
 
+    def raw(self, values: Values) -> Values:
+        """`values` [M] in their units: of several observations they are compared in standard deviations."""
+        return values if self.target.combined is None else self.target.combined.raw(values)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Of several observations: which numbers are whose, and the standard deviation of each."""
+        combined = self.target.combined
+        if combined is None:
+            return {}
+        parts = [
+            {"name": part.name, "unit": part.observation.unit, "first": part.numbers.start, "end": part.numbers.stop}
+            for part in combined.parts
+        ]
+        return {"parts": parts, "deviation": plain(combined.scale)}
+
     def write(self, folder: Path) -> None:
         """Write `result.json` into `folder`."""
         first = next(stage for stage in self._stages if (stage.number, stage.start) == (0, 0)).evaluations[0]
@@ -196,13 +217,15 @@ class Result:
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
                 "identifiability": None if self.identifiability is None else told(self.identifiability),
+                "discrepancy": self.discrepancy,
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {
-                    "target": plain(self.target.values),
-                    "surrogate": plain(self.surrogate),
-                    "mpm": None if self.mpm is None else plain(self.mpm),
-                },
+                    "target": plain(self.raw(self.target.values)),
+                    "surrogate": plain(self.raw(self.surrogate)),
+                    "mpm": None if self.mpm is None else plain(self.raw(self.mpm)),
+                }
+                | self.parts,
                 "loss": {"surrogate": self.loss_surrogate, "mpm": self.loss_mpm, "initial": first.loss},
                 "mpm_runs": [
                     {

@@ -22,6 +22,33 @@ class Observable(StrEnum):
     """Where every point came to rest."""
     PASSED = "passed"
     """The share of the volume beyond a line across the flow."""
+    SEVERAL = "several"
+    """What `[[observations]]` name, together."""
+
+
+class Measurable(StrEnum):
+    """What one of several observations measures."""
+
+    FRONT = "front"
+    """The x that 99.5 % of the particles are behind."""
+    RUNOUT = "runout"
+    """The largest x."""
+    PROFILE = "profile"
+    """The height along x, from a CSV."""
+    TOE = "toe"
+    """The centroid of the furthest 10 % of the particles."""
+    PASSED = "passed"
+    """The share of the volume beyond a line across the flow."""
+    FRONT_OVER_TIME = "front-over-time"
+    """The front at given times."""
+    HEIGHT = "height"
+    """The height at gauges along x, in the end or at given times."""
+    IMPULSE = "impulse"
+    """The momentum that a baffle or another solid has taken from the flow, in the end or at given times."""
+    PEAK_FORCE = "peak-force"
+    """The largest force on a baffle or another solid."""
+    OUTLINE = "outline"
+    """How far a deposit reaches in each of several directions of the plan (3D)."""
 
 
 class LengthUnit(StrEnum):
@@ -105,8 +132,56 @@ class ObservationSettings(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeasurementSettings(Strict):
+    """One of several observations: what was measured, where and when, what came out, and how well.
+
+    What came out is a `value`, `values` or a `csv`; none of them where the target is hidden or a trajectory.
+    """
+
+    kind: Measurable
+    name: str | None = None
+    """As it is called in reports; its kind where absent."""
+    value: float | None = None
+    """The one number, in the unit of its kind: m, N s or N (in 2D per metre of width), a share -."""
+    values: tuple[float, ...] | None = None
+    """The numbers: of a toe its coordinates, of others one for each of `x` or `times`."""
+    csv: str | None = None
+    """A table, by its header: x, height of a profile; time, front; x, height and maybe time of gauges; time, impulse;
+    x, z of an outline."""
+    noise: float | str = 0.0
+    """Standard deviation of each number: a number in the unit of the kind, or a percentage of each such as "3%"."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of the lengths in a `csv`."""
+    datum: float = 0.0
+    """Height of the floor in a `csv` of heights [`unit`]."""
+    heights: Heights = Heights.EQUIVALENT
+    """What the heights of a profile are."""
+    spacing: float = 0.02
+    """Distance between the stations of a profile [m]; over how long a way a gauge takes the mean height, either way."""
+    line: float | None = None
+    """Of `passed` [m]."""
+    x: tuple[float, ...] | None = None
+    """Of gauges [m], where they are not in a `csv`."""
+    z: float | None = None
+    """Of gauges in 3D [m]; where absent they take the mean across the flow."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start, where that is not in a `csv`; where absent, in the end."""
+    solid: int = 0
+    """Which took the impulse: the baffles, counted from 0, then the other solids in their order."""
+    axis: int = 0
+    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
+    window: float = 0.02
+    """Time over which a force is a mean [s]: of the gauge, or so much as to be above the chance of single particles."""
+    directions_deg: tuple[float, ...] | None = None
+    """Of an outline, from +x towards +z; every 22.5 degrees where absent."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TargetSettings(Strict):
-    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `hidden` and `least`."""
+    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `hidden` and `least`.
+
+    Beside several observations that bring their own numbers there is none.
+    """
 
     value: float | None = None
     """The observed number, for a front or a runout [m] or a share that passed [-]."""
@@ -162,6 +237,15 @@ class OptimiserSettings(Strict):
     """Of its random numbers."""
 
 
+class Surrogate(StrEnum):
+    """Whether a learned surrogate proposes."""
+
+    AUTO = "auto"
+    """Where the flow, the unknowns and the observations are what it has learned."""
+    NONE = "none"
+    """Never: the loop runs on the MPM alone."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings(Strict):
     """How the MPM confirms or corrects (`validation.loop`)."""
@@ -178,6 +262,9 @@ class LoopSettings(Strict):
     """Root mean square distance of the points within which a deposit is confirmed, in cells."""
     passed_within: float = 0.01
     """Difference between two shares that passed within which one is confirmed."""
+    several_within: float | None = None
+    """Root mean square misfit of several observations, in standard deviations, within which they are confirmed; what
+    chance exceeds once in twenty times where absent."""
     mpm_runs: int = 8
     """Most MPM runs that the loop may spend."""
     seeds: int = 16

@@ -8,104 +8,35 @@
 | `baffles[I].x`, `.z` | m | centre of baffle I |
 | `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
 | `baffles[I].height` | m | its extent along y, from its foot |
+| `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
+| `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
+| `masses[I].k0` | - | ratio of the initial stresses of mass I |
+| `masses[I].height` | m | extent of mass I along y, from its foot: how much is released |
 
+The last four rows are the MPM's alone: no surrogate is told of them, the loop then runs without one.
 A cohesion takes the tension cutoff along: their ratio stays what it is in the scene, the default where it names none.
 """
 
 import dataclasses
 import itertools
 import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Baffle, Scene
 from datasets.scene import Vector as Lengths
+from inverse.kind import AXES, UP, Kind, Parts, Strength, T, Vector, there
 from inverse.launch import Launch
+from inverse.mpm_kinds import Height, InitialStress, MaterialConstant, SceneConstant
 
-Vector = NDArray[np.float64]
-"""One value per unknown, in the order of the problem and the units of the names; shape [U]."""
-
-T = TypeVar("T", float, Tensor)
-
-AXES = "xyz"
-UP = 1
-
-
-@dataclass
-class Parts:
-    """What of a scene can be unknown, taken apart: a scene is checked when it is put together again."""
-
-    material: Material
-    masses: list[Mass]
-    baffles: list[Baffle]
-
-
-class Kind(ABC):
-    """A kind of unknown."""
-
-    unit: ClassVar[str]
-    """As it is printed."""
-    digits: ClassVar[int]
-    """Decimals with which it is printed."""
-    step: ClassVar[float]
-    """Step of a finite difference, unless the problem has its own."""
-    moves_the_start: ClassVar[bool] = False
-    """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
-
-    @abstractmethod
-    def check(self, scene: Scene) -> None:
-        """Raise InputError where `scene` has no such thing."""
-
-    @abstractmethod
-    def read(self, scene: Scene) -> float:
-        """Its value in `scene`."""
-
-    @abstractmethod
-    def put(self, parts: Parts, value: float) -> None:
-        """Give it this value: how it enters the MPM. Use `with_unknowns`."""
-
-    @abstractmethod
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        """`launch` with this value, differentiable in it: how it enters the surrogate. Use `launched`."""
-
-
-@dataclass(frozen=True)
-class Strength(Kind):
-    """A constant of the material of a mass, or for None of the shared one."""
-
-    mass: int | None
-
-    def check(self, scene: Scene) -> None:
-        if self.mass is not None:
-            _there("masses", self.mass, len(scene.masses))
-        elif all(mass.material is not None for mass in scene.masses):
-            raise InputError("expected a mass of the scene's shared material, every mass has its own")
-
-    def material(self, scene: Scene) -> Material:
-        """The material in question."""
-        return scene.material if self.mass is None else scene.material_of(scene.masses[self.mass])
-
-    def put(self, parts: Parts, value: float) -> None:
-        if self.mass is None:
-            parts.material = self.changed(parts.material, value)
-            return
-        mass = parts.masses[self.mass]
-        parts.masses[self.mass] = dataclasses.replace(
-            mass, material=self.changed(mass.material or parts.material, value)
-        )
-
-    @abstractmethod
-    def changed(self, material: Material, value: float) -> Material:
-        """`material` with this value."""
+__all__ = ["Vector", "kind", "launched", "swept", "with_unknowns"]
 
 
 @dataclass(frozen=True)
@@ -113,6 +44,7 @@ class Friction(Strength):
     """Angle of internal friction [deg]; the surrogate is told its tangent."""
 
     unit = "deg"
+    positive = True
     digits = 2
     step = 0.05  # the paper's
 
@@ -134,6 +66,7 @@ class Cohesion(Strength):
     """Cohesion [Pa]."""
 
     unit = "Pa"
+    positive = True
     digits = 1
     step = 1.0
 
@@ -167,7 +100,7 @@ class Velocity(Kind):
     moves_the_start = True
 
     def check(self, scene: Scene) -> None:
-        _there("masses", self.mass, len(scene.masses))
+        there("masses", self.mass, len(scene.masses))
         _along(self.axis, scene)
 
     def read(self, scene: Scene) -> float:
@@ -200,7 +133,7 @@ class BaffleKind(Kind):
     step = 0.002
 
     def check(self, scene: Scene) -> None:
-        _there("baffles", self.baffle, len(scene.baffles))
+        there("baffles", self.baffle, len(scene.baffles))
         _along(self.axis, scene)
 
     def put(self, parts: Parts, value: float) -> None:
@@ -260,6 +193,18 @@ _FORMS: dict[str, Callable[[int], Kind]] = {
     "baffles[].length": lambda baffle: Extent(baffle, 0),
     "baffles[].height": lambda baffle: Extent(baffle, UP),
     "baffles[].width": lambda baffle: Extent(baffle, 2),
+    "floor_friction": lambda _: SceneConstant("floor_friction"),
+    "wall_friction": lambda _: SceneConstant("wall_friction"),
+    "baffle_friction": lambda _: SceneConstant("baffle_friction"),
+    "damping": lambda _: SceneConstant("damping"),
+    "young": lambda _: MaterialConstant(None, "young"),
+    "residual_friction_deg": lambda _: MaterialConstant(None, "residual_friction_deg"),
+    "residual_cohesion": lambda _: MaterialConstant(None, "residual_cohesion"),
+    "masses[].young": lambda mass: MaterialConstant(mass, "young"),
+    "masses[].residual_friction_deg": lambda mass: MaterialConstant(mass, "residual_friction_deg"),
+    "masses[].residual_cohesion": lambda mass: MaterialConstant(mass, "residual_cohesion"),
+    "masses[].k0": InitialStress,
+    "masses[].height": Height,
 }
 
 
@@ -279,7 +224,13 @@ def with_unknowns(scene: Scene, names: Sequence[str], values: Sequence[float] | 
     parts = Parts(material=scene.material, masses=list(scene.masses), baffles=list(scene.baffles))
     for place in _shared_first(names):
         kind(names[place]).put(parts, float(values[place]))
-    return dataclasses.replace(scene, material=parts.material, masses=tuple(parts.masses), baffles=tuple(parts.baffles))
+    return dataclasses.replace(
+        scene,
+        material=parts.material,
+        masses=tuple(parts.masses),
+        baffles=tuple(parts.baffles),
+        **parts.constants,  # type: ignore[arg-type]
+    )
 
 
 def launched(launch: Launch, names: Sequence[str], values: Tensor) -> Launch:
@@ -308,17 +259,15 @@ def swept(scene: Scene, names: Sequence[str], bounds: Sequence[tuple[float, floa
 
 
 def _shared_first(names: Sequence[str]) -> list[int]:
-    """Places of `names`, shared constants first: those of a single mass count more, in whatever order they stand."""
-    return sorted(range(len(names)), key=lambda place: "[" in names[place])
+    """Places of `names`, shared constants first: those of a single mass count more, in whatever order they stand.
+
+    Residual values last: a cohesion takes them along.
+    """
+    return sorted(range(len(names)), key=lambda place: ("[" in names[place], "residual" in names[place]))
 
 
 def _with(lengths: Lengths, axis: int, value: float) -> Lengths:
     return (*lengths[:axis], value, *lengths[axis + 1 :])
-
-
-def _there(group: str, index: int, count: int) -> None:
-    if index >= count:
-        raise InputError(f"expected an index below {count}, the number of {group} in the scene, got {index}")
 
 
 def _along(axis: int, scene: Scene) -> None:

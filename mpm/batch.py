@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
-from datasets.scene import Scene
+from datasets.scene import SIDES, Scene
 from mpm import rest
 from mpm.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
     PADDING,
+    Contact,
     Energy,
     Features,
     Gate,
@@ -75,12 +76,13 @@ class Batch:
             offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
             offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
+            offset[Offset.OPEN] = sum(1 << SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
             offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
-            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + int(record.wall_forces)
+            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
@@ -184,10 +186,12 @@ class Batch:
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
-            from mpm.initial_stress import initial_stress
+            from mpm.initial_stress import initial_tractions
 
-            stress = initial_stress(scene, particles, particles.positions.astype(state.dtype))
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
             put(features.stress, stress)
+            if features.contact:
+                put(features.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
             properties = properties_of(particles)
@@ -321,7 +325,8 @@ class Batch:
     def impulses(self, index: int) -> NDArray[np.float64]:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
-        The baffles in the order of the scene, then all walls of the box together where asked for.
+        The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
+        `datasets.scene.SIDES`, and the gates.
         """
         scene, first, solids = (
             self.scenes[index],
@@ -335,6 +340,11 @@ class Batch:
 def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
     """The particles of each scene at the start."""
     return [initial_particles(scene) for scene in scenes]
+
+
+def wall_slots(scene: Scene, record: Recording) -> int:
+    """Recorded impulses of the box: its sides and the gates, or none."""
+    return 2 * scene.dimension + 1 if record.wall_forces else 0
 
 
 def features_of(
@@ -365,6 +375,7 @@ def features_of(
             for each in particles
         ),
         contact=any(scene.baffles or scene.solids for scene in scenes),
+        open=any(scene.open_sides for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,

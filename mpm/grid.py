@@ -13,10 +13,9 @@ Only the bounding box of the material is cleared and updated.
 
 import taichi as ti
 
-from mpm.boundary import against_walls
+from mpm.boundary import against_walls, record_wall
 from mpm.contact import against_solids
 from mpm.gates import against_gates
-from mpm.lanes import add
 from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
 from mpm.nodes import cells_of, rows_of
 
@@ -165,29 +164,14 @@ def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
         a = a - drag * ti.Vector(sign)
     free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
-    held = against_walls(
-        free,
-        index,
-        cells_of(scene, arrays),
-        arrays.settings[scene, Setting.FLOOR_FRICTION],
-        arrays.settings[scene, Setting.WALL_FRICTION],
-    )
-    lost = free - held
+    held = against_walls(free, index, cells_of(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
         rows = rows_of(scene, arrays)
         n = arrays.offsets[scene, Offset.GEOMETRY] + i * rows[0] + j * rows[1] + k * rows[2]
         held = against_solids(held, mass, n, worker, arrays)
     if ti.static(features.gated):
         behind = against_gates(held, index, scene, dt, arrays)
-        lost = lost + held - behind
+        if ti.static(features.walls_recorded):
+            record_wall(2 * features.dimension, mass * (held - behind), worker, scene, arrays)
         held = behind
-    if ti.static(features.walls_recorded):
-        # What the walls take is counted behind the solids in the box.
-        for axis in ti.static(range(features.dimension)):
-            recorded_impulse = (
-                arrays.workers[worker, Worker.IMPULSE]
-                + arrays.offsets[scene, Offset.OBSTACLES] * features.dimension
-                + axis
-            )
-            add(arrays.impulse_lanes, recorded_impulse * features.lanes, mass * lost[axis], arrays)
     return held

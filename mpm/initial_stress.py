@@ -39,7 +39,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.scene import SIDES, TOLERANCE, Mass, Scene
+from mpm.contact_operator import ContactOperator
 from mpm.layout import PADDING
 from mpm.release import gates, inside
 
@@ -174,8 +175,10 @@ class Equilibrium:
         walls = np.zeros(self.nodes.shape, np.int8)
         self.gated = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
-            walls[self.nodes[:, axis] <= PADDING, axis] = 1
-            walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
+            if SIDES[2 * axis] not in scene.open_sides:
+                walls[self.nodes[:, axis] <= PADDING, axis] = 1
+            if SIDES[2 * axis + 1] not in scene.open_sides:
+                walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
         free[walls != 0] = False
         rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
@@ -193,19 +196,22 @@ class Equilibrium:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
         precondition = None
         best, least, patience = stress, np.inf, PATIENCE
+        tractions = self.contact.traction
         for _ in range(ITERATIONS):
             admitted = self.admitted(stress)
-            force = np.where(self.free, self.unbalanced(admitted), 0.0)
+            tractions = self.contact.bounded(admitted, tractions)
+            force = np.where(self.free, self.unbalanced(admitted, tractions), 0.0)
             left = float(np.abs(force).sum()) / self.weight
             patience = PATIENCE if left < PROGRESS * least else patience - 1
             if left < least:
                 best, least = admitted, left
+                self.contact.traction = tractions
             if least <= BALANCED or patience == 0:
                 break
             yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
             if yielded.any():
                 stress = np.where(yielded[:, None, None], self.admitted(stress, INSIDE), stress)
-                force = np.where(self.free, self.unbalanced(stress), 0.0)
+                force = np.where(self.free, self.unbalanced(stress, tractions), 0.0)
                 self.theta[yielded] = np.maximum(SOFTENED * self.theta[yielded], SOFTEST)
             if precondition is None:
                 precondition = self.preconditioner()
@@ -214,8 +220,9 @@ class Equilibrium:
             if steps > EXTRA_STEPS or (self.dimension == 3 and yielded.any()):
                 precondition = None
             stress = stress + self.elastic(displacements)
+            tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
             # Walls push and do not pull.
-            pulled = ~self.free & (self.unbalanced(stress) * self.walls > BALANCED * self.weight)
+            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
             if pulled.any():
                 self.free |= pulled
                 precondition = None
@@ -230,7 +237,7 @@ class Equilibrium:
 
     def missing(self, stress: Floats) -> float:
         """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
-        force = self.unbalanced(stress)
+        force = self.unbalanced(stress, self.contact.traction)
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -241,24 +248,36 @@ class Equilibrium:
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         return float(loose + pulled + slips) / self.weight
 
-    def unbalanced(self, stress: Floats) -> Floats:
-        """r_i = m_i g + f_i(stress) [N], shape [n, D]."""
+    @property
+    def shear_traction(self) -> Floats:
+        """Of the solids that the particles touch [Pa], shape [N, D]."""
+        every = np.zeros((len(self.volume), self.dimension))
+        every[self.contact.touching] = self.contact.traction
+        return every
+
+    def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
+        """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
+        push = self.contact.force(self.contact.pushing(stress), tractions)
         flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
-        return np.asarray(self.gravity - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
+        return np.asarray(self.gravity + push - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
 
     def elastic(self, displacements: Floats) -> Floats:
         """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
         gradient = np.zeros((len(self.volume), 3, 3))
         columns = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
         gradient[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
+        gradient[self.contact.touching] += self.contact.gradient(displacements)
         change = (self.theta * self.shear)[:, None, None] * (gradient + gradient.swapaxes(1, 2))
         pressure = self.theta * self.lame * np.trace(gradient, axis1=1, axis2=2)
         return np.asarray(change + pressure[:, None, None] * np.eye(3))
 
     def stiffness(self, displacements: Floats) -> Floats:
         """K u [N], shape [n, D], zero where a node is held."""
-        flux = (self.volume[:, None, None] * self.elastic(displacements))[:, : self.dimension, : self.dimension]
+        change = self.elastic(displacements)
+        flux = (self.volume[:, None, None] * change)[:, : self.dimension, : self.dimension]
         force = self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension)
+        shear = self.contact.shear_traction(displacements, self.theta * self.shear)
+        force -= self.contact.force(self.contact.normal_stress(change), shear)
         return np.where(self.free, force, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
@@ -290,6 +309,8 @@ class Equilibrium:
         ]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
+        contact = self.theta * self.lame, self.theta * self.shear
+        diagonal += self.contact.diagonal(*contact)
         inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
         parts = [matrix[:, self.direct].tocsr() for matrix in each]
         used = np.flatnonzero(np.diff(parts[0].indptr))
@@ -304,6 +325,7 @@ class Equilibrium:
                 for i in range(dimension)
             ]
         ).tocsr()
+        block = block + self.contact.block(*contact, self.direct)
         # Components of a node side by side: the ordering of the factorisation sees nodes, not components.
         order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()

@@ -83,7 +83,8 @@ class Offset(Column):
     ENERGY = auto()  # its first line in `energy`
     GEOMETRY = auto()  # its first entry in `cell_faces` and `held_nodes`
     OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
-    SOLIDS = auto()  # whose impulses are recorded: those, and the box's walls where asked for
+    OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
+    SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the gates
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
@@ -205,6 +206,8 @@ class Features:
     """A scene has several materials, or particles of several volumes."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
+    open: bool = False
+    """A side of the box lets particles out."""
     velocity_recorded: bool = False
     stress_recorded: bool = False
     pressure_recorded: bool = False

@@ -2,7 +2,6 @@
 each particle touches at the start (`mpm.contact`)."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from mpm.boundary import closed
 from mpm.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.gaps import gap_followed
 from mpm.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
@@ -46,6 +47,8 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, scratch, dt, arrays)
+    if ti.static(features.open):
+        leave(block, scene, arrays)
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
         find_contacts(block, scratch, mass, worker, scene, arrays)
@@ -63,6 +66,8 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
             at = scratch + features.lowest + features.dimension + k
             speed = arrays.scratch[at]
             arrays.state[v + k] = kept * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        if ti.static(features.open):
+            speed = arrays.state[x + features.present] * speed
         if ti.static(features.compensated):
             old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
             new = old + part
@@ -74,12 +79,36 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
         held = between(free, 0.0, length)
+        if ti.static(features.open):
+            held = let_out(free, held, 2 * k, scene, arrays)
         arrays.state[x + k] = held
         put_back = lane_sum(
             ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
         )
         if put_back > 0.0:
             add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
+
+
+@ti.func
+def let_out(free, held, side: ti.template(), scene, arrays: ti.template()):
+    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `held`."""
+    below, above = closed(side, scene, arrays), closed(side + 1, scene, arrays)
+    return ti.select(((free < held) & (below == 0)) | ((free > held) & (above == 0)), free, held)
+
+
+@ti.func
+def leave(block, scene, arrays: ti.template()):
+    """Take the particles of a block that lie beyond an open side out of the flow: without mass, at rest, for good."""
+    features = arrays.features
+    x = block * features.block
+    here = arrays.state[x + features.present]
+    for k in ti.static(range(features.dimension)):
+        length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
+        inside = (arrays.state[x + k] >= 0.0) & (arrays.state[x + k] <= length)
+        here = ti.select(inside, here, 0.0)
+    arrays.state[x + features.present] = here
+    for k in ti.static(range(features.velocity, features.stress + features.stresses)):
+        arrays.state[x + k] = here * arrays.state[x + k]
 
 
 @ti.func
@@ -101,7 +130,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
-    if ti.static(features.contact):
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if touches(block, arrays):
             shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
     if ti.static(features.corrected):
@@ -113,7 +142,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
 
 @ti.func
 def strain_increment(block, scratch, dt, arrays: ti.template()):
-    """G [-] of a block, row by row: of its velocity gradient and, where there are solids, of the jump at their surface."""
+    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
     features = arrays.features
     first = bounded(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]

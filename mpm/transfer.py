@@ -53,6 +53,17 @@ def property_of(scene, block, column: ti.template(), arrays: ti.template()):
 
 
 @ti.func
+def volume_of(scene, block, arrays: ti.template()):
+    """Initial volume [m^D] of the particles of a block, 0 of those that have left the box."""
+    features = arrays.features
+    if ti.static(features.open):
+        here = arrays.state[block * features.block + features.present]
+        return property_of(scene, block, Property.VOLUME, arrays) * here
+    else:
+        return property_of(scene, block, Property.VOLUME, arrays)
+
+
+@ti.func
 def lowest_node(arrays: ti.template(), scratch, lane, grid, rows: ti.template()):
     """Index of the lowest node of the particle in `lane`, in the whole array of nodes."""
     features = arrays.features
@@ -131,7 +142,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     features = arrays.features
     first = bounded(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
-    per_dx, volume = 1.0 / dx, property_of(scene, block, Property.VOLUME, arrays)
+    per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
     place = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     low = [ti.floor(p - 0.5) for p in ti.static(place)]

@@ -2,14 +2,18 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from inverse.forward import Simulate
+from inverse.problem import Problem
 from inverse.result import Verdict
-from inverse.unknowns import Vector
+from inverse.unknowns import Vector, kind
 from validation.certainty import SPREAD, Certainty, certainty
-from validation.joint import Joint
+from validation.discrepancy import discrepancy
 from validation.judgement import Seen, allowed, distance, meets
 from validation.search import Checked, Search
 from validation.solved import Answer
@@ -22,7 +26,11 @@ the ensemble's reach at which the estimate may lie."""
 NO_WORSE = 1.5
 """Loss over the least so far up to which that is worth it."""
 NO_NEARER = 0.5
-"""Of the squared misfit; where the MPM's own slopes promise no less within the bounds, the target is out of reach."""
+"""Of the squared misfit; where the MPM's own slopes promise no less within the bounds, there is nothing nearer."""
+OF_THE_RANGE = 0.5
+"""Half-width over the range between the bounds, above which an observation does not tell an unknown."""
+OF_ITSELF = 0.25
+"""The same where the half-width is also above the value."""
 
 
 def settle(state: Search, members: Simulate) -> tuple[Answer, Certainty]:
@@ -33,7 +41,8 @@ def settle(state: Search, members: Simulate) -> tuple[Answer, Certainty]:
     for number in range(1, MOST_ENSEMBLES + 1):
         unknowns = pointed_to(state, worth)
         if state.budget < 1:
-            return Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), worth
+            answer = Answer(unknowns=state.nearest.unknowns, runs=[state.nearest])
+            return answer, dataclasses.replace(worth, discrepancy=discrepancy(state, answer.runs, worth.here))
         run = state.check(unknowns)
         worth = dataclasses.replace(worth, bend=bend(state, worth, run))
         if straight(state, worth, unknowns) or number == MOST_ENSEMBLES or state.budget < 1:
@@ -43,7 +52,8 @@ def settle(state: Search, members: Simulate) -> tuple[Answer, Certainty]:
         # The slopes change over such a distance: look at them again where it led.
         state.surveyed += worth.runs
         worth = certainty(state, unknowns, members)
-    return sharpened(state, worth, run), worth
+    answer = sharpened(state, worth, run)
+    return answer, dataclasses.replace(worth, discrepancy=discrepancy(state, answer.runs, worth.here))
 
 
 def straight(state: Search, worth: Certainty, unknowns: Vector) -> bool:
@@ -102,37 +112,73 @@ def confirms(state: Search, answer: Answer, worth: Certainty) -> bool:
     return meets(state.problem, state.target, seen, chance=worth.misfit, front_chance=worth.front_misfit)
 
 
-def verdict(state: Search, answer: Answer, worth: Certainty) -> Verdict:
-    """What the MPM says of the answer."""
+def verdict(state: Search, answer: Answer, worth: Certainty, widths: Mapping[str, float]) -> Verdict:
+    """What the MPM says of the answer, whose half-widths are `widths`."""
     if state.problem.target.least:
         begun = state.checked[1].observation[0]
         scatter = next(iter(worth.calibrations.values())).scatter
         better = begun - answer.observation[0] > 2.0 * scatter
         return Verdict.CONFIRMED if better else Verdict.UNCONFIRMED
     if confirms(state, answer, worth):
-        return Verdict.CONFIRMED
-    far = worth.joint is not None and out_of_reach(state, worth.joint, answer, worth)
-    return Verdict.UNREACHABLE if far else Verdict.UNCONFIRMED
+        return Verdict.NOT_IDENTIFIABLE if undetermined(state.problem, answer.unknowns, widths) else Verdict.CONFIRMED
+    return Verdict.UNREACHABLE if out_of_reach(state, answer, worth) else Verdict.UNCONFIRMED
 
 
-def out_of_reach(state: Search, joint: Joint, answer: Answer, worth: Certainty) -> bool:
-    """Whether nothing within the bounds is any nearer to the target, by the MPM's own slopes around the answer."""
-    widths = state.bounds.range
-    kind, components = state.problem.observation.kind, state.observation.components
-    miss = distance(kind, answer.observation, state.target.values, components)
+def undetermined(problem: Problem, unknowns: Vector, widths: Mapping[str, float]) -> list[str]:
+    """The unknowns, at `unknowns` [U], of which the observation says no more than was known before.
+
+    Those with a half-width of more than half of the range between the bounds; or of more than the value itself, where a
+    value has a zero of its own, and more than a quarter of that range.
+    """
+    found = []
+    for unknown, value in zip(problem.unknowns, unknowns, strict=True):
+        width, span = widths[unknown.name], unknown.upper - unknown.lower
+        drowned = kind(unknown.name).positive and width > abs(value) and width > OF_ITSELF * span
+        if drowned or width > OF_THE_RANGE * span:
+            found.append(unknown.name)
+    return found
+
+
+def out_of_reach(state: Search, answer: Answer, worth: Certainty) -> bool:
+    """Whether the target is far from what any unknowns within the bounds give, by the MPM's own slopes at the answer.
+
+    Either the bounds keep the answer from it: the slopes lead to it, but out of them. Or it is of another kind than
+    what the MPM shows: more is left than the unknowns change from bound to bound. What is left otherwise is a
+    discrepancy of the model, and the answer stands.
+    """
+    observed, components = state.problem.observation.kind, state.observation.components
+    miss = distance(observed, answer.observation, state.target.values, components)
     if miss <= allowed(state.problem, state.target, worth.misfit, components):
         return False
-    if len(joint.centre) != len(state.target.values):
+    slope = worth.slope
+    if slope is None or len(slope) != len(state.target.values):
         return False  # The slopes are the surrogate's.
-    low, high = (state.bounds.lower - worth.centre) / widths, (state.bounds.upper - worth.centre) / widths
-    return joint.least_misfit(state.target.values, low, high) > NO_NEARER
+    misfit = state.target.values - answer.observation
+    low, high = ((bound - answer.unknowns) / state.bounds.range for bound in (state.bounds.lower, state.bounds.upper))
+    if left_over(slope, misfit, low, high) <= NO_NEARER:
+        return False
+    free = np.full(len(low), math.inf)
+    changed = float(np.sum(slope**2))
+    return left_over(slope, misfit, -free, free) <= NO_NEARER or float(misfit @ misfit) > changed
+
+
+def left_over(slope: NDArray[np.float64], misfit: Vector, lower: Vector, upper: Vector) -> float:
+    """Share of |misfit|^2 that is left at best after moving by lower <= v <= upper [U] along `slope` [M, U]."""
+    low, high = np.minimum(lower, -1e-12), np.maximum(upper, 1e-12)
+    left = misfit - slope @ lsq_linear(slope, misfit, bounds=(low, high)).x
+    return float(left @ left) / max(float(misfit @ misfit), 1e-300)
 
 
 def half_widths(state: Search, answer: Answer, worth: Certainty) -> dict[str, float]:
-    """Half-width of each unknown around the answer; no wider than the bounds, which were known before."""
+    """Half-width of each unknown around the answer; no wider than the bounds, which were known before.
+
+    Wider by the discrepancy of the model where the fit is worse than noise and chance allow (`validation.discrepancy`).
+    """
     off = np.zeros(len(answer.unknowns)) if worth.bend is None else worth.bend
     return {
-        name: float(min(math.hypot(calibration.half_width, bent) + abs(calibration.estimate - value), width))
+        name: float(
+            min(worth.widened * math.hypot(calibration.half_width, bent) + abs(calibration.estimate - value), width)
+        )
         for (name, calibration), bent, value, width in zip(
             worth.calibrations.items(), off, answer.unknowns, state.bounds.range, strict=True
         )

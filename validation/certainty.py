@@ -20,8 +20,10 @@ from inverse.observations import Values
 from inverse.optimise import Bounds
 from inverse.problem import Observable, Problem
 from inverse.result import Combination, Identifiability
+from inverse.target import Target
 from inverse.unknowns import Vector, with_unknowns
 from validation.calibration import CONFIDENCE, Calibration, calibrate
+from validation.discrepancy import Discrepancy
 from validation.joint import Joint, estimate
 from validation.judgement import distance
 from validation.search import Checked, Search
@@ -57,6 +59,15 @@ class Certainty:
     way there from the centre, shape [U]; part of the half-width."""
     identifiability: Identifiability | None = None
     """Absent for a design."""
+    slope: NDArray[np.float64] | None = None
+    """Of the observation, per range of each unknown, shape [M, U]; absent for a design."""
+    discrepancy: Discrepancy | None = None
+    """How the answer fits; absent where nothing is left to tell."""
+
+    @property
+    def widened(self) -> float:
+        """By which factor the half-widths are wider for the discrepancy of the model; 1 where there is none."""
+        return 1.0 if self.discrepancy is None else self.discrepancy.factor
 
     @property
     def here(self) -> list[Checked]:
@@ -88,7 +99,7 @@ def one(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
         np.array([run.unknowns[0] for run in telling]),
         np.array([run.observation @ direction for run in telling]),
         float(target @ direction),
-        problem.target.noise,
+        noise_along(state.target, direction),
     )
     (unknown,) = problem.unknowns
     return Certainty(
@@ -97,7 +108,8 @@ def one(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
         front_misfit=fronts_apart(here),
         runs=runs,
         centre=answer,
-        identifiability=of_one(state, calibration),
+        identifiability=of_one(state, calibration, noise_along(state.target, direction)),
+        slope=slope_of(telling, state.bounds),
     )
 
 
@@ -111,8 +123,16 @@ def several(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
         wanted = model.surrogate.wanted
         seen, target = np.stack([wanted(row) for row in seen]), wanted(target)
         slopes = jacobian(model, answer, SPREAD * state.bounds.range)[None] * state.bounds.range
-    noise = state.problem.target.noise
-    joint = estimate(seen, slopes, target, noise=noise, distance=SPREAD, given=not by_mpm)
+    known = state.target.covariance
+    joint = estimate(
+        seen,
+        slopes,
+        target,
+        noise=state.target.noise,
+        distance=SPREAD,
+        given=not by_mpm,
+        covariance=known if known is not None and len(known) == len(target) else None,
+    )
     widths, compared = state.bounds.range, seen.shape[1] / state.observation.components
     calibrations = {}
     for index, name in enumerate(state.problem.names):
@@ -132,7 +152,16 @@ def several(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
         centre=answer,
         joint=joint,
         identifiability=of_several(state, joint),
+        slope=joint.slope,
     )
+
+
+def slope_of(runs: Sequence[Checked], bounds: Bounds) -> NDArray[np.float64]:
+    """Least-squares slope of the observation over a single unknown, per range, shape [M, 1]."""
+    unknown = np.array([run.unknowns[0] for run in runs]) / bounds.range[0]
+    seen = np.stack([run.observation for run in runs])
+    off = unknown - unknown.mean()
+    return np.asarray(off @ (seen - seen.mean(axis=0)) / (off @ off))[:, None]
 
 
 def design(state: Search, answer: Vector, simulate: Simulate) -> Certainty:
@@ -248,11 +277,17 @@ def ensemble(problem: Problem, answer: Vector, bounds: Bounds) -> list[tuple[Vec
     ]
 
 
-def of_one(state: Search, calibration: Calibration) -> Identifiability:
-    """What a calibration says of a single unknown."""
+def noise_along(target: Target, direction: Values) -> float:
+    """Standard deviation of the target's component along a unit vector `direction` [M] by errors of the measurement."""
+    if target.covariance is None:
+        return target.noise
+    return math.sqrt(max(0.0, float(direction @ target.covariance @ direction)))
+
+
+def of_one(state: Search, calibration: Calibration, noise: float) -> Identifiability:
+    """What a calibration says of a single unknown; noise: of the measurement, along the unknown's direction."""
     (name,), (width,) = state.problem.names, state.bounds.range
     slope = max(abs(calibration.slope), 1e-300)
-    noise = state.problem.target.noise
     combination = Combination(
         weights={name: 1.0},
         singular_value=float(1.0 / max(math.hypot(calibration.scatter, noise) / (width * slope), LEAST)),
@@ -284,10 +319,10 @@ def of_several(state: Search, joint: Joint) -> Identifiability:
     def by_name(values: NDArray[np.float64]) -> dict[str, float]:
         return dict(zip(names, values.tolist(), strict=True))
 
-    share = state.problem.observation.kind is Observable.PASSED
+    share = state.problem.observation.kind in (Observable.PASSED, Observable.SEVERAL)
     return Identifiability(
         combinations=combinations,
         half_a_cell=None if share else by_name(0.5 * state.problem.scene.domain.cell * gain),
         scatter=by_name(joint.scatter * widths),
-        noise=by_name(state.problem.target.noise * gain),
+        noise=by_name(joint.noise * widths),
     )

@@ -19,7 +19,7 @@ from gns.rollout import shipped
 from inverse import observations
 from inverse.forward import Simulate, SurrogateSource
 from inverse.gns_forward import GnsSource
-from inverse.observations import Observation
+from inverse.observations import OfDeposit
 from inverse.problem import Observable, Problem, read_problem
 from inverse.report import quantity, table
 from inverse.result import Result
@@ -54,6 +54,8 @@ def main(problem: str, /, *, out: Path, seeds: int = 10, noise: float = 0.0, mod
     asked = read_problem(problem)
     if not asked.target.hidden:
         raise InputError("expected hidden = true, the truth must be known", where=problem, key="target")
+    if asked.observations:
+        raise InputError("expected one [observation]", where=problem, key="observations")
     if seeds < 1 or noise < 0.0:
         raise InputError(f"expected at least one seed and no negative noise, got {seeds} and {noise:g}")
     simulator = checkpoint.load(model or shipped(asked.scene.dimension)).simulator
@@ -75,7 +77,7 @@ def main(problem: str, /, *, out: Path, seeds: int = 10, noise: float = 0.0, mod
 
 
 def hidden(
-    problem: Problem, observation: Observation, noise: float, folder: Path, simulate: Simulate
+    problem: Problem, observation: OfDeposit, noise: float, folder: Path, simulate: Simulate
 ) -> tuple[Problem, Target]:
     """`problem` that knows of its noise, and its target: the observation of a hidden flow, with that noise on it.
 
@@ -88,7 +90,7 @@ def hidden(
     chance = np.random.default_rng([problem.target.seed, 2]).normal(size=len(target.values))
     values = target.values + sigma * chance
     known = dataclasses.replace(problem, target=dataclasses.replace(problem.target, noise=sigma))
-    return known, Target(values=values, edge=observation.edge(values), truth=target.truth)
+    return known, Target(values=values, edge=observation.edge(values), truth=target.truth, noise=sigma)
 
 
 def page(problem: Problem, results: Sequence[Result], noise: float) -> list[str]:

@@ -59,6 +59,8 @@ class Joint:
     """g, shape [U, M]."""
     scatter: Row
     """Standard deviation of each unknown by the chance of one flow alone, shape [U]."""
+    noise: Row
+    """The same by errors of the measurement alone, shape [U]."""
     centre: Row
     """y0, shape [M]."""
     slope: Matrix
@@ -95,16 +97,28 @@ class Joint:
         return float(left @ left) / max(float(misfit @ misfit), 1e-300)
 
 
-def estimate(here: Matrix, slopes: Matrix, target: Row, *, noise: float, distance: float, given: bool = False) -> Joint:
+def estimate(
+    here: Matrix,
+    slopes: Matrix,
+    target: Row,
+    *,
+    noise: float,
+    distance: float,
+    given: bool = False,
+    covariance: Matrix | None = None,
+) -> Joint:
     """What runs at u0, `here` of shape [n, M], and their slopes per range, shape [K, M, U], say of a `target` [M].
 
-    distance: h, of the runs on either side, as a fraction of the range. given: the slopes are not from runs.
+    noise: standard deviation of each number of the target by errors of the measurement; where these are dependent,
+    `covariance` of shape [M, M] counts instead. distance: h, of the runs on either side, as a fraction of the range.
+    given: the slopes are not from runs.
     """
     seeds, replicates, unknowns = len(here), len(slopes), slopes.shape[2]
     centre, slope = here.mean(axis=0), slopes.mean(axis=0)
     chance, coupled = here - centre, 1.0
     variance = chance.var(axis=0, ddof=1)
-    total = 0.5 * (variance + variance.mean()) + noise**2
+    own = noise**2 if covariance is None else np.diag(covariance)
+    total = 0.5 * (variance + variance.mean()) + own
     weights = 1.0 / np.maximum(total, 1e-24)
     gram = (slope.T * weights) @ slope
     if replicates > 1:
@@ -127,9 +141,10 @@ def estimate(here: Matrix, slopes: Matrix, target: Row, *, noise: float, distanc
     student = float(student_t.ppf(0.5 + CONFIDENCE / 2.0, seeds - 1))
     # Variance of J's columns per range, as a multiple of the scatter's.
     of_slope = 0.0 if given else coupled / (2.0 * replicates * distance**2)
+    measured = noise**2 * gain @ gain.T if covariance is None else gain @ covariance @ gain.T
     found, leverage = np.zeros(unknowns), 1.0 / seeds
     for _ in range(2):
-        spread = (1.0 + leverage) * single + noise**2 * gain @ gain.T + missing
+        spread = (1.0 + leverage) * single + measured + missing
         spread = fieller(spread, single, student**2 * of_slope)
         damped = PRIOR**2 * np.linalg.inv(PRIOR**2 * np.eye(unknowns) + spread)
         found = damped @ raw
@@ -142,6 +157,7 @@ def estimate(here: Matrix, slopes: Matrix, target: Row, *, noise: float, distanc
         student=student,
         gain=gain,
         scatter=np.sqrt(np.diag(single)),
+        noise=np.sqrt(np.maximum(np.diag(measured), 0.0)),
         centre=centre,
         slope=slope,
         damped=np.asarray(damped, np.float64),

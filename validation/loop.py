@@ -1,5 +1,6 @@
 """`python -m validation.loop PROBLEM --out DIR`: an inversion that the MPM has confirmed, and what it is worth."""
 
+import dataclasses
 import sys
 import time
 from pathlib import Path
@@ -8,32 +9,42 @@ import numpy as np
 
 from datasets.command_line import WorkFailed, run
 from datasets.errors import InputError
-from gns import checkpoint
-from gns.rollout import shipped
 from inverse import observations
 from inverse.forward import Simulate, SurrogateSource
-from inverse.gns_forward import MEMORY_GIB, GnsSource
+from inverse.gns_forward import MEMORY_GIB
+from inverse.measurements import prepare
 from inverse.observations import Observation
 from inverse.optimise import Bounds
-from inverse.problem import Problem, read_problem
+from inverse.problem import Problem, Surrogate, read_problem
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from inverse.target import Target, read_target, with_noise
+from inverse.target import Target
 from mpm.simulate import simulate_many
 from validation import answers, loop_report, several, starts
 from validation.certainty import Certainty
 from validation.runs import SHARE, KeptRuns
 from validation.search import Checked, Search, search
 from validation.solved import Answer, Solved
+from validation.source import choose
 
 
 def solve(
-    problem: Problem, target: Target, observation: Observation, out: Path, source: SurrogateSource, simulate: Simulate
+    problem: Problem,
+    target: Target,
+    observation: Observation,
+    out: Path,
+    source: SurrogateSource,
+    simulate: Simulate,
+    *,
+    alone: str | None = None,
 ) -> Solved:
-    """Find the unknowns of `problem` from `target`; every MPM run is kept under `out`/mpm."""
+    """Find the unknowns of `problem` from `target`; every MPM run is kept under `out`/mpm.
+
+    alone: why `source` is no learned surrogate, for the report.
+    """
     began = time.perf_counter()
     lower, upper = np.array(problem.bounds).T
     runs = KeptRuns(out / "mpm", simulate)
-    members = KeptRuns(out / "mpm", simulate, prefix="ensemble-", deposit_only=True)
+    members = KeptRuns(out / "mpm", simulate, prefix="ensemble-", deposit_only=not observation.over_time)
     beginnings = KeptRuns(out / "mpm", simulate, prefix="start-")
     state = Search(
         problem=problem,
@@ -52,10 +63,12 @@ def solve(
     else:
         several.search(state, proposal)
     worth: Certainty | None = None
+    widths: dict[str, float] | None = None
     answer, verdict = Answer(unknowns=state.nearest.unknowns, runs=[state.nearest]), Verdict.UNREACHABLE
     if state.reachable:
         answer, worth = answers.settle(state, members)
-        verdict = answers.verdict(state, answer, worth)
+        widths = answers.half_widths(state, answer, worth)
+        verdict = answers.verdict(state, answer, worth, widths)
     surrogate = source.start(answer.runs[0].trajectory)
     (seen,) = surrogate.observe([answer.unknowns])
     checks = [(Purpose.CHECK, checked, runs) for checked in state.checked]
@@ -68,7 +81,7 @@ def solve(
         target=target,
         verdict=verdict,
         answer=answer.unknowns,
-        certainty=answers.half_widths(state, answer, certain) if certain else None,
+        certainty=widths if certain else None,
         surrogate=seen,
         mpm=answer.observation,
         front_error_pct=100.0 * answer.front_error,
@@ -78,6 +91,7 @@ def solve(
         other_starts=state.other_starts,
         other_minima=state.other_minima,
         identifiability=certain.identifiability if certain else None,
+        discrepancy=certain.widened if certain and certain.discrepancy else None,
         mpm_runs=records,
         mpm_seconds=sum(record.seconds for record in records),
         total_seconds=time.perf_counter() - began,
@@ -85,7 +99,8 @@ def solve(
     return Solved(
         result=result,
         answer=answer,
-        alone=state.checked[0],
+        proposed=state.checked[0],
+        alone=alone,
         begun=state.checked[1] if problem.target.least else None,
         certainty=certain,
         surrogate_deposit=surrogate.deposit(answer.unknowns),
@@ -114,6 +129,7 @@ def main(
     out: Path,
     model: Path | None = None,
     memory_gib: float = MEMORY_GIB,
+    surrogate: Surrogate | None = None,
     vtk: bool = False,
     movie: bool = False,
 ) -> None:
@@ -132,22 +148,25 @@ def main(
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again.
+    surrogate
+        "none": the MPM alone; unless given, as the problem says, by default wherever a learned one knows the flow.
     vtk
         Write the final MPM run for ParaView as well.
     movie
         Write a movie of the final MPM run as well.
     """
     asked = read_problem(problem)
+    if surrogate is not None:
+        asked = dataclasses.replace(asked, surrogate=surrogate)
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    observation = observations.build(asked.observation, asked.scene)
-    asked = with_noise(asked, observation)
-    source = GnsSource(
-        checkpoint.load(model or shipped(asked.scene.dimension)).simulator, asked, observation, memory_gib
-    )
-    hidden = KeptRuns(out / "mpm", simulate_many, prefix="target-", deposit_only=True)
-    target = read_target(asked, observation, lambda scene: hidden([scene])[0])
-    solved = solve(asked, target, observation, out, source, simulate_many)
+    hidden = KeptRuns(out / "mpm", simulate_many, prefix="target-", deposit_only=not asked.observations)
+    observation, target = prepare(asked, lambda scene: hidden([scene])[0])
+    slopes = KeptRuns(out / "mpm", simulate_many, prefix="slope-", deposit_only=not observation.over_time)
+    source, alone = choose(asked, observation, slopes, model=model, memory_gib=memory_gib)
+    if alone is not None:
+        print(f"the MPM runs without the surrogate: {alone}", file=sys.stderr)
+    solved = solve(asked, target, observation, out, source, simulate_many, alone=alone)
     finish(solved, out, vtk=vtk, movie=movie)
 
 

@@ -10,7 +10,7 @@ from datasets.trajectory import Trajectory
 from datasets.vtk import SERIES, frames_of, write_vtk
 from inverse import course, pictures
 from inverse.course import Check
-from inverse.observations import build
+from inverse.observations import Values, build
 from inverse.optimise import best
 from inverse.problem import Observable
 from inverse.report import (
@@ -32,7 +32,8 @@ from inverse.report import (
 )
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
 from validation import worth
-from validation.judgement import allowed, distance
+from validation.answers import undetermined
+from validation.judgement import allowed, distance, of_the_front
 from validation.solved import Solved
 
 APART = {
@@ -42,6 +43,7 @@ APART = {
     Observable.TOE: "mm",
     Observable.DEPOSIT: "mm, root mean square over the points",
     Observable.PASSED: "% of the material",
+    Observable.SEVERAL: "standard deviations, root mean square over the numbers",
 }
 """What a verdict is measured in (`validation.judgement.distance`)."""
 EVERY = 4
@@ -102,6 +104,7 @@ def document(solved: Solved, folder: Path) -> list[str]:
         "",
         sentence(solved),
         "",
+        *(without_surrogate(solved.alone) if solved.alone else []),
         *answer(result, alone),
         "",
         *found_picture(result, folder, alone),
@@ -136,11 +139,41 @@ def sentence(solved: Solved) -> str:
         return design(solved, who)
     measured = miss(solved)
     return {
-        Verdict.CONFIRMED: f"**The MPM confirms**: {who} is {measured}.",
-        Verdict.UNCONFIRMED: f"**The MPM does not confirm**: {who} is {measured}.",
+        Verdict.CONFIRMED: f"**The MPM confirms**: {who} is {measured}.{widened(result)}",
+        Verdict.UNCONFIRMED: f"**The MPM does not confirm**: {who} is {measured}.{widened(result)}",
+        Verdict.NOT_IDENTIFIABLE: f"**It fits, but is not identifiable**: {who} is {measured}. {unidentified(result)}",
         Verdict.UNREACHABLE: "**Nothing within the bounds reaches the target, not even in the MPM.** "
         f"Below is the nearest that was found; there {who} is {measured}.",
     }[result.verdict]
+
+
+def without_surrogate(why: str) -> list[str]:
+    """What stands for the surrogate where none proposes."""
+    return [
+        f"No learned surrogate proposes: {why}. What is called the surrogate below is the MPM itself, linearised by "
+        "differences around its last run (`inverse/mpm_source.py`).",
+        "",
+    ]
+
+
+def widened(result: Result) -> str:
+    """A sentence on a fit that is worse than noise and chance allow; empty where it is not."""
+    if result.discrepancy is None or result.discrepancy == 1.0:
+        return ""
+    return (
+        f" The fit is {result.discrepancy:.2g} times worse than the stated noise and chance allow: the half-widths are "
+        "that much wider."
+    )
+
+
+def unidentified(result: Result) -> str:
+    """Which unknowns an observation that is met does not tell, and what it tells of them together."""
+    names = undetermined(result.problem, result.answer, result.certainty or {})
+    told_of = worth.told_combinations(result) if len(result.unknowns) > 1 else []
+    does = f"it tells {'; '.join(told_of)}" if told_of else "it tells nothing of them"
+    many = "Half-widths of" if len(names) > 1 else "The half-width of"
+    unknowns = ", ".join(code(names))
+    return f"{many} {unknowns} come near the bounds or the values themselves: others fit as well; {does}."
 
 
 def design(solved: Solved, who: str) -> str:
@@ -158,17 +191,17 @@ def miss(solved: Solved) -> str:
     """How far from the target the MPM at the answer is, and how far it might be."""
     result = solved.result
     problem, kind = result.problem, result.problem.observation.kind
-    components = build(problem.observation, problem.scene).components
+    components = 1 if kind is Observable.SEVERAL else build(problem.observation, problem.scene).components
     chance = solved.certainty.misfit if solved.certainty else 0.0
     found = distance(kind, solved.answer.observation, result.target.values, components)
     most, asked = (allowed(problem, result.target, each, components) for each in (chance, 0.0))
-    scale = 1e3 if kind in (Observable.TOE, Observable.DEPOSIT) else 100.0
-    unit = APART[kind].split(",")[0].split()[0]
+    scale = 1e3 if kind in (Observable.TOE, Observable.DEPOSIT) else 1.0 if kind is Observable.SEVERAL else 100.0
+    unit = "" if kind is Observable.SEVERAL else f"{APART[kind].split(',')[0].split()[0]} "
     why = ", twice what two MPM runs differ by" if most > asked else ""
-    said = f"off the target by {scale * found:.3g} {APART[kind]}; at most {scale * most:.3g} {unit} is allowed{why}"
+    said = f"off the target by {scale * found:.3g} {APART[kind]}; at most {scale * most:.3g} {unit}is allowed{why}"
     if kind is Observable.PROFILE and math.isfinite(solved.answer.front_error):
-        scatter = 2.0 * solved.certainty.front_misfit if solved.certainty else 0.0
-        most_of_front = f"at most {100.0 * max(problem.loop.confirm_within, scatter):.3g} % is allowed"
+        scatter = solved.certainty.front_misfit if solved.certainty else 0.0
+        most_of_front = f"at most {100.0 * of_the_front(problem, result.target, scatter):.3g} % is allowed"
         said += f". Its front is off by {100.0 * solved.answer.front_error:+.2f} %; {most_of_front}"
     return said
 
@@ -185,11 +218,42 @@ def against(solved: Solved) -> list[str]:
     rows += [
         observation_row(problem, "surrogate, at the start", first.observation, first.loss),
         observation_row(problem, "surrogate, where it ended alone", own.observation, own.loss),
-        observation_row(problem, "MPM, there", solved.alone.observation, solved.alone.loss),
+        observation_row(problem, "MPM, there", solved.proposed.observation, solved.proposed.loss),
         observation_row(problem, "surrogate, at the answer", result.surrogate, result.loss_surrogate),
         observation_row(problem, f"**MPM, at the answer**{mean}", result.mpm, result.loss_mpm),
     ]
-    return table(["", *OBSERVATION], rows)
+    return [*table(["", *OBSERVATION], rows), *each_observation(solved)]
+
+
+def each_observation(solved: Solved) -> list[str]:
+    """Of several observations: what each measured and what the MPM shows at the answer."""
+    combined = solved.result.target.combined
+    if combined is None:
+        return []
+    measured, shown = (combined.raw(each) for each in (solved.result.target.values, solved.answer.observation))
+    rows = []
+    for part in combined.parts:
+        own, off = part.numbers, (shown - measured)[part.numbers] / combined.scale[part.numbers]
+        unit = part.observation.unit or "-"
+        noise = np.sqrt(np.maximum(combined.scale[own] ** 2 - combined.chance[own] ** 2, 0.0))
+        rows.append(
+            [
+                part.name,
+                f"{brief(measured[own])} {unit}",
+                f"{brief(shown[own])} {unit}",
+                f"{brief(noise)} {unit}",
+                f"{float(np.sqrt(np.mean(off**2))):.2g}",
+            ]
+        )
+    head = ["observation", "measured", "MPM, at the answer", "noise", "away [standard deviations, rms]"]
+    return ["", *table(head, rows)]
+
+
+def brief(values: Values) -> str:
+    """Numbers in a cell of a table: all of a few, else the ends."""
+    if len(values) <= 3:
+        return ", ".join(f"{value:.4g}" for value in values)
+    return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
 
 
 def way(result: Result) -> list[str]:
@@ -278,6 +342,10 @@ def summary(result: Result) -> str:
     off = "-" if result.loss_mpm is None else away(result.problem, result.loss_mpm)
     if "front" in result.error_pct:
         off += f", front {result.front_error_pct:+.2f} %,"
+    if said := widened(result):
+        lines.append(f"  {'fit':<{width}}{said}")
+    if result.verdict is Verdict.NOT_IDENTIFIABLE:
+        lines.append(f"  {'told':<{width}} {unidentified(result)}")
     lines.append(f"  {'away':<{width}} {off} in the MPM, {len(result.checks)} MPM runs")
     seconds = result.seconds
     lines.append(f"  {'time':<{width}} {seconds['total']:.0f} s, {seconds['per_iteration']:.1f} s per gradient")

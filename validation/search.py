@@ -13,8 +13,10 @@ import numpy as np
 from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from inverse.combined import Combined
 from inverse.forward import SurrogateSource
 from inverse.gradient import automatic
+from inverse.measurements import CHANCE_CELLS, CHANCE_OF_A_SHARE
 from inverse.observations import Observation, Values, loss
 from inverse.optimise import Bounds, best, minimise
 from inverse.problem import Method, Observable, OptimiserSettings, Problem
@@ -25,10 +27,6 @@ from validation.correction import Corrected
 from validation.judgement import Seen, meets
 from validation.runs import KeptRuns
 
-SCATTER_CELLS = 0.25
-"""The MPM's own scatter over jitter seeds before an ensemble has measured it, in cells (1 to 3 mm at 10 mm)."""
-SCATTER_OF_A_SHARE = 0.005
-"""The same of a share that passed [-]."""
 SETTLED = 0.02
 """A proposal this close to the best MPM run, as a fraction of the range, is left to the ensemble (0.8 degrees)."""
 STUCK = 0.0025
@@ -88,7 +86,7 @@ class Search:
     def judge(self, unknowns: Vector, trajectory: Trajectory) -> Checked:
         """Hold an MPM run against the target."""
         deposit = trajectory.positions[-1]
-        observation = self.observation.exact(deposit)
+        observation = self.observation.observe(trajectory)
         return Checked(
             unknowns=unknowns,
             trajectory=trajectory,
@@ -129,10 +127,15 @@ class Search:
 
     @property
     def scatter(self) -> float:
-        """What an observed number of the MPM is expected to scatter over jitter seeds [m; of a share -]."""
+        """What an observed number of the MPM is expected to scatter over jitter seeds [m; of a share -].
+
+        Of several observations in standard deviations.
+        """
+        if isinstance(self.observation, Combined):
+            return self.observation.by_chance
         if self.problem.observation.kind is Observable.PASSED:
-            return SCATTER_OF_A_SHARE
-        return SCATTER_CELLS * self.problem.scene.domain.cell
+            return CHANCE_OF_A_SHARE
+        return CHANCE_CELLS * self.problem.scene.domain.cell
 
     @property
     def single(self) -> bool:
@@ -177,7 +180,8 @@ def search(state: Search, proposal: Vector) -> None:
         if step > STUCK:
             continue
         if len(state.checked) > 1:
-            state.reachable = False
+            # Of many numbers what is left may be the model's fault: the ensemble's slopes tell.
+            state.reachable = len(anchor.observation) > 1
             return
         # So far it is the surrogate alone that knows no way on: look at the MPM a step away.
         proposal = anchor.unknowns + np.where(anchor.unknowns > state.bounds.middle, -reach, reach)
@@ -189,8 +193,11 @@ def near(state: Search, run: Checked) -> bool:
 
 
 def off_by_more_than_scatter(state: Search, run: Checked) -> bool:
-    """Whether the front of `run` misses the target's by more than chance explains."""
-    return abs(run.front_error) > state.problem.loop.confirm_within + 3.0 * state.scatter / state.target.edge
+    """Whether the front of `run` misses the target's by more than chance and a measured profile's noise explain."""
+    known = state.target.covariance
+    noise = 0.0 if known is None else 2.0 * math.sqrt(float(known[-1, -1]))
+    most = state.problem.loop.confirm_within + (3.0 * state.scatter + noise) / state.target.edge
+    return abs(run.front_error) > most
 
 
 def propose(state: Search, corrected: Corrected, reach: Vector) -> Vector:

@@ -38,8 +38,10 @@ class Solved:
 
     result: Result
     answer: Answer
-    alone: Checked
+    proposed: Checked
     """The MPM run at what the surrogate alone had found."""
+    alone: str | None = None
+    """Why no learned surrogate proposed; None where one did."""
     begun: Checked | None = None
     """Of a design: the MPM run at the problem's own start."""
     certainty: Certainty | None

@@ -24,6 +24,13 @@ def words(result: Result, certainty: Certainty) -> list[str]:
         "Each half-width is meant to hold the truth 95 times in 100.",
         "",
     ]
+    if result.target.roughness > 1.0:
+        lines += [
+            f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
+            "noise: so much noise is counted.",
+            "",
+        ]
+    lines += of_discrepancy(certainty)
     if len(result.unknowns) == 1:
         lines += of_one(result, certainty)
     if result.identifiability:
@@ -44,7 +51,33 @@ def scatter(result: Result, certainty: Certainty) -> str:
             what = f"{length(certainty.misfit)} in the place of a point (root mean square)"
         case Observable.PASSED:
             what = f"{100.0 * certainty.misfit:.2g} % of the material"
+        case Observable.SEVERAL:
+            what = f"{certainty.misfit:.2g} standard deviations (root mean square over the numbers)"
     return f"two runs that differ in nothing but the jitter are {what} apart"
+
+
+def of_discrepancy(certainty: Certainty) -> list[str]:
+    """How the fit compares with what noise and chance allow, and what that does to the half-widths."""
+    known = certainty.discrepancy
+    if known is None:
+        return []
+    compared = (
+        f"The {known.numbers} numbers compared are {known.ratio:.2g} times as far from the MPM as the stated noise "
+    )
+    compared += "and the chance of two flows let expect"
+    if known.factor == 1.0:
+        return [f"{compared}: chance explains that (p = {known.probability:.2g}).", ""]
+    return [
+        f"**The model fits worse than the noise allows**: {compared[0].lower()}{compared[1:]} "
+        f"(p = {known.probability:.1g}). Each half-width is {known.factor:.2g} times wider for it.",
+        "",
+    ]
+
+
+def told_combinations(result: Result) -> list[str]:
+    """What of the unknowns the observation tells, each combination in words; best known first."""
+    known = result.identifiability.combinations if result.identifiability else []
+    return [f"{mix(each)} to ± {_share(each.half_width)} of the range" for each in known if each.told]
 
 
 def of_one(result: Result, certainty: Certainty) -> list[str]:
@@ -57,6 +90,9 @@ def of_one(result: Result, certainty: Certainty) -> list[str]:
         moves = f"{100.0 * calibration.slope:+.3g} % of the material per {kind(name).unit} of `{name}`"
         chance = f"{100.0 * calibration.scatter:.2g} %"
     lines = [f"Near the answer the observation moves by {moves} and scatters by {chance} from run to run."]
+    if result.problem.observation.kind is Observable.SEVERAL:
+        moves = f"{calibration.slope:+.3g} standard deviations per {kind(name).unit} of `{name}`"
+        chance = f"{calibration.scatter:.2g}"
     if calibration.half_width >= unknown.upper - unknown.lower:
         lines += [f"The slope drowns in the scatter: this observation does not tell `{name}` within its bounds."]
     return lines
@@ -64,7 +100,7 @@ def of_one(result: Result, certainty: Certainty) -> list[str]:
 
 def errors(result: Result, known: Identifiability) -> tuple[list[str], list[list[str]]]:
     """What an error of the observation means for each unknown (one standard deviation), and the half-width of all."""
-    noisy = result.problem.target.noise > 0.0
+    noisy = result.target.noise > 0.0
     head = ["unknown", *(["half a cell in each number observed"] if known.half_a_cell else [])]
     head += ["the MPM's scatter", *(["the measurement's noise"] if noisy else []), "all together, 95 %"]
     rows = []
@@ -96,6 +132,7 @@ def combinations(result: Result, known: Identifiability) -> list[str]:
         lines += [f"- **Not told**: {mix(each)}, {how}."]
     if len(hidden) == len(known.combinations):
         return [*lines, "", "It tells nothing of the unknowns."]
+    lines += [f"- **Told**: {each}." for each in told_combinations(result)]
     heavy = {name for each in hidden for name in _heavy(each)}
     lines += [
         "",

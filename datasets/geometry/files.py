@@ -152,11 +152,13 @@ class Reader:
 
     def height_field(self, path: Path, how: Entry, entry: Entry, key: str) -> Entry:
         """A terrain in 3D: the part of the file in and around the box."""
-        self.refuse(entry, ("origin", "spacing", "heights"), key)
+        self.refuse(entry, ("origin", "spacing", "heights", "corner", "crs"), key)
         field = self.placed(path, how, "y", "friction", own=True)
         field = field.cropped((self.size[0], self.size[2]), BEYOND * self.cell)
         whole(field, path)
         found = grid(field, "heights")
+        if self.offset is not None and path.suffix.lower() in RASTERS:
+            found |= {"corner": [-self.offset[0], -self.offset[1]], "crs": field.crs}
         if field.extra is not None:
             self.refuse(entry, ("friction",), key, "no friction beside that in the file")
             found["friction"] = field.extra.tolist()

@@ -5,6 +5,7 @@ default the lower left corner of its extent becomes the corner x = 0, z = 0 of t
 """
 
 import csv
+import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
@@ -40,12 +41,12 @@ class Field:
     """Lower left corner of the extent in the file's own coordinates [m]; (0, 0) of a CSV."""
     extra: Floats | None = None
     """Another column of a CSV on the same grid, shape [X, Z]."""
+    crs: str | None = None
+    """Coordinate reference system of a raster, as an authority's code or in WKT, where it names one."""
 
     def moved(self, offset: tuple[float, float]) -> "Field":
         """The field at other coordinates."""
-        return Field(
-            x=self.x + offset[0], z=self.z + offset[1], values=self.values, corner=self.corner, extra=self.extra
-        )
+        return dataclasses.replace(self, x=self.x + offset[0], z=self.z + offset[1])
 
     def cropped(self, size: tuple[float, float], margin: float) -> "Field":
         """What lies in [0, size] and `margin` [m] around it, at least two values along each axis."""
@@ -56,7 +57,7 @@ class Field:
             parts.append(slice(min(low, len(places) - 2), max(high, low + 2)))
         i, k = parts
         extra = None if self.extra is None else self.extra[i, k]
-        return Field(x=self.x[i], z=self.z[k], values=self.values[i, k], corner=self.corner, extra=extra)
+        return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k], extra=extra)
 
 
 def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Field:
@@ -109,6 +110,7 @@ def read_raster(path: Path) -> Field:
         z=np.asarray(transform.f + (np.arange(rows)[::-1] + 0.5) * transform.e),
         values=np.ascontiguousarray(values[::-1].T),
         corner=(float(transform.c), float(transform.f + rows * transform.e)),
+        crs=crs.to_string() if crs else None,
     )
 
 

@@ -56,6 +56,10 @@ class Solid(Strict):
     """Distance between its heights along x and z [m]."""
     heights: Rows | None = None
     """Elevation y of a terrain in 3D [m], bilinear in triangles: rows along x of columns along z, shape [X, Z]."""
+    corner: Vector | None = None
+    """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
+    crs: str | None = None
+    """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
     friction: float | Vector | Rows = 0.0
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: str = "coulomb"
@@ -102,6 +106,12 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
                 f"three different vertices of the {most}, counted from 0",
                 list(triangle),
             )
+    for name in ("corner", "crs"):
+        require(
+            getattr(solid, name) is None or solid.heights is not None, name, "no such key but of a terrain in 3D", "one"
+        )
+    if solid.corner is not None:
+        check_vectors((solid.corner,), ("corner",), key, 2)
     if solid.heights is not None:
         check_vectors((solid.origin or (), solid.spacing or ()), ("origin", "spacing"), key, 2)
         require(min(solid.spacing or (0.0,)) > 0.0, "spacing", "positive lengths in m", list(solid.spacing or ()))

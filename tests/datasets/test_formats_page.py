@@ -10,9 +10,12 @@ import meshio
 import numpy as np
 import pytest
 
+from datasets import maps
 from datasets.channel3d import CHANNEL3D
+from datasets.command_line import run
 from datasets.definition import Definition
 from datasets.flow2d import FLOW2D
+from datasets.forces import write_forces
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
 from datasets.layers2d import LAYERS2D
@@ -27,6 +30,7 @@ from datasets.statistics import MOVING_SPEED, motion_statistics
 from datasets.strict import from_mapping
 from datasets.trajectory import Trajectory
 from mpm.checkpoint import ARRAYS, PLAIN
+from tests.datasets.toys import toy
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
@@ -137,3 +141,43 @@ def test_the_sizes_of_the_datasets(definition: Definition) -> None:
     entries = definition.entries(seed=0)
     parts = [sum(entry.split == split for entry in entries) for split in ("train", "valid", "test")]
     assert f"| `{definition.name}` | {len(entries)} ({', '.join(map(str, parts))}) |" in PAGE
+
+
+def test_every_file_and_key_of_the_maps(tmp_path: Path) -> None:
+    """What the command leaves in 2D and in 3D is on the page, and nothing else is."""
+    text = section("Maps (folder)")
+    for dimension in (2, 3):
+        toy(dimension).save(tmp_path / f"{dimension}.npz")
+        assert (
+            run(maps.command, "maps", [str(tmp_path / f"{dimension}.npz"), "--out", str(tmp_path / str(dimension))])
+            == 0
+        )
+    keys = {key for folder in "23" for key in json.loads((tmp_path / folder / "maps.json").read_text())}
+    table = text.split("| key of `maps.json` |")[1]
+    assert set(re.findall(r"`(\w+)`", table)) == keys
+    columns = text.split("| column of `profile.csv` |")[1].split("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", columns, re.M)))) == set(maps.COLUMNS)
+    files = text.split("| file | holds |")[1].split("\n\n")[0]
+    named = {
+        name if not name.startswith(".") else row[0].split(".")[0] + name
+        for row in (re.findall(r"`([\w.]+)`", line.split("|")[1]) for line in files.splitlines()[2:])
+        for name in row
+    }
+    assert named == {path.name for path in (tmp_path / "3").iterdir()}
+    assert all(f"`{path.name}`" in text for path in (tmp_path / "2").iterdir())
+
+
+def test_the_columns_of_forces(tmp_path: Path) -> None:
+    """The page names the columns as they are, in 2D and in 3D."""
+    text = section("Forces (CSV and PNG)")
+    for dimension in (2, 3):
+        flow = toy(dimension)
+        impulse = np.ones((len(flow.time), 2, dimension))
+        write_forces(dataclasses.replace(flow, solid_impulse=impulse), tmp_path)
+        head = (tmp_path / "forces.csv").read_text().splitlines()[0].split(",")
+        assert f"`{head[0]}`" in text
+        for column in head[1 : 1 + dimension]:
+            name, ending = column.split("]_")
+            assert f"`{name}]`" in text
+            assert f"`_{ending}`" in text or f"`NAME_{ending}`" in text
+    assert all(f"`{path.name}`" in text for path in tmp_path.iterdir())

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from datasets.errors import InputError
-from inverse import observations
 from inverse.measured import closed
+from inverse.observations import Profile
 from inverse.problem import Observable, Problem, read_problem
+from inverse.sampled import REPRESENTATION, SampledProfile, SurfaceProfile
 from inverse.settings import Heights, LengthUnit, TargetSettings
-from inverse.target import Target, read_target, with_noise
+from inverse.target import Target, observation_of, read_target
 
 X = np.linspace(0.0, 0.48, 25)
 HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))
@@ -35,7 +37,7 @@ def target_of(problem: Problem) -> Target:
     def never(scene: object) -> None:
         raise AssertionError("a measured target needs no simulation")
 
-    return read_target(problem, observations.build(problem.observation, problem.scene), never)  # type: ignore[arg-type]
+    return read_target(problem, observation_of(problem), never)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +62,7 @@ def test_a_profile_is_the_same_target_however_it_is_written(
 @pytest.mark.parametrize(
     ("x", "height", "settings", "message"),
     [
-        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; target.unit"),
+        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; unit says"),
         (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
         (X, 1000.0 * HEIGHT, {}, r"times; target.unit, datum and heights say"),
         (X, 1.15 * HEIGHT, {}, r"1.21 times"),
@@ -91,19 +93,50 @@ def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
 
 
 def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
-    """No combination of the numbers of deposits whose heights are drawn so scatters by more, and one by as much."""
+    """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
     problem = told(tmp_path, noise_share=0.03)
-    observation = observations.build(problem.observation, problem.scene)
-    noise = with_noise(problem, observation).target.noise
-    assert isinstance(observation, observations.Profile)
+    observation = observation_of(problem)
+    assert isinstance(observation, SampledProfile)
+    target = target_of(problem)
+    assert target.covariance is not None
     rng = np.random.default_rng(7)
+    deviation = np.where(X < 0.43, np.hypot(0.03 * HEIGHT, REPRESENTATION * problem.scene.domain.cell), 0.0)
     seen = []
-    for _ in range(300):
-        heights = np.interp(observation.stations, X, HEIGHT * (1.0 + 0.03 * rng.standard_normal(len(X))), right=0.0)
-        seen.append(observation.of_heights(heights))
-    scatter = np.linalg.svd(np.array(seen) - np.mean(seen, axis=0), compute_uv=False) / np.sqrt(len(seen) - 1.0)
-    assert noise == pytest.approx(scatter[0], rel=0.15)
-    assert 0.002 < noise < 0.02
+    for _ in range(400):
+        heights = np.maximum(0.0, HEIGHT + deviation * rng.standard_normal(len(X)))
+        seen.append(observation.of_heights(np.interp(observation.stations, X, heights, right=0.0)))
+    drawn = np.cov(seen, rowvar=False)
+    np.testing.assert_allclose(np.sqrt(np.diag(target.covariance)), np.sqrt(np.diag(drawn)), rtol=0.15)
+    # No combination of the numbers scatters by more than the stated one, and one by as much.
+    assert target.noise == pytest.approx(np.sqrt(np.linalg.eigvalsh(drawn)[-1]), rel=0.15)
+    assert 0.002 < target.noise < 0.02
+
+
+@pytest.mark.parametrize("rows", [9, 25])
+def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, tmp_path: Path) -> None:
+    """A profile that is hollow between its rows: refined it would be another deposit than the one that was measured."""
+    rng = np.random.default_rng(3)
+    deposit = np.stack([0.6 * (1.0 - rng.random(200_000) ** (1.0 / 3.0)), np.full(200_000, 0.01)], axis=1)
+    scene = told(tmp_path).scene
+    x = np.linspace(0.0, 0.56, rows)
+    # Of the height 3 A / L (1 - x / L)^2 with A = 0.08 m^2, L = 0.6 m.
+    problem = told(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
+    sampled, refined = observation_of(problem), Profile(scene, 0.02)
+    target = target_of(problem)
+    assert target.profile is not None
+    whole = refined.of_heights(np.interp(refined.stations, *target.profile))
+    off = np.abs(sampled.exact(deposit) - target.values)
+    assert off.max() < 0.004
+    if rows == 9:
+        assert np.abs(refined.exact(deposit) - whole).max() > 2.0 * off.max()
+
+
+def test_a_sampled_profile_is_seen_alike_by_the_surrogate(tmp_path: Path) -> None:
+    observation = observation_of(told(tmp_path))
+    rng = np.random.default_rng(4)
+    deposit = np.stack([0.5 * rng.random(3200) ** 1.5, 0.1 * rng.random(3200)], axis=1)
+    smooth = observation.smooth(torch.from_numpy(deposit), torch.full((3200,), 1e-5)).numpy()
+    np.testing.assert_allclose(smooth, observation.exact(deposit), rtol=1e-6)
 
 
 @pytest.mark.parametrize("text", ['"3 percent"', '"0%"', '"100%"', '"%"', '"-3%"', '"nan%"'])
@@ -114,8 +147,7 @@ def test_a_noise_that_is_no_percentage_names_the_key(text: str, tmp_path: Path) 
 
 def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
     problem = read_problem(str(with_target(tmp_path, 'value = 0.5\nnoise = "3%"')))
-    observation = observations.build(problem.observation, problem.scene)
-    assert with_noise(problem, observation).target.noise == pytest.approx(0.015)
+    assert target_of(problem).noise == pytest.approx(0.015)
 
 
 @pytest.mark.parametrize(
@@ -134,3 +166,19 @@ def with_target(folder: Path, target: str) -> Path:
         f'[observation]\nkind = "front"\n[target]\n{target}\n'
     )
     return path
+
+
+def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
+    """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
+    observation = observation_of(told(tmp_path, heights=Heights.SURFACE))
+    assert isinstance(observation, SurfaceProfile)
+    rng = np.random.default_rng(6)
+    x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
+    surface = 0.4 * (1.0 - x / 0.42) * (1.0 + x / 0.42)
+    deposit = np.stack([x, surface * rng.random(40_000)], axis=1)
+    rows = observation.stations
+    expected = np.maximum(0.0, 0.4 * (1.0 - rows / 0.42) * (1.0 + rows / 0.42))
+    np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
+    exact = observation.exact(deposit)
+    np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
+    assert np.abs(SampledProfile(observation.scene, 0.02, rows).exact(deposit) - exact).max() > 0.02

@@ -178,7 +178,7 @@ def make(
     return Solved(
         result=result,
         answer=Answer(unknowns=points[-1], runs=checked[-1:]),
-        alone=checked[0],
+        proposed=checked[0],
         begun=checked[1] if least else None,
         certainty=worth,
         surrogate_deposit=flow(scene, reach + 0.1).positions[-1][::3],

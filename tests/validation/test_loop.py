@@ -22,6 +22,7 @@ RESULT_KEYS = {
     "unknowns",
     "certainty",
     "identifiability",
+    "discrepancy",
     "truth",
     "error_pct",
     "observation",

@@ -1,0 +1,133 @@
+"""Kinds of unknowns that the MPM alone knows: no surrogate is told of them."""
+
+import dataclasses
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.scene import Scene
+from inverse.kind import UP, Kind, Parts, Strength, there
+from inverse.launch import Launch
+
+
+class MpmKind(Kind):
+    """A kind of unknown that no surrogate is told of."""
+
+    by_surrogate = False
+
+    def enter(self, launch: Launch, value: Tensor) -> Launch:
+        raise NotImplementedError("no surrogate is told of it; `by_surrogate` says so")
+
+
+@dataclass(frozen=True)
+class SceneConstant(MpmKind):
+    """A coefficient of the scene as a whole [-]: friction of floor, walls or baffles, damping."""
+
+    name: str
+
+    unit = "-"
+    digits = 3
+    step = 0.02
+    positive = True
+
+    def check(self, scene: Scene) -> None:
+        if self.name == "baffle_friction" and not scene.baffles:
+            raise InputError("expected a scene with baffles, there are none")
+
+    def read(self, scene: Scene) -> float:
+        return float(getattr(scene, self.name))
+
+    def put(self, parts: Parts, value: float) -> None:
+        parts.constants[self.name] = value
+
+
+RESIDUAL = ("residual_friction_deg", "residual_cohesion")
+
+
+@dataclass(frozen=True)
+class MaterialConstant(MpmKind, Strength):
+    """Young's modulus [Pa], or what is left of the strength after a long slip [deg, Pa]."""
+
+    name: str
+
+    positive = True
+
+    @property
+    def unit(self) -> str:  # type: ignore[override]
+        """As it is printed."""
+        return "deg" if self.name.endswith("_deg") else "Pa"
+
+    @property
+    def digits(self) -> int:  # type: ignore[override]
+        """Decimals with which it is printed."""
+        return {"young": 0, "residual_friction_deg": 2}.get(self.name, 1)
+
+    @property
+    def step(self) -> float:  # type: ignore[override]
+        """Step of a finite difference."""
+        return {"young": 1.0e5, "residual_friction_deg": 0.5}.get(self.name, 10.0)
+
+    def check(self, scene: Scene) -> None:
+        Strength.check(self, scene)
+        if self.name in RESIDUAL and self.material(scene).softening_length is None:
+            raise InputError("expected a material with a softening_length, it never falls to a residual strength")
+
+    def read(self, scene: Scene) -> float:
+        material = self.material(scene)
+        known = getattr(material, self.name)
+        # Unless they are named, residual values are those of the peak.
+        return float(getattr(material, self.name.removeprefix("residual_")) if known is None else known)
+
+    def changed(self, material: Material, value: float) -> Material:
+        return dataclasses.replace(material, **{self.name: value})
+
+
+@dataclass(frozen=True)
+class InitialStress(MpmKind):
+    """K0 of a mass, its horizontal over its vertical initial stress [-]."""
+
+    mass: int
+
+    unit = "-"
+    digits = 3
+    step = 0.05
+    positive = True
+
+    def check(self, scene: Scene) -> None:
+        there("masses", self.mass, len(scene.masses))
+        if not isinstance(scene.masses[self.mass].k0, float | int):
+            raise InputError("expected a mass whose k0 is a number in the scene, its own is none")
+
+    def read(self, scene: Scene) -> float:
+        return float(scene.masses[self.mass].k0 or 0.0)
+
+    def put(self, parts: Parts, value: float) -> None:
+        parts.masses[self.mass] = dataclasses.replace(parts.masses[self.mass], k0=value)
+
+
+@dataclass(frozen=True)
+class Height(MpmKind):
+    """Extent of a mass along y, from its foot [m]: how much is released.
+
+    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
+    """
+
+    mass: int
+
+    unit = "m"
+    digits = 4
+    step = 0.01
+    changes_volume = True
+
+    def check(self, scene: Scene) -> None:
+        there("masses", self.mass, len(scene.masses))
+
+    def read(self, scene: Scene) -> float:
+        return scene.masses[self.mass].size[UP]
+
+    def put(self, parts: Parts, value: float) -> None:
+        mass = parts.masses[self.mass]
+        size = (*mass.size[:UP], value, *mass.size[UP + 1 :])
+        parts.masses[self.mass] = dataclasses.replace(mass, size=size)
