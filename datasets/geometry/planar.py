@@ -33,18 +33,16 @@ class Ring:
 
     def friction_at(self, places: Floats) -> Floats:
         """The coefficient at the nearest place of the ring, linear along its edges, shape [N]."""
-        distance, share = self.distances(places)
-        edge = distance.argmin(axis=1)
-        share = np.take_along_axis(share, edge[:, None], axis=1)[:, 0]
-        after = np.roll(self.friction, -1)
-        return np.asarray((1.0 - share) * self.friction[edge] + share * after[edge])
+        after = np.roll(self.points, -1, axis=0)
+        edges = shapely.STRtree(shapely.linestrings(np.stack([self.points, after], axis=1)))
+        edge = edges.nearest(shapely.points(places))
+        start, along = self.points[edge], after[edge] - self.points[edge]
+        share = np.clip(((places - start) * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
+        return np.asarray((1.0 - share) * self.friction[edge] + share * np.roll(self.friction, -1)[edge])
 
-    def distances(self, places: Floats) -> tuple[Floats, Floats]:
-        """Distance [m] of N places from each of the V edges and the share of the edge before the foot, both [N, V]."""
-        start, along = self.points, np.roll(self.points, -1, axis=0) - self.points
-        offset = places[:, None] - start
-        share = np.clip((offset * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
-        return np.linalg.norm(offset - share[..., None] * along, axis=-1), share
+    def distance(self, places: Floats) -> Floats:
+        """Distance [m] of places from the ring, shape [N]."""
+        return np.asarray(shapely.distance(shapely.points(places), shapely.linearrings(self.points)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,45 +191,41 @@ def cut(ring: Ring, axis: int, limit: float, out: float) -> tuple[Floats, Floats
 def boundary(rings: list[Ring], box: Box) -> Segments:
     """The boundary of the union of `rings`, the solid on the left; touching rings are one."""
     if len(rings) == 1:
-        loops = [rings[0].points]
-    else:
-        # Closing by a distance far below what matters merges rings that touch but for rounding.
-        gap = CLOSING * box.cell
-        union = shapely.union_all(
-            [Polygon(ring.points).buffer(gap, join_style="mitre", mitre_limit=50.0) for ring in rings]
-        )
-        closed = union.buffer(-gap, join_style="mitre", mitre_limit=50.0)
-        loops = []
-        for part in getattr(closed, "geoms", [closed]):
-            part = orient(part)
-            loops += [np.array(loop.coords)[:-1] for loop in (part.exterior, *part.interiors)]
-        loops = [split(merged(loop, 10.0 * gap), rings, 10.0 * gap) for loop in loops]
-    corners, corner_normals = [], []
-    for loop in loops:
-        if len(loop) < 3:
-            continue
-        pairs = np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)
-        along = pairs[:, 1] - pairs[:, 0]
-        normals = unit(np.stack([along[:, 1], -along[:, 0]], axis=1))
-        mean = unit(normals + np.roll(normals, 1, axis=0))
-        corners.append(pairs)
-        corner_normals.append(np.stack([mean, np.roll(mean, -1, axis=0)], axis=1))
-    pairs = np.concatenate(corners)
-    middle = pairs.mean(axis=1)
-    distance = np.stack([ring.distances(middle)[0].min(axis=1) for ring in rings])
+        (ring,) = rings
+        corners, corner_normals = with_normals(ring.points)
+        friction = np.stack([ring.friction, np.roll(ring.friction, -1)], axis=1)
+        owner = np.zeros(len(corners), np.int32)
+        return Segments(corners=corners, corner_normals=corner_normals, ring=owner, friction=friction)
+    # Closing by a distance far below what matters merges rings that touch but for rounding.
+    gap = CLOSING * box.cell
+    grown = [Polygon(ring.points).buffer(gap, join_style="mitre", mitre_limit=50.0) for ring in rings]
+    closed = shapely.union_all(grown).buffer(-gap, join_style="mitre", mitre_limit=50.0)
+    loops = []
+    for part in getattr(closed, "geoms", [closed]):
+        part = orient(part)
+        loops += [merged(np.array(loop.coords)[:-1], 10.0 * gap) for loop in (part.exterior, *part.interiors)]
+    known = np.concatenate([ring.points for ring in rings])
+    parts = [with_normals(split(loop, known, 10.0 * gap)) for loop in loops if len(loop) >= 3]
+    corners, corner_normals = (np.concatenate(part) for part in zip(*parts, strict=True))
+    middle = corners.mean(axis=1)
+    distance = np.stack([ring.distance(middle) for ring in rings])
     # Faces that coincide go to the first of their solids.
-    owner = np.argmax(distance <= distance.min(axis=0) + 10.0 * CLOSING * box.cell, axis=0)
-    friction = np.zeros((len(pairs), 2))
+    owner = np.argmax(distance <= distance.min(axis=0) + 10.0 * gap, axis=0).astype(np.int32)
+    friction = np.zeros((len(corners), 2))
     for number, ring in enumerate(rings):
         mine = owner == number
         if mine.any():
-            friction[mine] = ring.friction_at(pairs[mine].reshape(-1, 2)).reshape(-1, 2)
-    return Segments(
-        corners=pairs,
-        corner_normals=np.concatenate(corner_normals),
-        ring=owner.astype(np.int32),
-        friction=friction,
-    )
+            friction[mine] = ring.friction_at(corners[mine].reshape(-1, 2)).reshape(-1, 2)
+    return Segments(corners=corners, corner_normals=corner_normals, ring=owner, friction=friction)
+
+
+def with_normals(loop: Floats) -> tuple[Floats, Floats]:
+    """The segments of a loop [V, 2] and the pseudonormals at their ends, both of shape [V, 2, 2]."""
+    corners = np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)
+    along = corners[:, 1] - corners[:, 0]
+    normals = unit(np.stack([along[:, 1], -along[:, 0]], axis=1))
+    mean = unit(normals + np.roll(normals, 1, axis=0))
+    return corners, np.stack([mean, np.roll(mean, -1, axis=0)], axis=1)
 
 
 def merged(loop: Floats, closest: float) -> Floats:
@@ -240,21 +234,20 @@ def merged(loop: Floats, closest: float) -> Floats:
     return np.asarray(loop[kept])
 
 
-def split(loop: Floats, rings: list[Ring], tolerance: float) -> Floats:
-    """A loop with the corners of all rings that lie on its edges as points of its own, where friction may change."""
-    known = np.concatenate([ring.points for ring in rings])
-    points = []
-    for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-        points.append(start[None])
-        along = end - start
-        length = float(np.linalg.norm(along))
-        place = (known - start) @ along / length
-        off = np.abs((known - start) @ np.array([-along[1], along[0]])) / length
-        on_edge = (off <= tolerance) & (place > tolerance) & (place < length - tolerance)
-        places = np.unique(place[on_edge])
-        places = places[np.diff(places, prepend=-1.0) > tolerance]
-        points.append(start + places[:, None] / length * along)
-    return np.concatenate(points)
+def split(loop: Floats, known: Floats, tolerance: float) -> Floats:
+    """A loop with the `known` corners that lie on its edges as points of its own: friction may change there."""
+    start, along = loop, np.roll(loop, -1, axis=0) - loop
+    length = np.linalg.norm(along, axis=1)
+    edges = shapely.STRtree(shapely.linestrings(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)))
+    corner, edge = edges.query(shapely.points(known), predicate="dwithin", distance=tolerance)
+    place = ((known[corner] - start[edge]) * along[edge]).sum(-1) / length[edge]
+    inner = (place > tolerance) & (place < length[edge] - tolerance)
+    edge, place = np.concatenate([np.arange(len(loop)), edge[inner]]), np.concatenate([0.0 * length, place[inner]])
+    order = np.lexsort((place, edge))
+    edge, place = edge[order], place[order]
+    new = (np.diff(edge, prepend=-1) > 0) | (np.diff(place, prepend=-1.0) > tolerance)
+    edge, place = edge[new], place[new]
+    return np.asarray(start[edge] + (place / length[edge])[:, None] * along[edge])
 
 
 def unit(vectors: Floats) -> Floats:
