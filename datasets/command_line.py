@@ -13,6 +13,15 @@ class WorkFailed(RuntimeError):
     """The input was right, the work did not succeed: exit status 1."""
 
 
+def listed(text: str, known: Sequence[str], key: str) -> tuple[str, ...]:
+    """The names in a list such as `tif,png`, each one of `known` and once. Raises InputError, which names `key`."""
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in known:
+            raise InputError(f"expected some of {', '.join(known)}, separated by commas, got {name!r}", key=key)
+    return tuple(dict.fromkeys(names))
+
+
 def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None = None) -> int:
     """Run `command` with the flags on the command line and return its exit status.
 

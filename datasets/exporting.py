@@ -9,6 +9,7 @@ from datasets.definition import Split
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.foreign_npz import open_foreign_npz
+from datasets.geometry.plain import check_plain
 from datasets.layouts import Layout, begin, digest
 from datasets.obstacles import obstacle_points
 from datasets.peers import Described, Particles, Statistics, known_keys, particles_of, read_json
@@ -47,6 +48,7 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
     shared, largest = None, 0
     for path in paths:
         scene = stored_scene(path)
+        check_plain(scene, "the peers' format", str(path))
         with open_foreign_npz(path) as file:
             if "positions" not in file.keys or len(file.shape("positions")) != 3:
                 raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")

@@ -2,6 +2,7 @@
 
 import difflib
 from pathlib import Path
+from typing import Any
 
 from datasets.errors import InputError
 from datasets.scene import Scene
@@ -23,9 +24,28 @@ def find(name: str, shelf: Path, what: str) -> Path:
 
 
 def read_scene(name: str) -> Scene:
-    """Read the scene at a path or of a shipped name. Raises InputError, which names the file and the key."""
+    """Read the scene at a path or of a shipped name, with the files that it names beside it.
+
+    Raises InputError, which names the file and the key.
+    """
     path = find(name, SCENES, "scene")
     try:
-        return from_mapping(Scene, read_toml(path))
+        data = read_toml(path)
+        if any(names_file(entry) for group in ("solids", "masses") for entry in entries(data, group)):
+            from datasets.geometry.files import with_files
+
+            data = with_files(data, path.parent)
+        return from_mapping(Scene, data)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def entries(data: dict[str, Any], group: str) -> list[dict[str, Any]]:
+    """The tables of a group, such as `masses`, as far as there are any."""
+    found = data.get(group)
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+
+
+def names_file(entry: dict[str, Any]) -> bool:
+    """Whether a solid or a mass has more to it than numbers: a file, or another kind than a box."""
+    return "file" in entry or entry.get("kind", "box") != "box" or isinstance(entry.get("friction"), str)

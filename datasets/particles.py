@@ -4,12 +4,16 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.material import Material
 from datasets.scene import TOLERANCE, Mass, Scene
+
+if TYPE_CHECKING:
+    from datasets.geometry.bodies import Filling
 
 ROUNDING = 1.0e-13
 """Relative difference up to which two volumes are the same number."""
@@ -69,35 +73,44 @@ def initial_particles(scene: Scene) -> Particles:
 
     A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size along every axis (`lattice_counts`),
     and each of its N particles the volume prod(size) / N; each is moved at random inside the share `jitter` of its own
-    lattice cell. A mass draws from its own stream, so that adding one leaves the others.
+    lattice cell. A mass draws from its own stream, so that adding one leaves the others. Bodies that are no boxes:
+    `datasets.geometry.bodies`.
     """
     materials: list[Material] = []
-    positions, velocities, gradients, indices = [], [], [], []
+    positions, depths, velocities, gradients, indices = [], [], [], [], []
     for number, mass in enumerate(scene.masses):
-        counts = lattice_counts(scene, mass)
-        spacing = np.array(mass.size) / counts
-        lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
-        offset = np.random.default_rng([scene.seed, number]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
-        positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
+        stream = np.random.default_rng([scene.seed, number])
+        if mass.kind == "box":
+            counts = lattice_counts(scene, mass)
+            spacing = np.array(mass.size) / counts
+            lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
+            offset = stream.uniform(-0.5, 0.5, lattice.shape) * scene.jitter
+            positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
+            depths.append(mass.lower[1] + mass.size[1] - positions[-1][:, 1])
+        else:
+            filled = filling(scene, mass)
+            offset = stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter
+            places, depth = filled.places(offset)
+            positions.append(places)
+            depths.append(depth)
         arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
-        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
-        gradients.append(np.broadcast_to(mass.spin, (len(lattice), *mass.spin.shape)))
+        own = mass.velocity or (0.0,) * scene.dimension
+        velocities.append(np.array(own if mass.velocities is None else mass.velocities) + arm @ mass.spin.T)
+        gradients.append(np.broadcast_to(mass.spin, (len(offset), *mass.spin.shape)))
         material = scene.material_of(mass)
         if material not in materials:
             materials.append(material)
-        indices.append(np.full(len(lattice), materials.index(material), np.int32))
+        indices.append(np.full(len(offset), materials.index(material), np.int32))
     counts = mass_counts(scene)
-    tops = np.repeat([mass.lower[1] + mass.size[1] for mass in scene.masses], counts)
-    everywhere = np.concatenate(positions)
     return Particles(
-        positions=everywhere,
+        positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
         mass=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
         velocity_gradients=np.concatenate(gradients),
         material=np.concatenate(indices),
         materials=tuple(materials),
-        volume=np.repeat(mass_particle_volumes(scene), counts),
-        depth=tops - everywhere[:, 1],
+        volume=initial_volumes(scene),
+        depth=np.concatenate(depths),
     )
 
 
@@ -110,9 +123,30 @@ def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
     return [max(1, round(length / share)) for length in mass.size]
 
 
+def filling(scene: Scene, mass: Mass) -> "Filling":
+    """What fills a mass that is no box, before its jitter."""
+    # The libraries of solid geometry load only where there is such a mass.
+    from datasets.geometry import bodies
+
+    return bodies.filling(scene, mass)
+
+
 def mass_counts(scene: Scene) -> list[int]:
     """Particles of each mass, shape [masses]."""
-    return [math.prod(lattice_counts(scene, mass)) for mass in scene.masses]
+    return [
+        math.prod(lattice_counts(scene, mass)) if mass.kind == "box" else len(filling(scene, mass).lattice)
+        for mass in scene.masses
+    ]
+
+
+def mass_volumes(scene: Scene) -> NDArray[np.float64]:
+    """Volume of each mass [m^D], exactly that of its shape, shape [masses]."""
+    return np.array(
+        [
+            math.prod(mass.size) if mass.kind == "box" else float(filling(scene, mass).volumes.sum())
+            for mass in scene.masses
+        ]
+    )
 
 
 def particle_count(scene: Scene) -> int:
@@ -123,17 +157,29 @@ def particle_count(scene: Scene) -> int:
 def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
     """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
 
+    Particles that a file gives volumes of their own have those (`initial_volumes`), this is their mean.
+
     Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
     """
     known = [scene.particle_volume]
     volumes = []
-    for mass, count in zip(scene.masses, mass_counts(scene), strict=True):
-        volume = math.prod(mass.size) / count
+    for whole, count in zip(mass_volumes(scene).tolist(), mass_counts(scene), strict=True):
+        volume = whole / count
         near = next((each for each in known if abs(volume - each) <= ROUNDING * each), None)
         if near is None:
             known.append(volume)
         volumes.append(volume if near is None else near)
     return np.array(volumes)
+
+
+def initial_volumes(scene: Scene) -> NDArray[np.float64]:
+    """Initial volume of each particle [m^D], shape [N]."""
+    volumes = np.repeat(mass_particle_volumes(scene), counts := mass_counts(scene))
+    for number, mass in enumerate(scene.masses):
+        if isinstance(mass.volume, tuple):
+            first = sum(counts[:number])
+            volumes[first : first + counts[number]] = mass.volume
+    return volumes
 
 
 def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
@@ -142,10 +188,9 @@ def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
     Where a trajectory from elsewhere has other particles than `initial_particles` makes, each has the nominal volume of
     the lattice, `scene.particle_volume`.
     """
-    counts = mass_counts(scene)
-    if sum(counts) != count:
+    if particle_count(scene) != count:
         return np.full(count, scene.particle_volume)
-    return np.repeat(mass_particle_volumes(scene), counts)
+    return initial_volumes(scene)
 
 
 def warn_if_unresolved(scene: Scene) -> None:
@@ -158,17 +203,29 @@ def warn_if_unresolved(scene: Scene) -> None:
     thin = [
         index
         for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
-        if count > 1 and min(mass.size) < cell - TOLERANCE and not continues(scene, mass, int(np.argmin(mass.size)))
+        if count > 1
+        and mass.kind != "particles"
+        and thinnest(scene, mass) < cell - TOLERANCE
+        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
     ]
     if thin:
         names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
-        thickness = min(min(scene.masses[index].size) for index in thin)
+        thickness = min(thinnest(scene, scene.masses[index]) for index in thin)
         finest, coarsest = (thickness / cells for cells in reversed(RESOLVED))
         warnings.warn(
             f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid does not resolve it; "
             f"a cell of {finest:.2g} to {coarsest:.2g} m would",
             stacklevel=3,
         )
+
+
+def thinnest(scene: Scene, mass: Mass) -> float:
+    """The least extent of a mass [m]; of a layer its largest thickness, where that is less."""
+    if mass.kind != "layer":
+        return min(mass.size)
+    filled = filling(scene, mass)
+    thickness = float(filled.lattice[:, 1].max() + 0.5 * filled.spacing[1])
+    return min(thickness, *(length for axis, length in enumerate(mass.size) if axis != 1))
 
 
 def continues(scene: Scene, mass: Mass, axis: int) -> bool:

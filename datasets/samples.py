@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import InputError
+from datasets.geometry.plain import check_plain
 from datasets.mapped import open_trajectory
 from datasets.particles import mass_counts, particle_volumes
 from datasets.scene import Scene
@@ -62,6 +63,7 @@ class Flow:
         """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError."""
         scene = trajectory.scene
         stride = frames_per_step(scene.frame_dt, step, name)
+        check_plain(scene, "a model", name)
         if scene.slope_deg != 0.0:
             raise InputError("expected a level floor, a model knows no other", where=name, key="slope_deg")
         if any(mass.release is not None for mass in scene.masses):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Rows, Solid, Triangles, check_solid
 from datasets.material import Material
 from datasets.strict import Strict, from_mapping
 
@@ -18,6 +19,8 @@ Vector = tuple[float, ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
+SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
+"""The sides of the box; y- is the floor."""
 RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""
 
@@ -34,12 +37,32 @@ class Domain(Strict):
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Strict):
-    """A box of material at the start."""
+    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.bodies`)."""
 
-    lower: Vector
-    """Lower corner [m]."""
-    size: Vector
-    """Extent [m]."""
+    kind: str = "box"
+    """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `particles`."""
+    lower: Vector = ()
+    """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
+    size: Vector = ()
+    """Extent of that box [m]."""
+    vertices: Rows | None = None
+    """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
+    triangles: Triangles | None = None
+    """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
+    thickness: float | Rows | None = None
+    """Of a layer, vertically [m]: a number; in 2D rows x, thickness; in 3D rows along x of columns along z."""
+    origin: Vector | None = None
+    """x and z of the first thickness in 3D [m]."""
+    spacing: Vector | None = None
+    """Distance between thicknesses along x and z [m]."""
+    outline: Rows | None = None
+    """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
+    positions: Rows | None = None
+    """Positions of particles [m], shape [N, D]."""
+    velocities: Rows | None = None
+    """Initial velocities of these particles [m/s], shape [N, D], in place of `velocity`."""
+    volume: float | Vector | None = None
+    """Initial volume of each of these particles, or of all [m^D]; that of the lattice where absent."""
     velocity: Vector | None = None
     """Initial velocity [m/s]; at rest where absent."""
     angular_velocity: float | Vector | None = None
@@ -68,6 +91,10 @@ class Baffle(Strict):
     """Lower corner [m]."""
     size: Vector
     """Extent [m]."""
+    turned_deg: float = 0.0
+    """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
+    friction: float | None = None
+    """Coulomb coefficient of its faces [-]; the scene's `baffle_friction` where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +106,10 @@ class Scene(Strict):
     """The material of every mass that brings none of its own."""
     masses: tuple[Mass, ...]
     baffles: tuple[Baffle, ...] = ()
+    solids: tuple[Solid, ...] = ()
+    """Other fixed rigid bodies: boxes, polygons, terrain, meshes (`datasets.geometry.solid`)."""
+    open_sides: tuple[str, ...] = ()
+    """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: float = 1.0
     """Simulated time [s], a whole number of frames."""
     frame_dt: float = 0.0025
@@ -92,7 +123,7 @@ class Scene(Strict):
     wall_friction: float = 0.0
     """Coulomb coefficient of every other wall of the box [-]."""
     baffle_friction: float = 0.0
-    """Coulomb coefficient of every face of the baffles [-]."""
+    """Coulomb coefficient of the faces of every baffle that names none of its own [-]."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
@@ -116,6 +147,10 @@ class Scene(Strict):
     """Seed of that displacement."""
 
     def __post_init__(self) -> None:
+        if any(mass.kind != "box" for mass in self.masses):
+            from datasets.geometry.bodies import with_boxes
+
+            object.__setattr__(self, "masses", with_boxes(self))
         check(self)
 
     @property
@@ -225,6 +260,9 @@ def check(scene: Scene) -> None:
     for kind, boxes in groups.items():
         for index, box in enumerate(boxes):
             key = f"{kind}[{index}]"
+            for name in ("lower", "size"):
+                if getattr(box, name) == ():
+                    raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
             require(len(box.lower) == dimension, f"{key}.lower", f"{dimension} lengths in m", list(box.lower))
             require(len(box.size) == dimension, f"{key}.size", f"{dimension} lengths in m", list(box.size))
             require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
@@ -235,6 +273,17 @@ def check(scene: Scene) -> None:
             require(
                 inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
             )
+    open_sides = SIDES[: 2 * dimension]
+    for index, side in enumerate(scene.open_sides):
+        require(side in open_sides, f"open_sides[{index}]", f"one of {', '.join(open_sides)}", repr(side))
+        require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
+    for index, baffle in enumerate(scene.baffles):
+        friction = baffle.friction
+        require(
+            friction is None or friction >= 0.0, f"baffles[{index}].friction", "a coefficient of at least 0", friction
+        )
+    for index, solid in enumerate(scene.solids):
+        check_solid(solid, f"solids[{index}]", dimension)
     for index, mass in enumerate(scene.masses):
         if mass.velocity is not None:
             require(
@@ -256,9 +305,24 @@ def check(scene: Scene) -> None:
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of several boxes
+    upright = [mass.kind == "box" for mass in scene.masses] + [baffle.turned_deg == 0.0 for baffle in scene.baffles]
+    shared &= np.outer(upright, upright)  # others are more than boxes
     if shared.any():
         first, second = np.argwhere(shared)[0]
         raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
+    if has_shapes(scene):
+        from datasets.geometry.placing import check_places
+
+        check_places(scene)
+
+
+def has_shapes(scene: Scene) -> bool:
+    """Whether there is more in a scene than boxes along the axes."""
+    return bool(
+        scene.solids
+        or any(baffle.turned_deg != 0.0 for baffle in scene.baffles)
+        or any(mass.kind != "box" for mass in scene.masses)
+    )
 
 
 def check_start(scene: Scene, mass: Mass, key: str) -> None:
@@ -268,6 +332,9 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
         if not ok:
             raise InputError(f"expected {expected}, got {got}", key=f"{key}.{name}")
 
+    for name in ("k0", "release"):
+        given = getattr(mass, name)
+        require(given is None or mass.kind == "box", name, f"none of a {mass.kind}, which is no box", repr(given))
     if isinstance(mass.k0, str):
         require(mass.k0 == "elastic", "k0", "a ratio of stresses or 'elastic'", repr(mass.k0))
     elif mass.k0 is not None:
@@ -296,11 +363,16 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     """
     boxes: Sequence[Mass | Baffle] = (*scene.masses, *scene.baffles)
     count = len(scene.masses)
-    lower, upper = corners(boxes)
+    shaped = has_shapes(scene)
+    lower, upper = corners(scene.masses if shaped else boxes)
     level = [axis for axis in range(scene.dimension) if axis != 1]
     over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
+    if shaped:
+        from datasets.geometry.placing import heights_above_solids
+
+        height = np.minimum(height, heights_above_solids(scene))
     reach = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
     body = np.asarray(reach & reach.T, dtype=bool)
     for _ in range(count.bit_length()):

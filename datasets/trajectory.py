@@ -21,7 +21,7 @@ FIELDS = {
     "pressure": np.float32,
     "density": np.float32,
     "plastic_strain": np.float32,
-    "baffle_impulse": np.float64,
+    "solid_impulse": np.float64,
 }
 """What a simulation may have recorded besides the positions, and as what it is stored."""
 
@@ -52,15 +52,21 @@ class Trajectory:
     """Density of the deposit around each particle [kg/m^3], shape [T, N]."""
     plastic_strain: Floats | None = None
     """Accumulated equivalent deviatoric plastic strain [-], shape [T, N]."""
-    baffle_impulse: NDArray[np.float64] | None = None
-    """Momentum given to each baffle since the start [N s, in 2D per metre of width], shape [T, B, D].
+    solid_impulse: NDArray[np.float64] | None = None
+    """Momentum given to each solid since the start [N s, in 2D per metre of width], shape [T, B, D].
 
-    Its derivative is the force of the impact.
+    The solids are those of `solid_names`, in that order. The derivative is the force on them (`datasets.forces`).
     """
+
+    @property
+    def baffle_impulse(self) -> NDArray[np.float64] | None:
+        """Of `solid_impulse` that of the baffles, which come first, shape [T, B, D]."""
+        return None if self.solid_impulse is None else self.solid_impulse[:, : len(self.scene.baffles)]
 
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
-        fields = {key: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
+        fields = {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
         with replacing(path) as part:
             np.savez(
                 part,
@@ -96,7 +102,7 @@ class Trajectory:
             "pressure": (frames, points),
             "density": (frames, points),
             "plastic_strain": (frames, points),
-            "baffle_impulse": (frames, len(scene.baffles), dimension),
+            impulse_key(scene): (frames, len(solid_names(scene)), dimension),
         }
         for key, shape in shapes.items():
             if key not in arrays:
@@ -122,8 +128,29 @@ class Trajectory:
             friction=arrays["friction"].astype(np.float32, copy=False),
             scene=scene,
             summary=summary,
-            **{key: arrays[key].astype(kind, copy=False) for key, kind in FIELDS.items() if key in arrays},
+            **{
+                key: arrays[name].astype(kind, copy=False)
+                for key, kind in FIELDS.items()
+                if (name := impulse_key(scene) if key == "solid_impulse" else key) in arrays
+            },
         )
+
+
+def solid_names(scene: Scene) -> tuple[str, ...]:
+    """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
+    baffles = (f"baffles[{index}]" for index in range(len(scene.baffles)))
+    return (*baffles, *(solid.name or f"solids[{index}]" for index, solid in enumerate(scene.solids)))
+
+
+def impulse_key(scene: Scene) -> str:
+    """The key in an NPZ of `Trajectory.solid_impulse`: that of older files where there are no solids but baffles."""
+    return "solid_impulse" if scene.solids else "baffle_impulse"
+
+
+def read_trajectory(place: Path) -> tuple[Path, Trajectory]:
+    """The trajectory at a path, or in the folder of a run, and its file. Raises InputError."""
+    path = place / "trajectory.npz" if place.is_dir() else place
+    return path, Trajectory.load(path)
 
 
 def stored_scene(path: Path) -> Scene:

@@ -1,19 +1,21 @@
 """Trajectory -> a time series that ParaView opens: points with their fields, baffles as surfaces, the box's outline."""
 
+import dataclasses
 import re
 import tempfile
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.files import replacing
+from datasets.geometry.surface import Surface, surface_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
@@ -23,8 +25,30 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"(points-\d+|baffles(-\d+)?|domain)\.vtp")
+PARTS = re.compile(r"(points-\d+|(baffles|solids)(-\d+)?|domain)\.vt[pu]")
 """The files that a series consists of, whatever its length."""
+UNITS = {
+    "velocity": "m/s",
+    "displacement": "m",
+    "stress": "Pa",
+    "pressure": "Pa",
+    "density": "kg/m^3",
+    "plastic_strain": "1",
+    "material": "1",
+    "friction_deg": "deg",
+    "baffle": "1",
+    "solid": "1",
+    "friction": "1",
+    "impulse": "N s",
+    "force": "N",
+}
+"""Of the arrays; of impulse and force in 2D per metre of width."""
+UNCHANGING = frozenset({"material", "friction_deg", "baffle", "solid", "friction"})
+"""Arrays that are the same in every frame."""
+MOVING = "points"
+"""The part whose geometry changes."""
+ACTIVE = {MOVING: "velocity", "baffles": "force", "solids": "force"}
+"""The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
 
 class Meshes:
@@ -53,10 +77,14 @@ class Meshes:
     def material(self) -> NDArray[np.int32]:
         """Index into `materials` of each point, shape [N].
 
-        Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points.
+        Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points;
+        by the nearest particle of the scene's own where a mass is no box.
         """
         scene, start = self.trajectory.scene, self.start
         materials = self.materials
+        if any(mass.kind != "box" for mass in scene.masses):
+            own = initial_particles(scene)
+            return np.asarray(own.material[cKDTree(own.positions).query(start)[1]])
         nearest, index = np.full(len(start), np.inf), np.zeros(len(start), np.int32)
         for mass in scene.masses:
             lower, upper = np.array(mass.lower), np.add(mass.lower, mass.size)
@@ -99,39 +127,116 @@ class Meshes:
             "friction_deg": self.friction_deg,
         }
 
-    def points(self, frame: int) -> "pyvista.PolyData":
-        """The points at `frame`, a vertex each, with all their fields."""
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What there is to draw, the same in every frame."""
+        scene = self.trajectory.scene
+        return ("points", *(("baffles",) if scene.baffles else ()), *(("solids",) if scene.solids else ()), "domain")
+
+    def changes(self, part: str) -> bool:
+        """Whether a part is another one in every frame."""
+        return part == "points" or (part != "domain" and self.trajectory.solid_impulse is not None)
+
+    def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
+        """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
+        mesh = self.shape(name, frame)
+        data = mesh.point_data if name == MOVING else mesh.cell_data
+        arrays = self.arrays(name, frame, since)
+        for key, values in arrays.items():
+            data[key] = values
+            mesh.field_data[f"{key}_units"] = [self.unit(key)]
+        if (active := ACTIVE.get(name, "")) in arrays:
+            data.active_vectors_name = active
+        return mesh
+
+    def shape(self, name: str, frame: int) -> "pyvista.PolyData":
+        """The part `name` at `frame` without its arrays: the points, a vertex each, or one of the surfaces."""
         import pyvista
 
-        mesh = pyvista.PolyData(spatial(self.trajectory.positions[frame]))
-        for key, values in self.fields(frame).items():
-            width = 6 if key == "stress" else 3
-            mesh.point_data[key] = values if values.ndim == 1 else spatial(values, width)
-        return mesh
+        if name == MOVING:
+            return pyvista.PolyData(spatial(self.trajectory.positions[frame]))
+        surfaces = {"baffles": lambda: self.baffle_surface, "solids": lambda: self.solid_surface}
+        surface: pyvista.PolyData = surfaces.get(name, lambda: self.domain)().copy()
+        return surface
 
-    def baffles(self, frame: int, since: int) -> "pyvista.PolyData":
-        """The baffles, closed surfaces; per face which baffle it belongs to.
+    def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
+        """The arrays of a part at `frame`: of the points those of `fields`, of solids what each of their faces tells.
 
-        Where it was recorded also the `impulse` [N s] that the baffle has got until `frame`, and the mean `force` [N]
-        on it since the frame `since`, both in 2D per metre of width.
+        That is the number of the baffle or solid, of solids their friction, infinite without slip, and, where it was
+        recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since
+        the frame `since`, both in 2D per metre of width.
         """
-        trajectory = self.trajectory
-        boxes = [box(baffle.lower, baffle.size) for baffle in trajectory.scene.baffles]
-        mesh: pyvista.PolyData = boxes[0].append_polydata(*boxes[1:])
-        number = np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
-        mesh.cell_data["baffle"] = number
-        impulse = trajectory.baffle_impulse
+        if name == MOVING:
+            return {
+                key: values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
+                for key, values in self.fields(frame).items()
+            }
+        if name == "domain":
+            return {}
+        impulse = self.trajectory.solid_impulse
+        if name == "baffles":
+            number = self.baffle_of_face
+            arrays: dict[str, NDArray[Any]] = {"baffle": number}
+        else:
+            surface = self.solid_faces
+            number = surface.solid
+            arrays = {
+                "solid": number - np.int32(len(self.trajectory.scene.baffles)),
+                "friction": surface.friction.mean(axis=1).astype(np.float32),
+            }
         if impulse is not None:
-            gained, took = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
-            mesh.cell_data["impulse"] = spatial(impulse[frame])[number]
-            mesh.cell_data["force"] = spatial(gained / took if took > 0.0 else gained)[number]
-        return mesh
+            gained, took = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
+            arrays["impulse"] = spatial(impulse[frame])[number]
+            arrays["force"] = spatial(gained / took if took > 0.0 else gained)[number]
+        return arrays
 
+    @cached_property
+    def baffle_surface(self) -> "pyvista.PolyData":
+        """The baffles, closed surfaces."""
+        first, *others = self._baffle_boxes
+        surface: pyvista.PolyData = first.append_polydata(*others)
+        return surface
+
+    @cached_property
+    def baffle_of_face(self) -> NDArray[np.int32]:
+        """The index of the baffle that each face of `baffle_surface` belongs to, shape [F]."""
+        boxes = self._baffle_boxes
+        return np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
+
+    @property
+    def _baffle_boxes(self) -> list["pyvista.PolyData"]:
+        return [turned(box(each.lower, each.size), each.turned_deg) for each in self.trajectory.scene.baffles]
+
+    @cached_property
+    def solid_faces(self) -> Surface:
+        """The faces of the scene's solids that are free, of the union of all that is solid, baffles left out."""
+        surface = surface_of(self.trajectory.scene)
+        assert surface is not None, "asked for where there are solids"
+        chosen = surface.solid >= len(self.trajectory.scene.baffles)
+        return Surface(**{field.name: getattr(surface, field.name)[chosen] for field in dataclasses.fields(Surface)})
+
+    @cached_property
+    def solid_surface(self) -> "pyvista.PolyData":
+        """`solid_faces` as triangles, in 2D as lines."""
+        import pyvista
+
+        corners = self.solid_faces.corners
+        count, width = corners.shape[:2]
+        faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
+        points = spatial(corners.reshape(-1, corners.shape[2]))
+        return pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
+
+    @cached_property
     def domain(self) -> "pyvista.PolyData":
         """The edges of the box."""
         size = self.trajectory.scene.domain.size
         edges: pyvista.PolyData = box((0.0,) * len(size), size).extract_all_edges()
         return edges
+
+    def unit(self, name: str) -> str:
+        """Of the array `name`, in 2D per metre of width where that counts."""
+        per_width = self.trajectory.scene.dimension == 2 and name in ("impulse", "force")
+        return UNITS[name] + ("/m" if per_width else "")
 
 
 def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
@@ -152,15 +257,32 @@ def box(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData"
     return pyvista.Box((*x, *y, *z[0]))
 
 
+def turned(mesh: "pyvista.PolyData", angle_deg: float) -> "pyvista.PolyData":
+    """A box turned about its centre: in 2D from x to y, in 3D about the vertical, from x to z."""
+    if angle_deg == 0.0:
+        return mesh
+    flat = mesh.bounds[4] == mesh.bounds[5]
+    rotate, angle = (mesh.rotate_z, angle_deg) if flat else (mesh.rotate_y, -angle_deg)
+    return rotate(angle, point=mesh.center)
+
+
 def frames_of(trajectory: Trajectory, every: int) -> list[int]:
     """Every `every`-th frame from the first on, and the last."""
     last = len(trajectory.time) - 1
     return sorted({*range(0, last, every), last})
 
 
-def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress: bool = False) -> None:
+def write_vtk(
+    trajectory: Trajectory,
+    folder: Path,
+    *,
+    every: int = 1,
+    suffix: Literal[".vtp", ".vtu"] = ".vtp",
+    progress: bool = False,
+) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
+    suffix: PolyData by VTK's own writer, or unstructured grids by meshio's, which hold no units and no active vectors.
     Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole
     until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
     """
@@ -171,9 +293,10 @@ def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:
         beside = Path(name)
         for frame in tqdm(frames_of(trajectory, every), desc="vtk", unit="frame", disable=not progress):
-            for number, (file, mesh) in enumerate(_parts(meshes, frame, since)):
+            for number, part in enumerate(meshes.parts):
+                file = f"{part}-{frame:04d}{suffix}" if meshes.changes(part) else part + suffix
                 if not (beside / file).exists():
-                    _write(mesh, beside / file)
+                    _write(meshes.part(part, frame, since), beside / file)
                 time = repr(float(trajectory.time[frame]))
                 ElementTree.SubElement(collection, "DataSet", timestep=time, part=str(number), file=file)
             since = frame
@@ -184,21 +307,15 @@ def write_vtk(trajectory: Trajectory, folder: Path, *, every: int = 1, progress:
         for new in list(beside.iterdir()):
             new.replace(folder / new.name)
     ElementTree.indent(series)
-    with replacing(folder / SERIES) as part:
-        ElementTree.ElementTree(series).write(part, encoding="utf-8", xml_declaration=True)
-
-
-def _parts(meshes: Meshes, frame: int, since: int) -> Iterator[tuple[str, "pyvista.PolyData"]]:
-    """File and mesh of each part of a frame, the same parts in every frame; what never changes has one file."""
-    yield f"points-{frame:04d}.vtp", meshes.points(frame)
-    if meshes.trajectory.scene.baffles:
-        changes = meshes.trajectory.baffle_impulse is not None
-        yield f"baffles-{frame:04d}.vtp" if changes else "baffles.vtp", meshes.baffles(frame, since)
-    yield "domain.vtp", meshes.domain()
+    with replacing(folder / SERIES) as index:
+        ElementTree.ElementTree(series).write(index, encoding="utf-8", xml_declaration=True)
 
 
 def _write(mesh: "pyvista.PolyData", path: Path) -> None:
-    """Write a VTP: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
+    """Write a VTP or a VTU: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
+    if path.suffix == ".vtu":
+        _write_by_meshio(mesh, path)
+        return
     from pyvista.core.utilities.writer import XMLPolyDataWriter
 
     writer: Any = XMLPolyDataWriter(path, mesh).writer
@@ -206,3 +323,14 @@ def _write(mesh: "pyvista.PolyData", path: Path) -> None:
     writer.EncodeAppendedDataOff()
     if not writer.Write():
         raise WorkFailed(f"{path.name} could not be written: is the disk full?")
+
+
+def _write_by_meshio(mesh: "pyvista.PolyData", path: Path) -> None:
+    """Write a VTU. Raises WorkFailed."""
+    import meshio
+    import pyvista
+
+    try:
+        meshio.write(path, pyvista.to_meshio(mesh), binary=True)
+    except OSError as error:
+        raise WorkFailed(f"{path.name} could not be written: {error.strerror}") from None

@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.plain import check_plain
 from datasets.particles import initial_particles, particle_volumes
 from datasets.samples import corners, frames_per_step, point_cohesion
 from datasets.scene import Scene
@@ -83,6 +84,7 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model with these settings can know: each key with what was expected."""
     if scene.dimension != settings.dimension:
         raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
+    check_plain(scene, "the model")
     if scene.baffles and not settings.baffles:
         raise InputError("expected a scene without baffles, the model knows none", key="baffles")
     if scene.slope_deg != 0.0:

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
-from datasets.scene import Scene
+from datasets.scene import SIDES, Scene
 from mpm import rest
 from mpm.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
     PADDING,
+    Contact,
     Energy,
     Features,
     Gate,
@@ -25,6 +26,7 @@ from mpm.layout import (
     StepControl,
     Worker,
 )
+from mpm.obstacles import initial_contacts, obstacles_of
 from mpm.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
 from mpm.recording import ALL, Recording
 from mpm.release import gate_rows, held_rows, holding_rows, release_times
@@ -61,12 +63,11 @@ class Batch:
 
         self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
         self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
-        boxes = [[*np.add(b.lower, np.divide(b.size, 2)), *np.divide(b.size, 2)] for s in scenes for b in s.baffles]
-        self.baffles = np.array(boxes or [[0.0]], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
+        self.add_contacts(real)
         self.add_gates()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
-        block = node = impulse = line = baffle = recorded = recorded_impulse = 0
+        block = node = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
             blocks = -(-count // lanes)
@@ -74,13 +75,14 @@ class Batch:
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
             offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
-            offset[Offset.ENERGY], offset[Offset.BAFFLE], offset[Offset.BAFFLES] = line, baffle, len(scene.baffles)
+            offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
+            offset[Offset.OPEN] = sum(1 << SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
             offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
-            solids = offset[Offset.SOLIDS] = len(scene.baffles) + int(record.wall_forces)
+            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
@@ -95,7 +97,6 @@ class Batch:
             block += blocks
             recorded += count * len(kept)
             line += scene.frames
-            baffle += len(scene.baffles)
             recorded_impulse += scene.frames * solids
         per_particle = max(features.dimension, features.recorded)
         scratch = (block if features.gpu else len(self.workers)) * features.scratch
@@ -123,6 +124,29 @@ class Batch:
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
+
+    def add_contacts(self, real: np.dtype[Any]) -> None:
+        """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
+        tables = [obstacles_of(scene) for scene in self.scenes] if self.features.contact else []
+        geometry = face = near = held = 0
+        cell_faces, near_faces, held_nodes = [], [], []
+        for offset, table in zip(self.offsets, tables, strict=False):
+            offset[Offset.GEOMETRY] = geometry
+            cell_faces.append(table.cell_faces + near)
+            near_faces.append(table.near_faces + face)
+            held_nodes.append(np.where(table.held_nodes > 0, table.held_nodes + held, 0))
+            geometry += len(table.cell_faces)
+            face, near, held = face + len(table.faces), near + len(table.near_faces), held + len(table.node_contacts)
+
+        def joined(parts: list[Array], kind: np.dtype[Any] | type, width: int = 0) -> Array:
+            """One array of all parts, never empty."""
+            filled = [part for part in parts if len(part)] or [np.zeros((1, width) if width else 1)]
+            return np.concatenate(filled).astype(kind)
+
+        self.faces = joined([table.faces for table in tables], real, 1)
+        self.node_contacts = joined([table.node_contacts for table in tables], real, 1)
+        self.cell_faces, self.near_faces = joined(cell_faces, np.int32), joined(near_faces, np.int32)
+        self.held_nodes = joined(held_nodes, np.int32)
 
     def add_gates(self) -> None:
         """The lines of `gates`, `held` and `holding` of all scenes."""
@@ -157,13 +181,17 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
+        if features.contact:
+            put(features.contacts, initial_contacts(scene, particles.positions))
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
-            from mpm.initial_stress import initial_stress
+            from mpm.initial_stress import initial_tractions
 
-            stress = initial_stress(scene, particles, particles.positions.astype(state.dtype))
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
             put(features.stress, stress)
+            if features.contact:
+                put(features.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
             properties = properties_of(particles)
@@ -230,7 +258,11 @@ class Batch:
             "impulse_lanes": self.impulse.reshape(-1),
             "settings": self.settings,
             "properties": self.properties,
-            "baffles": self.baffles,
+            "faces": self.faces,
+            "cell_faces": self.cell_faces,
+            "near_faces": self.near_faces,
+            "held_nodes": self.held_nodes,
+            "node_contacts": self.node_contacts,
             "offsets": self.offsets,
             "workers": self.workers,
             "order": self.order,
@@ -293,7 +325,8 @@ class Batch:
     def impulses(self, index: int) -> NDArray[np.float64]:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
-        The baffles in the order of the scene, then all walls of the box together where asked for.
+        The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
+        `datasets.scene.SIDES`, and the gates.
         """
         scene, first, solids = (
             self.scenes[index],
@@ -307,6 +340,11 @@ class Batch:
 def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
     """The particles of each scene at the start."""
     return [initial_particles(scene) for scene in scenes]
+
+
+def wall_slots(scene: Scene, record: Recording) -> int:
+    """Recorded impulses of the box: its sides and the gates, or none."""
+    return 2 * scene.dimension + 1 if record.wall_forces else 0
 
 
 def features_of(
@@ -336,7 +374,8 @@ def features_of(
             or any(material.strength_gradient > 0.0 for material in each.materials)
             for each in particles
         ),
-        baffles=any(scene.baffles for scene in scenes),
+        contact=any(scene.baffles or scene.solids for scene in scenes),
+        open=any(scene.open_sides for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,

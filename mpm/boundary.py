@@ -1,12 +1,26 @@
-"""Rigid walls of the box: no flow through them, Coulomb friction along them.
+"""Rigid walls of the box: no flow through them, Coulomb friction along them; a side may be open instead.
 
 A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
-(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it.
+(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. It is the contact of
+`mpm.contact` where the surface lies on the nodes, at the price of a comparison.
 """
 
 import taichi as ti
 
-from mpm.layout import PADDING
+from mpm.lanes import add
+from mpm.layout import PADDING, Offset, Setting, Worker
+
+
+@ti.func
+def stopped_by(v, normal, friction):
+    """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
+    into = v.dot(normal)
+    along = v - into * normal
+    speed, grip = along.norm(), 0.0 - friction * into
+    keep = 0.0
+    if speed > grip:
+        keep = 1.0 - grip / speed
+    return keep * along
 
 
 @ti.func
@@ -22,14 +36,40 @@ def stopped(v, axis: ti.template(), friction):
 
 
 @ti.func
-def against_walls(v, node, cells, floor_friction, wall_friction):
-    """Velocity `v` of the node with the indices `node` after all walls of a box of `cells`; shape [D] each."""
-    for axis in ti.static(range(v.n)):
+def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
+    features = arrays.features
+    for axis in ti.static(range(features.dimension)):
+        side = -1
         if node[axis] <= PADDING and v[axis] < 0.0:
-            friction = wall_friction
-            if ti.static(axis == 1):
-                friction = floor_friction
-            v = stopped(v, axis, friction)
+            side = 2 * axis
         elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
-            v = stopped(v, axis, wall_friction)
+            side = 2 * axis + 1
+        if side >= 0 and closed(side, scene, arrays) == 1:
+            friction = arrays.settings[scene, Setting.WALL_FRICTION]
+            if side == 2:
+                friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+            before = v
+            v = stopped(v, axis, friction)
+            if ti.static(features.walls_recorded):
+                record_wall(side, mass * (before - v), worker, scene, arrays)
     return v
+
+
+@ti.func
+def closed(side, scene, arrays: ti.template()):
+    """1 where a side of the box, 0 to 2 D - 1 for x-, x+, y-, ..., is a wall, 0 where it is open."""
+    result = 1
+    if ti.static(arrays.features.open):
+        result = 1 - ((arrays.offsets[scene, Offset.OPEN] >> side) & 1)
+    return result
+
+
+@ti.func
+def record_wall(side, momentum, worker, scene, arrays: ti.template()):
+    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the gates."""
+    features = arrays.features
+    number = arrays.offsets[scene, Offset.OBSTACLES] + side
+    at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension
+    for k in ti.static(range(features.dimension)):
+        add(arrays.impulse_lanes, (at + k) * features.lanes, momentum[k], arrays)

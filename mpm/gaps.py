@@ -25,11 +25,10 @@ At a boundary of soils of different density the grid sees another density than t
 import taichi as ti
 
 from mpm.lanes import larger
-from mpm.layout import Offset, Property, Setting
+from mpm.layout import Contact, Offset, Property, Setting
+from mpm.properties import GAP_REACH
 from mpm.transfer import property_of
 
-REACH = 1.7
-"""Cells from a wall within which it hides mass from a particle."""
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
 TINY = 1.0e-30
@@ -43,11 +42,23 @@ def gap_seen(scene, block, scratch, arrays: ti.template()):
     dx = arrays.settings[scene, Setting.CELL]
     mass = larger(arrays.scratch[scratch + features.density], TINY)
     full = property_of(scene, block, Property.DENSITY, arrays) * dx**features.dimension + 0.0 * mass
-    square = 0.0 * mass
+    square, across = 0.0 * mass, 0.0 * mass
+    if ti.static(features.contact):
+        # A solid hides mass like a wall, and the centre of mass is then away from it along its normal.
+        at = block * features.block + features.contacts
+        near = larger(1.0 - arrays.state[at + Contact.DISTANCE] / (GAP_REACH * dx), 0.0)
+        full = full * (1.0 - 0.5 * near * near)
+        for k in ti.static(range(features.dimension)):
+            slope = arrays.scratch[scratch + features.density + 1 + k]
+            across = across + slope * arrays.state[at + Contact.NORMAL + k]
+        across = ti.select(near > 0.0, larger(across, 0.0), 0.0)
     for k in ti.static(range(features.dimension)):
         slope = arrays.scratch[scratch + features.density + 1 + k]
-        place = arrays.state[block * features.block + k] / (REACH * dx)
-        length = arrays.offsets[scene, Offset.CELLS_X + k] / REACH
+        if ti.static(features.contact):
+            normal = arrays.state[block * features.block + features.contacts + Contact.NORMAL + k]
+            slope = slope - across * normal
+        place = arrays.state[block * features.block + k] / (GAP_REACH * dx)
+        length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_REACH
         low, high = larger(1.0 - place, 0.0), larger(1.0 - length + place, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
         behind = ((slope > 0.0) & (low > 0.0)) | ((slope < 0.0) & (high > 0.0))

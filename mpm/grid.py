@@ -13,34 +13,16 @@ Only the bounding box of the material is cleared and updated.
 
 import taichi as ti
 
-from mpm.boundary import against_walls
+from mpm.boundary import against_walls, record_wall
+from mpm.contact import against_solids
 from mpm.gates import against_gates
-from mpm.lanes import add
 from mpm.layout import PADDING, Offset, Setting, StepControl, Worker
+from mpm.nodes import cells_of, rows_of
 
 TINY = 1.0e-30
 """Keeps a quotient finite where nothing moves and nothing weighs."""
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
-
-
-@ti.func
-def cells_of(scene, arrays: ti.template()):
-    """Cells of the box along each axis, shape [D]."""
-    features = arrays.features
-    return ti.Vector([arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def rows_of(scene, arrays: ti.template()):
-    """Nodes from one to its neighbour along each axis, shape [3]; the last axis is the innermost."""
-    features = arrays.features
-    across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
-    if ti.static(features.dimension == 2):
-        return ti.Vector([across, 1, 0])
-    else:
-        deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
-        return ti.Vector([across * deep, deep, 1])
 
 
 @ti.func
@@ -182,22 +164,14 @@ def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
         a = a - drag * ti.Vector(sign)
     free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
-    held = against_walls(
-        free,
-        index,
-        cells_of(scene, arrays),
-        arrays.settings[scene, Setting.FLOOR_FRICTION],
-        arrays.settings[scene, Setting.WALL_FRICTION],
-    )
+    held = against_walls(free, index, cells_of(scene, arrays), mass, worker, scene, arrays)
+    if ti.static(features.contact):
+        rows = rows_of(scene, arrays)
+        n = arrays.offsets[scene, Offset.GEOMETRY] + i * rows[0] + j * rows[1] + k * rows[2]
+        held = against_solids(held, mass, n, worker, arrays)
     if ti.static(features.gated):
-        held = against_gates(held, index, scene, dt, arrays)
-    if ti.static(features.walls_recorded):
-        # What the walls take is counted behind the baffles.
-        for axis in ti.static(range(features.dimension)):
-            recorded_impulse = (
-                arrays.workers[worker, Worker.IMPULSE]
-                + arrays.offsets[scene, Offset.BAFFLES] * features.dimension
-                + axis
-            )
-            add(arrays.impulse_lanes, recorded_impulse * features.lanes, mass * (free[axis] - held[axis]), arrays)
+        behind = against_gates(held, index, scene, dt, arrays)
+        if ti.static(features.walls_recorded):
+            record_wall(2 * features.dimension, mass * (held - behind), worker, scene, arrays)
+        held = behind
     return held

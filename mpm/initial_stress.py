@@ -16,7 +16,8 @@ displacements u through the gradient that the kernel uses,
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
 would have to be pulled, nor across a gate (`mpm.release`); under an elastic mass a rough floor holds it altogether. A
-geostatic mass stands between smooth gates on all its lateral faces. Baffles are no part of it.
+geostatic mass stands between smooth gates on all its lateral faces. Solids push as in `mpm.contact`, by whose law they
+are part of C_p and of K, with shear tractions where they are rough and the mass elastic.
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
 violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
@@ -38,7 +39,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.scene import SIDES, TOLERANCE, Mass, Scene
+from mpm.contact_operator import ContactOperator
 from mpm.layout import PADDING
 from mpm.release import gates, inside
 
@@ -76,18 +78,29 @@ MOST_STEPS = 600
 def initial_stress(scene: Scene, particles: Particles, positions: Floats | None = None) -> Floats:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx).
 
-    Zero in masses without `k0`. `positions` [m], shape [N, D]: those of the particles as the solver rounds them, where
-    that matters. Warns in one line where no equilibrium within the yield surface was found.
+    As `initial_tractions`, which has the rest.
+    """
+    return initial_tractions(scene, particles, positions)[0]
+
+
+def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
+    """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
+
+    the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
+    shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
+    equilibrium within the yield surface was found.
     """
     dimension = scene.dimension
     stress = np.zeros((len(particles.positions), 3, 3))
+    shear = np.zeros(particles.positions.shape)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
         places = particles.positions if positions is None else np.asarray(positions, np.float64)
         problem = Equilibrium(scene, particles, places, np.flatnonzero(chosen))
         stress[chosen] = problem.solution(geostatic(scene, particles, places)[chosen])
+        shear[chosen] = problem.shear_traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
-    return np.stack([stress[:, i, j] for i, j in pairs], axis=1)
+    return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
 
 
 def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
@@ -145,6 +158,7 @@ class Equilibrium:
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
         self.friction = scene.floor_friction
+        self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
         self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
@@ -161,8 +175,10 @@ class Equilibrium:
         walls = np.zeros(self.nodes.shape, np.int8)
         self.gated = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
-            walls[self.nodes[:, axis] <= PADDING, axis] = 1
-            walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
+            if SIDES[2 * axis] not in scene.open_sides:
+                walls[self.nodes[:, axis] <= PADDING, axis] = 1
+            if SIDES[2 * axis + 1] not in scene.open_sides:
+                walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
         free[walls != 0] = False
         rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
@@ -173,25 +189,29 @@ class Equilibrium:
                     self.gated[inside(gate.nodes, self.nodes), gate.axis] = True
         free[self.gated] = False
         free[rough] = False
+        free[self.contact.held(scene, self.nodes)] = False
         return free, walls, rough
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
         precondition = None
         best, least, patience = stress, np.inf, PATIENCE
+        tractions = self.contact.traction
         for _ in range(ITERATIONS):
             admitted = self.admitted(stress)
-            force = np.where(self.free, self.unbalanced(admitted), 0.0)
+            tractions = self.contact.bounded(admitted, tractions)
+            force = np.where(self.free, self.unbalanced(admitted, tractions), 0.0)
             left = float(np.abs(force).sum()) / self.weight
             patience = PATIENCE if left < PROGRESS * least else patience - 1
             if left < least:
                 best, least = admitted, left
+                self.contact.traction = tractions
             if least <= BALANCED or patience == 0:
                 break
             yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
             if yielded.any():
                 stress = np.where(yielded[:, None, None], self.admitted(stress, INSIDE), stress)
-                force = np.where(self.free, self.unbalanced(stress), 0.0)
+                force = np.where(self.free, self.unbalanced(stress, tractions), 0.0)
                 self.theta[yielded] = np.maximum(SOFTENED * self.theta[yielded], SOFTEST)
             if precondition is None:
                 precondition = self.preconditioner()
@@ -200,8 +220,9 @@ class Equilibrium:
             if steps > EXTRA_STEPS or (self.dimension == 3 and yielded.any()):
                 precondition = None
             stress = stress + self.elastic(displacements)
+            tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
             # Walls push and do not pull.
-            pulled = ~self.free & (self.unbalanced(stress) * self.walls > BALANCED * self.weight)
+            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
             if pulled.any():
                 self.free |= pulled
                 precondition = None
@@ -216,7 +237,7 @@ class Equilibrium:
 
     def missing(self, stress: Floats) -> float:
         """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
-        force = self.unbalanced(stress)
+        force = self.unbalanced(stress, self.contact.traction)
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -227,24 +248,36 @@ class Equilibrium:
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         return float(loose + pulled + slips) / self.weight
 
-    def unbalanced(self, stress: Floats) -> Floats:
-        """r_i = m_i g + f_i(stress) [N], shape [n, D]."""
+    @property
+    def shear_traction(self) -> Floats:
+        """Of the solids that the particles touch [Pa], shape [N, D]."""
+        every = np.zeros((len(self.volume), self.dimension))
+        every[self.contact.touching] = self.contact.traction
+        return every
+
+    def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
+        """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
+        push = self.contact.force(self.contact.pushing(stress), tractions)
         flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
-        return np.asarray(self.gravity - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
+        return np.asarray(self.gravity + push - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
 
     def elastic(self, displacements: Floats) -> Floats:
         """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
         gradient = np.zeros((len(self.volume), 3, 3))
         columns = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
         gradient[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
+        gradient[self.contact.touching] += self.contact.gradient(displacements)
         change = (self.theta * self.shear)[:, None, None] * (gradient + gradient.swapaxes(1, 2))
         pressure = self.theta * self.lame * np.trace(gradient, axis1=1, axis2=2)
         return np.asarray(change + pressure[:, None, None] * np.eye(3))
 
     def stiffness(self, displacements: Floats) -> Floats:
         """K u [N], shape [n, D], zero where a node is held."""
-        flux = (self.volume[:, None, None] * self.elastic(displacements))[:, : self.dimension, : self.dimension]
+        change = self.elastic(displacements)
+        flux = (self.volume[:, None, None] * change)[:, : self.dimension, : self.dimension]
         force = self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension)
+        shear = self.contact.shear_traction(displacements, self.theta * self.shear)
+        force -= self.contact.force(self.contact.normal_stress(change), shear)
         return np.where(self.free, force, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
@@ -276,6 +309,8 @@ class Equilibrium:
         ]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
+        contact = self.theta * self.lame, self.theta * self.shear
+        diagonal += self.contact.diagonal(*contact)
         inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
         parts = [matrix[:, self.direct].tocsr() for matrix in each]
         used = np.flatnonzero(np.diff(parts[0].indptr))
@@ -290,6 +325,7 @@ class Equilibrium:
                 for i in range(dimension)
             ]
         ).tocsr()
+        block = block + self.contact.block(*contact, self.direct)
         # Components of a node side by side: the ordering of the factorisation sees nodes, not components.
         order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()

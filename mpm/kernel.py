@@ -14,8 +14,9 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.grid import clear, kept_of, rows_of, update_node, update_nodes
+from mpm.grid import clear, kept_of, update_node, update_nodes
 from mpm.layout import Features, Offset, Setting, StepControl, Worker
+from mpm.nodes import rows_of
 from mpm.output import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
 from mpm.particles import move_block, move_particles
 from mpm.transfer import block_to_grid, particles_to_grid
@@ -119,7 +120,11 @@ def kernel(features: Features) -> Callable[..., None]:
         impulse_lanes: numbers,
         settings: table,
         properties: table,
-        baffles: table,
+        faces: table,
+        cell_faces: integers,
+        near_faces: integers,
+        held_nodes: integers,
+        node_contacts: table,
         offsets: integer_table,
         workers: integer_table,
         order: integers,
@@ -152,7 +157,11 @@ def kernel(features: Features) -> Callable[..., None]:
                     impulse_lanes=impulse_lanes,
                     settings=settings,
                     properties=properties,
-                    baffles=baffles,
+                    faces=faces,
+                    cell_faces=cell_faces,
+                    near_faces=near_faces,
+                    held_nodes=held_nodes,
+                    node_contacts=node_contacts,
                     offsets=offsets,
                     workers=workers,
                     order=order,

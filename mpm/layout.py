@@ -36,7 +36,9 @@ class Setting(Column):
     GRAVITY_Y = auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
     WALL_FRICTION = auto()  # [-]
-    BAFFLE_FRICTION = auto()  # [-]
+    CONTACT_WIDTH = auto()  # over which contact with a solid is spread [m]
+    SEARCH = auto()  # distance from solids up to which it has to be known [m]
+    REACH = auto()  # distance from solids beyond which cells have no faces [m]
     DAMPING = auto()  # [-]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
@@ -79,9 +81,10 @@ class Offset(Column):
     LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
-    BAFFLE = auto()  # its first line in `baffles`
-    BAFFLES = auto()  # how many
-    SOLIDS = auto()  # whose impulses are recorded: the baffles, and the box's walls where asked for
+    GEOMETRY = auto()  # its first entry in `cell_faces` and `held_nodes`
+    OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
+    OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
+    SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the gates
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
@@ -91,6 +94,18 @@ class Offset(Column):
     GATES = auto()  # how many
     HELD = auto()  # its first line in `held` and `holding`
     HELDS = auto()  # how many
+
+
+class Contact(Column):
+    """Vectors of a block that describe the contact of its particles with solids (`mpm.contact`)."""
+
+    DELTA = auto()  # delta_h of the distance [1/m]
+    DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
+    ADHESION = auto()  # of that face [Pa]
+    FRICTION = auto()  # its Coulomb coefficient at the foot [-]
+    SOLID = auto()  # the number of its solid
+    IMPULSE = auto()  # one component of what a particle gives to its solid; before that its mass
+    NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 
 
 class Worker(Column):
@@ -166,6 +181,11 @@ class Holding(Column):
     EARLIER_Z = auto()
 
 
+def component(i: int, j: int, dimension: int) -> int:
+    """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
+    return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Features:
     """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
@@ -184,7 +204,10 @@ class Features:
     """A particle remembers the gap to its neighbours: volume correction."""
     heterogeneous: bool = False
     """A scene has several materials, or particles of several volumes."""
-    baffles: bool = False
+    contact: bool = False
+    """Solids stand in the box: baffles, ground, obstacles."""
+    open: bool = False
+    """A side of the box lets particles out."""
     velocity_recorded: bool = False
     stress_recorded: bool = False
     pressure_recorded: bool = False
@@ -265,9 +288,14 @@ class Features:
         return self.remainder + (self.dimension if self.compensated else 0)
 
     @property
+    def contacts(self) -> int:
+        """First of the vectors that `Contact` lists, where `contact`."""
+        return self.before + (self.dimension if self.rests else 0)
+
+    @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.before + (self.dimension if self.rests else 0)
+        return self.contacts + (len(Contact) + 2 * self.dimension - 1 if self.contact else 0)
 
     @property
     def columns(self) -> int:
@@ -287,7 +315,7 @@ class Features:
     @property
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
-        return self.baffles or self.walls_recorded
+        return self.contact or self.walls_recorded
 
     # What is recorded of a particle besides its position: velocity, stress or pressure, plastic strain.
 
@@ -305,6 +333,29 @@ class Features:
     def recorded(self) -> int:
         """Numbers that are recorded of a particle besides its position."""
         return self.recorded_strain + int(self.strain_recorded)
+
+    # A face, a line of `faces`: its corners, its normal and those of its corners and, in 3D, edges; friction at each
+    # corner, adhesion, number of its solid.
+
+    @property
+    def face_normal(self) -> int:
+        """Column of a face's normal; those of its D corners and, in 3D, of its 3 edges follow."""
+        return self.dimension**2
+
+    @property
+    def face_friction(self) -> int:
+        """Column of the friction at a face's first corner [-]."""
+        return self.face_normal + self.dimension * (1 + self.dimension + (3 if self.dimension == 3 else 0))
+
+    @property
+    def face_adhesion(self) -> int:
+        """Column of a face's adhesion [Pa]."""
+        return self.face_friction + self.dimension
+
+    @property
+    def face_solid(self) -> int:
+        """Column of the number of a face's solid."""
+        return self.face_adhesion + 1
 
     # A node: momentum, mass and, where forces stay apart, force.
 
@@ -349,6 +400,16 @@ class Features:
     @property
     def scratch(self) -> int:
         """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
+        return self.push + (2 * self.dimension if self.contact else 0)
+
+    @property
+    def push(self) -> int:
+        """First of the 2 D scratch vectors of the contact's force per volume and its arm, where `contact`."""
+        return self.origin + (self.dimension if self.contact else 0)
+
+    @property
+    def origin(self) -> int:
+        """First of the D scratch vectors of the positions before a step, where `contact`."""
         return self.density + (1 + self.dimension if self.corrected else 0)
 
     @property

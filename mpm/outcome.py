@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
-from datasets.trajectory import Trajectory
+from datasets.scene import SIDES
+from datasets.trajectory import Trajectory, solid_names
 from mpm.batch import Batch
 from mpm.failure import explain
 from mpm.layout import Offset, Worker
@@ -22,6 +23,26 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
     numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
     velocities = numbers[features.velocity :][: features.dimension].T
     return WorkFailed(explain(scene, batch.particles[index], velocities, reached - 1))
+
+
+def outflow(batch: Batch, index: int) -> dict[str, float] | None:
+    """Mass that has left through each open side [kg, in 2D per metre of width]; None where all sides are walls."""
+    scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
+    if not scene.open_sides:
+        return None
+    count = len(particles.positions)
+    numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
+    first = batch.offsets[index, Offset.BLOCK] * features.lanes
+    mass = (particles.density * particles.volume)[batch.order[first : first + count]]
+    gone = numbers[features.present] == 0.0
+    # Through the side that it lies farthest beyond.
+    beyond = np.full((len(SIDES), count), -np.inf)
+    for side in scene.open_sides:
+        axis, upper = "xyz".index(side[0]), side[1] == "+"
+        place = numbers[axis]
+        beyond[SIDES.index(side)] = place - scene.domain.size[axis] if upper else -place
+    through = beyond.argmax(axis=0)
+    return {side: float(mass[gone & (through == SIDES.index(side))].sum()) for side in scene.open_sides}
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
@@ -58,7 +79,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         batch.recording,
     )
     energies, impulses, kept = batch.energies(index), batch.impulses(index), batch.kept(index)
-    rest = int(offset[Offset.REST])
+    rest, solids = int(offset[Offset.REST]), len(solid_names(scene))
     if rest:
         for series in (energies, impulses):
             series[rest + 1 :] = series[rest]
@@ -77,7 +98,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         friction=particles.friction,
         scene=scene,
         **fields,
-        baffle_impulse=impulses[kept, : len(scene.baffles)] if scene.baffles and record.baffle_forces else None,
+        solid_impulse=impulses[kept, :solids] if solids and record.baffle_forces else None,
         summary=summarise(
             positions[-1],
             energy=energies,
@@ -87,7 +108,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
             end_time=(rest or scene.frames - 1) * scene.frame_dt,
             relaxation_time=scene.relaxation,
             release_time=batch.release_times(index),
-            wall_impulse=impulses[:, -1] if record.wall_forces else None,
+            wall_impulse=impulses[:, solids:] if record.wall_forces else None,
+            outflow=outflow(batch, index),
             wall_s=wall_s,
             compile_s=compile_s,
             arch=arch,

@@ -2,7 +2,8 @@
 
 import taichi as ti
 
-from mpm.baffles import particles_against_baffles
+from mpm.boundary import closed
+from mpm.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.gaps import gap_followed
 from mpm.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.layout import PADDING, Offset, Property, Setting, Worker
@@ -37,14 +38,25 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 @ti.func
 def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
+    features = arrays.features
+    volume = property_of(scene, block, Property.VOLUME, arrays)
+    if ti.static(features.contact):
+        record_traction(block, scratch, volume, dt, worker, arrays)
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, scratch, dt, arrays)
+    if ti.static(features.open):
+        leave(block, scene, arrays)
+    if ti.static(features.contact):
+        mass = volume * property_of(scene, block, Property.DENSITY, arrays)
+        find_contacts(block, scratch, mass, worker, scene, arrays)
 
 
 @ti.func
 def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
-    """Move a block by its velocity; no particle leaves the box or comes into a baffle."""
+    """Move a block by its velocity; no particle leaves the box."""
     features = arrays.features
     x = bounded(block * features.block)
     v, remainder = x + features.velocity, x + features.remainder
@@ -54,6 +66,8 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
             at = scratch + features.lowest + features.dimension + k
             speed = arrays.scratch[at]
             arrays.state[v + k] = kept * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        if ti.static(features.open):
+            speed = arrays.state[x + features.present] * speed
         if ti.static(features.compensated):
             old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
             new = old + part
@@ -61,21 +75,40 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
             arrays.state[x + k] = new
         else:
             arrays.state[x + k] = arrays.state[x + k] + dt * speed
-    if ti.static(features.baffles):
-        density = property_of(scene, block, Property.DENSITY, arrays)
-        present = arrays.state[block * features.block + features.present]
-        mass = property_of(scene, block, Property.VOLUME, arrays) * density * present
-        particles_against_baffles(block, scratch, mass, worker, scene, arrays)
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
         held = between(free, 0.0, length)
+        if ti.static(features.open):
+            held = let_out(free, held, 2 * k, scene, arrays)
         arrays.state[x + k] = held
         put_back = lane_sum(
             ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
         )
         if put_back > 0.0:
             add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
+
+
+@ti.func
+def let_out(free, held, side: ti.template(), scene, arrays: ti.template()):
+    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `held`."""
+    below, above = closed(side, scene, arrays), closed(side + 1, scene, arrays)
+    return ti.select(((free < held) & (below == 0)) | ((free > held) & (above == 0)), free, held)
+
+
+@ti.func
+def leave(block, scene, arrays: ti.template()):
+    """Take the particles of a block that lie beyond an open side out of the flow: without mass, at rest, for good."""
+    features = arrays.features
+    x = block * features.block
+    here = arrays.state[x + features.present]
+    for k in ti.static(range(features.dimension)):
+        length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
+        inside = (arrays.state[x + k] >= 0.0) & (arrays.state[x + k] <= length)
+        here = ti.select(inside, here, 0.0)
+    arrays.state[x + features.present] = here
+    for k in ti.static(range(features.velocity, features.stress + features.stresses)):
+        arrays.state[x + k] = here * arrays.state[x + k]
 
 
 @ti.func
@@ -89,8 +122,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    increment = midpoint_increment(gradient, features.dimension)
+    increment = strain_increment(block, scratch, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.corrected):
         remembered = arrays.state[first + features.gap]
@@ -98,11 +130,32 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if touches(block, arrays):
+            shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
     if ti.static(features.corrected):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
     if ti.static(features.strained):
         at = first + features.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def strain_increment(block, scratch, dt, arrays: ti.template()):
+    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
+    features = arrays.features
+    first = bounded(block * features.block)
+    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    inside = midpoint_increment(gradient, features.dimension)
+    if ti.static(features.contact):
+        strain_at_contact(block, scratch, dt, arrays)
+        n, jump = normals(block, arrays), arrays.scratch[scratch + features.push]
+        return [
+            inside[k] + jump * n[k // features.dimension] * n[k % features.dimension]
+            for k in ti.static(range(features.dimension**2))
+        ]
+    else:
+        return inside
 
 
 @ti.func

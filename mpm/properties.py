@@ -17,6 +17,17 @@ Array = NDArray[Any]
 
 GAP_RATE = 8.0
 """Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.gaps`)."""
+GAP_REACH = 1.7
+"""Cells from a wall or a solid within which it hides mass from a particle."""
+
+
+CONTACT_WIDTH = 1.0
+"""Width h of the contact with solids [cells] (`mpm.contact`)."""
+
+
+def search_distance(scene: Scene) -> float:
+    """Distance from solids [m] up to which a particle's has to be known: by the contact, or by what sees its gaps."""
+    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_REACH) if scene.remembers_gaps else CONTACT_WIDTH)
 
 
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
@@ -39,7 +50,9 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.GRAVITY_Y: scene.gravity_vector[1],
         Setting.FLOOR_FRICTION: scene.floor_friction,
         Setting.WALL_FRICTION: scene.wall_friction,
-        Setting.BAFFLE_FRICTION: scene.baffle_friction,
+        Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
+        Setting.SEARCH: search_distance(scene),
+        Setting.REACH: search_distance(scene) + scene.domain.cell,
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.remembers_gaps),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),

@@ -6,8 +6,11 @@ from pathlib import Path
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.files import write_json
+from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
 from datasets.vtk import write_vtk
+from datasets.vtkhdf import FILE as VTKHDF
+from datasets.vtkhdf import write_vtkhdf
 from mpm.checkpoint import Checkpoint
 from mpm.layout import Precision
 from mpm.recording import FIELDS, Recording
@@ -31,6 +34,8 @@ def command(
     raw_fields: bool = False,
     until_rest: bool = False,
     vtk: bool = False,
+    vtkhdf: bool = False,
+    forces: bool = False,
     checkpoint: bool = False,
     resume: bool = False,
 ) -> int:
@@ -62,6 +67,10 @@ def command(
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk
         Write a series for ParaView to DIR/vtk too, with the fields.
+    vtkhdf
+        The same in one file: DIR/trajectory.vtkhdf.
+    forces
+        Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
     checkpoint
         Leave DIR/checkpoint.npz at the end too: the state and all that was recorded.
     resume
@@ -80,12 +89,12 @@ def command(
         options["precision"] = precision or (what.precision if what else "f32")
     if until_rest:
         options["until_rest"] = True
-    recorded = fields or raw_fields or vtk
-    if every is not None or last_frame or recorded:
+    recorded = fields or raw_fields or vtk or vtkhdf
+    if every is not None or last_frame or recorded or forces:
         options["record"] = Recording(
             frames="last" if last_frame else "all" if every is None else every,
             fields=frozenset(FIELDS if recorded else ()),
-            wall_forces=recorded,
+            wall_forces=recorded or forces,
             raw=raw_fields,
         )
     place = out / "checkpoint.npz"
@@ -106,6 +115,10 @@ def command(
         end.save(place)
     if vtk:
         write_vtk(trajectory, out / "vtk", progress=True)
+    if vtkhdf:
+        write_vtkhdf(trajectory, out / VTKHDF, progress=True)
+    if forces:
+        print("\n".join(spoken(write_forces(trajectory, out))))
     summary = trajectory.summary
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""

@@ -18,7 +18,7 @@ Density compares the mass at a node with the space that the material takes up ar
 
 The sum over c is over those little boxes, as large as a particle's share of a cell, that the deposit fills: that hold
 a particle, or lie in a gap no wider than two boxes between such ones (a morphological closing), inside the walls and
-outside the baffles. So a box beyond a wall or above the surface is missing from V_i as its particles are from m_i, and
+outside the solids. So a box beyond a wall or above the surface is missing from V_i as its particles are from m_i, and
 both the floor and the surface have the density of the inside. What jitter leaves of scatter goes through the grid once
 more, as above.
 """
@@ -29,6 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
+from datasets.geometry.nearest import inside
+from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
 
 PASSES = 2
@@ -107,7 +109,7 @@ def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], float]
     # Beyond a wall all is solid: the boxes along it are not eroded.
     full = ndimage.binary_erosion(ndimage.binary_dilation(full, around), around, border_value=True)
     centres = (np.argwhere(full) + low + 0.5) * edge
-    for baffle in scene.baffles:
-        lower, upper = np.array(baffle.lower), np.add(baffle.lower, baffle.size)
-        centres = centres[~np.all((centres > lower) & (centres < upper), axis=1)]
+    surface = surface_of(scene)
+    if surface is not None:
+        centres = centres[~inside(surface, centres)]
     return centres, edge**scene.dimension

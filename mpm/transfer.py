@@ -31,8 +31,9 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
+from mpm.contact import prepare_contact
 from mpm.lanes import add, bounded
-from mpm.layout import PADDING, Offset, Property, Setting, Worker
+from mpm.layout import PADDING, Offset, Property, Setting, Worker, component
 
 
 @ti.func
@@ -49,6 +50,17 @@ def property_of(scene, block, column: ti.template(), arrays: ti.template()):
         return arrays.state[block * features.block + features.properties + column]
     else:
         return arrays.properties[scene, column]
+
+
+@ti.func
+def volume_of(scene, block, arrays: ti.template()):
+    """Initial volume [m^D] of the particles of a block, 0 of those that have left the box."""
+    features = arrays.features
+    if ti.static(features.open):
+        here = arrays.state[block * features.block + features.present]
+        return property_of(scene, block, Property.VOLUME, arrays) * here
+    else:
+        return property_of(scene, block, Property.VOLUME, arrays)
 
 
 @ti.func
@@ -130,7 +142,7 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     features = arrays.features
     first = bounded(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
-    per_dx, volume = 1.0 / dx, property_of(scene, block, Property.VOLUME, arrays)
+    per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
     place = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     low = [ti.floor(p - 0.5) for p in ti.static(place)]
@@ -143,12 +155,24 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
     # Lengths on the grid are in cells: times dx.
     force_scale = -4.0 * volume * per_dx
     values = scratch + features.values
+    if ti.static(features.contact):
+        prepare_contact(block, scratch, arrays)
     for i in ti.static(range(features.dimension)):
         momentum = mass * arrays.state[first + features.velocity + i]
         pull = 0.0 * mass
+        if ti.static(features.contact):
+            push = volume * arrays.scratch[scratch + features.push + i]
+            if ti.static(features.forces):
+                pull = push
+            else:
+                momentum = momentum + dt * push
         for j in ti.static(range(features.dimension)):
             slope = mass * dx * arrays.state[first + features.affine + i * features.dimension + j]
-            force = force_scale * arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
+            stress = arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
+            if ti.static(features.contact):
+                arm = arrays.scratch[scratch + features.push + features.dimension + j]
+                stress = stress + arrays.scratch[scratch + features.push + i] * arm
+            force = force_scale * stress
             if ti.static(features.forces):
                 pull = pull - force * f[j]
                 arrays.scratch[values + (1 + j) * features.node + features.force + i] = force
@@ -160,11 +184,6 @@ def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
         if ti.static(features.forces):
             arrays.scratch[values + features.force + i] = pull
     arrays.scratch[values + features.dimension] = mass
-
-
-def component(i: int, j: int, dimension: int) -> int:
-    """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
-    return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]
 
 
 @ti.func

@@ -18,6 +18,10 @@ from tqdm import tqdm
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.geometry.margins import Box
+from datasets.geometry.planar import ring_of
+from datasets.geometry.surface import solids_of
+from datasets.plan import volumes_of
 from datasets.trajectory import Trajectory
 from datasets.vtk import Meshes, box, spatial
 from validation.stage import INK, Stage, scale_marks
@@ -61,8 +65,8 @@ RANGE_QUANTILE, RANGE_FRAMES = 0.995, 40
 """A colour bar ends near this quantile of the points of so many frames: no single point decides."""
 POINT_SIZE = 1.25
 """Diameter of a drawn point over the distance between points at the start."""
-STEEL, FAINT = "#8d9aa8", "#77736a"
-"""Colours of the baffles and of the masses' outlines."""
+STEEL, GROUND, FAINT = "#8d9aa8", "#b5aa98", "#77736a"
+"""Colours of the baffles, of other solids and of the masses' outlines."""
 ENCODERS = (("libx264", ".mp4", "yuv420p"), ("mpeg4", ".mp4", "yuv420p"), ("gif", ".gif", "rgb8"))
 """Codec, ending of the file and pixels of a movie; the first that is there is taken."""
 
@@ -115,18 +119,48 @@ class Picture:
     @property
     def spacing(self) -> float:
         """Distance between neighbouring points at the start [m]."""
-        scene, points = self.trajectory.scene, self.trajectory.positions.shape[1]
-        volume = sum(float(np.prod(mass.size)) for mass in scene.masses)
-        return float((volume / points) ** (1.0 / scene.dimension))
+        return float(np.mean(volumes_of(self.trajectory)) ** (1.0 / self.trajectory.scene.dimension))
 
     def _draw_boxes(self) -> None:
-        """The baffles, and the outlines of the masses at the start."""
-        for mass in self.trajectory.scene.masses:
+        """The baffles and other solids, and the outlines of the masses that were boxes at the start."""
+        for mass in [mass for mass in self.trajectory.scene.masses if mass.kind == "box"]:
             self.stage.draw_lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
         if self.trajectory.scene.baffles:
-            baffles = self.meshes.baffles(0, 0)
+            baffles = self.meshes.part("baffles", 0, 0)
             self.stage.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
             self.stage.draw_lines(baffles.extract_all_edges(), INK)
+        if "solids" in self.meshes.parts:
+            self._draw_solids()
+
+    def _draw_solids(self) -> None:
+        """The other solids, as far as the view goes: in 3D their free surface, in 2D their areas too."""
+        if self.trajectory.scene.dimension == 3:
+            self.stage.plotter.add_mesh(self._seen(self.meshes.solid_surface), color=GROUND, ambient=0.25)
+            return
+        for area in self._areas():
+            self.stage.plotter.add_mesh(self._seen(area), color=GROUND, lighting=False)
+        self.stage.draw_lines(self._seen(self.meshes.solid_surface), INK)
+
+    def _areas(self) -> list[pyvista.PolyData]:
+        """The areas of the other solids in 2D, behind the points."""
+        scene = self.trajectory.scene
+        solids, keys = solids_of(scene)
+        box_of_scene = Box(scene.domain.size, scene.domain.cell)
+        areas = []
+        for solid, key in list(zip(solids, keys, strict=True))[len(scene.baffles) :]:
+            points = spatial(ring_of(solid, key, box_of_scene).points)
+            # Before the pane that is behind all, behind the points.
+            points[:, 2] = 0.01 * self.spacing
+            areas.append(pyvista.PolyData(points, [len(points), *range(len(points))]).triangulate())
+        return areas
+
+    def _seen(self, mesh: pyvista.PolyData) -> pyvista.PolyData:
+        """The part of a surface that the view holds, of any depth in 2D."""
+        low, high = self.stage.view.lower.copy(), self.stage.view.upper.copy()
+        if self.trajectory.scene.dimension == 2:
+            low[2], high[2] = -1.0, 1.0
+        clipped = mesh.clip_box(np.stack([low, high], axis=1).ravel().tolist(), invert=False)
+        return clipped.extract_surface(algorithm=None)
 
     def _draw_points(self) -> None:
         """The points, which `at` moves and colours, and the colour bar."""

@@ -90,12 +90,19 @@ class View:
 
 
 def extent(trajectory: Trajectory) -> tuple[Place, Place]:
-    """Corners [m], shape [3] each, of what there is to see, with some air; up to the walls where these are near."""
+    """Corners [m], shape [3] each, of what there is to see, with some air; up to the walls where these are near.
+
+    That is the flow, the masses, the baffles and the solids but for terrain, which is everywhere.
+    """
     scene, positions = trajectory.scene, trajectory.positions
     size = np.array(scene.domain.size)
     boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
-    lower = np.min([each.lower for each in boxes], axis=0)
-    upper = np.max([np.add(each.lower, each.size) for each in boxes], axis=0)
+    corners = [np.array(each.lower) for each in boxes] + [np.add(each.lower, each.size) for each in boxes]
+    for solid in scene.solids:
+        if solid.lower is not None and solid.size is not None:
+            corners += [np.array(solid.lower), np.add(solid.lower, solid.size)]
+        corners += [np.array(vertex) for vertex in solid.vertices or ()]
+    lower, upper = np.min(corners, axis=0).clip(0.0, size), np.max(corners, axis=0).clip(0.0, size)
     # These pass over points that a failed simulation has lost (NaN).
     lower = np.fmin(lower, np.fmin.reduce(positions, axis=(0, 1)).clip(0.0, size))
     upper = np.fmax(upper, np.fmax.reduce(positions, axis=(0, 1)).clip(0.0, size))

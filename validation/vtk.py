@@ -1,15 +1,51 @@
 """python -m validation.vtk TRAJECTORY --out DIR: a trajectory for ParaView, as a picture and as a movie."""
 
 import sys
+from enum import StrEnum
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
-from datasets.command_line import run
+from datasets import vtk, vtkhdf, xdmf
+from datasets.command_line import listed, run
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory
-from datasets.vtk import SERIES, frames_of, write_vtk
+from datasets.files import make_folder
+from datasets.trajectory import Trajectory, read_trajectory
+from datasets.vtk import frames_of, write_vtk
+from datasets.vtkhdf import write_vtkhdf
+from datasets.xdmf import write_xdmf
 from validation.rendering import Colour, require, write_movie, write_picture
+
+
+class Format(StrEnum):
+    """How a trajectory is stored for ParaView."""
+
+    PVD = "pvd"
+    VTKHDF = "vtkhdf"
+    XDMF = "xdmf"
+    VTU = "vtu"
+
+
+def written(format: Format, flow: Trajectory, out: Path, every: int) -> str:
+    """Write `flow` into the folder `out`, and return what that took, in one line."""
+    clock = perf_counter()
+    match format:
+        case Format.PVD:
+            write_vtk(flow, out, every=every, progress=True)
+            place, files = out / vtk.SERIES, [path for path in out.iterdir() if vtk.PARTS.fullmatch(path.name)]
+        case Format.VTKHDF:
+            place, files = out / vtkhdf.FILE, []
+            write_vtkhdf(flow, place, every=every, progress=True)
+        case Format.XDMF:
+            write_xdmf(flow, out, every=every, progress=True)
+            place, files = out / xdmf.FILE, [out / xdmf.NUMBERS]
+        case Format.VTU:
+            place = out / "vtu" / vtk.SERIES
+            write_vtk(flow, place.parent, every=every, suffix=".vtu", progress=True)
+            files = [path for path in place.parent.iterdir() if path != place]
+    took, size = perf_counter() - clock, sum(path.stat().st_size for path in (place, *files))
+    return f"{format}: {1 + len(files)} file{'s' if files else ''}, {size / 1e6:.1f} MB in {took:.1f} s, {place}"
 
 
 def command(
@@ -19,12 +55,15 @@ def command(
     out: Path,
     picture: bool = False,
     movie: bool = False,
+    format: str = Format.PVD,
     frames: int = 1,
     colour: Colour | None = None,
     time: float | None = None,
     rate: int = 25,
 ) -> None:
-    """Write a trajectory as a series of VTK files; leaves OUT/trajectory.pvd, which ParaView opens.
+    """Write a trajectory for ParaView; leaves OUT/trajectory.pvd, a series of VTK files, unless asked for others.
+
+    Says of each format how many files it takes, how large they are and how long it took.
 
     Parameters
     ----------
@@ -36,6 +75,9 @@ def command(
         Draw the last frame, too: OUT/picture.png.
     movie
         Draw all frames, too: OUT/movie.mp4.
+    format
+        Any of pvd (VTP files and their index), vtkhdf (one file), xdmf (XML and HDF5) and vtu (a series of unstructured
+        grids in OUT/vtu), separated by commas.
     frames
         Take every how many frames, into the series and the movie; the last frame always.
     colour
@@ -48,8 +90,8 @@ def command(
     for key, number in (("--frames", frames), ("--rate", rate)):
         if number < 1:
             raise InputError(f"expected an integer of at least 1, got {number}", key=key)
-    path = trajectory / "trajectory.npz" if trajectory.is_dir() else trajectory
-    flow = Trajectory.load(path)
+    chosen = [Format(name) for name in listed(format, list(Format), "--format")]
+    path, flow = read_trajectory(trajectory)
     end = float(flow.time[-1])
     if time is not None and not 0.0 <= time <= end:
         raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
@@ -58,13 +100,11 @@ def command(
             require(flow, colour)
         except InputError as error:
             raise error.at(str(path)) from None
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"expected a folder to write to, {error.strerror}", where=str(out), key="--out") from None
-    write_vtk(flow, out, every=frames, progress=True)
+    make_folder(out)
     shown = frames_of(flow, frames)
-    print(f"{len(shown)} frames of {flow.positions.shape[1]} points, written to {out / SERIES}")
+    print(f"{len(shown)} frames of {flow.positions.shape[1]} points")
+    for each in chosen:
+        print(written(each, flow, out, frames))
     if picture:
         nearest = int(np.argmin(np.abs(flow.time - (end if time is None else time))))
         write_picture(out / "picture.png", flow, colour or Colour.DISPLACEMENT, nearest)

@@ -1,5 +1,6 @@
 """python -m datasets.exchange: there and back, finished after an interruption, nothing overwritten."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ from datasets import geoelements, importing, lagrangebench
 from datasets.command_line import run
 from datasets.exchange import command
 from datasets.files import write_json
+from datasets.geometry.solid import Solid
 from datasets.layouts import LAYOUTS
 from datasets.peers import PeerMetadata
 from datasets.statistics import motion_statistics
@@ -160,6 +162,17 @@ def test_trajectories_that_do_not_go_together(tmp_path: Path, capsys: pytest.Cap
     line = refused(capsys, ours, "--to", "geoelements", "--out", tmp_path / "theirs")
     assert "toy-0009.npz" in line
     assert not (tmp_path / "theirs").exists()
+
+
+def test_solids_have_no_place_in_the_peers_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours = toy_dataset(tmp_path / "ours", 2)
+    flow = toy(2)
+    wall = Solid(lower=(0.45, 0.0), size=(0.02, 0.1))
+    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(wall,))).save(
+        ours / "train" / "toy-0000.npz"
+    )
+    line = refused(capsys, ours, "--to", "geoelements", "--out", tmp_path / "theirs")
+    assert "toy-0000.npz: solids: expected a scene without solids" in line
 
 
 def foreign(folder: Path, dimension: int, *, material: Any = 0.7, **more: Any) -> Path:

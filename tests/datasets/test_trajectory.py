@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from datasets.scene import Baffle
-from datasets.trajectory import FIELDS, Trajectory, stored_scene
+from datasets.trajectory import FIELDS, Trajectory, solid_names, stored_scene
 
 
 def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
@@ -51,7 +52,7 @@ def with_baffles(trajectory: Trajectory) -> Trajectory:
         pressure=stream.random((3, 5), np.float32),
         density=stream.random((3, 5), np.float32),
         plastic_strain=stream.random((3, 5), np.float32),
-        baffle_impulse=stream.random((3, 2, 2)),
+        solid_impulse=stream.random((3, 2, 2)),
     )
 
 
@@ -59,8 +60,10 @@ def with_baffles(trajectory: Trajectory) -> Trajectory:
 def test_fields_that_were_recorded(tmp_path: Path, with_baffles: Trajectory, recorded: Iterable[str]) -> None:
     path = tmp_path / "trajectory.npz"
     dataclasses.replace(with_baffles, **dict.fromkeys(FIELDS.keys() - set(recorded))).save(path)
+    # Where there are no solids but baffles, files are as they always were.
+    stored = ["baffle_impulse" if key == "solid_impulse" else key for key in recorded]
     with np.load(path, allow_pickle=False) as file:
-        assert file.files == ["positions", "time", "velocity0", "friction", "scene", "summary", *recorded]
+        assert file.files == ["positions", "time", "velocity0", "friction", "scene", "summary", *stored]
     again = Trajectory.load(path)
     for key, kind in FIELDS.items():
         if key in recorded:
@@ -68,6 +71,22 @@ def test_fields_that_were_recorded(tmp_path: Path, with_baffles: Trajectory, rec
             assert getattr(again, key).dtype == kind
         else:
             assert getattr(again, key) is None
+
+
+def test_impulses_of_solids_have_a_key_of_their_own(tmp_path: Path, with_baffles: Trajectory) -> None:
+    """Baffles come first, then the other solids, each by its name."""
+    wall = Solid(name="wall", lower=(0.19, 0.0), size=(0.01, 0.02))
+    scene = dataclasses.replace(with_baffles.scene, solids=(wall, dataclasses.replace(wall, name=None)))
+    impulse = np.random.default_rng(2).random((3, 4, 2))
+    flow = dataclasses.replace(with_baffles, scene=scene, solid_impulse=impulse)
+    flow.save(tmp_path / "trajectory.npz")
+    with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
+        assert "solid_impulse" in file.files
+        assert "baffle_impulse" not in file.files
+    again = Trajectory.load(tmp_path / "trajectory.npz")
+    np.testing.assert_array_equal(again.solid_impulse, impulse)
+    np.testing.assert_array_equal(again.baffle_impulse, impulse[:, :2])
+    assert solid_names(scene) == ("baffles[0]", "baffles[1]", "wall", "solids[1]")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from datasets import vtk
 from datasets.command_line import WorkFailed
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
@@ -54,7 +55,7 @@ def flow() -> Trajectory:
         ),
         pressure=stream.random((5, 4), np.float32),
         plastic_strain=stream.random((5, 4), np.float32),
-        baffle_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
+        solid_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
     )
 
 
@@ -77,7 +78,7 @@ def flat(flow: Trajectory) -> Trajectory:
         ),
         pressure=None,
         plastic_strain=None,
-        baffle_impulse=None,
+        solid_impulse=None,
     )
 
 
@@ -179,9 +180,9 @@ def test_two_dimensions(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
     points, baffles, domain = read(tmp_path)[0.04]
     np.testing.assert_array_equal(points.points, np.pad(flow.positions[-1], ((0, 0), (0, 1))))
-    assert set(points.array_names) == {"velocity", "displacement", "material", "friction_deg"}
+    assert set(points.point_data) == {"velocity", "displacement", "material", "friction_deg"}
     assert points["velocity"].shape == (4, 3)
-    assert baffles.array_names == ["baffle"]
+    assert list(baffles.cell_data) == ["baffle"]
     assert baffles.area == pytest.approx(0.02 * 0.1 + 0.01 * 0.05)
     assert domain.length == pytest.approx(np.hypot(0.3, 0.2))
     # What never changes has one file.
@@ -213,6 +214,90 @@ def test_materials_are_those_of_the_points(flow: Trajectory) -> None:
         meshes = vtk.Meshes(dataclasses.replace(flow, positions=points.positions[None, chosen].astype(np.float32)))
         np.testing.assert_array_equal(meshes.material, points.material[chosen])
     assert tuple(meshes.materials) == points.materials
+
+
+def test_active_vectors_and_units(tmp_path: Path, flow: Trajectory) -> None:
+    for folder, known in (("deep", flow), ("flat", flat(flow))):
+        write_vtk(known, tmp_path / folder)
+        points, baffles, _ = read(tmp_path / folder)[0.04]
+        assert points.point_data.active_vectors_name == "velocity"
+        for part in (points, baffles):
+            for name in (*part.point_data, *part.cell_data):
+                assert len(part.field_data[f"{name}_units"]) == 1
+        assert points.field_data["velocity_units"][0] == "m/s"
+    baffles = read(tmp_path / "deep")[0.04][1]
+    assert baffles.cell_data.active_vectors_name == "force"
+    assert (baffles.field_data["force_units"][0], baffles.field_data["impulse_units"][0]) == ("N", "N s")
+    assert vtk.Meshes(flat(flow)).unit("force") == "N/m"
+
+
+def test_baffles_stand_turned(flow: Trajectory) -> None:
+    """In 3D about the vertical, from x to z: what was ahead of the centre comes to lie at larger z."""
+    first, second = flow.scene.baffles
+    scene = dataclasses.replace(
+        flow.scene, baffles=(first, dataclasses.replace(second, lower=(0.22, 0.0, 0.04), turned_deg=30.0))
+    )
+    surface = vtk.Meshes(dataclasses.replace(flow, scene=scene)).baffle_surface
+    corners = np.unique(np.asarray(surface.points)[8:], axis=0)
+    centre = np.array([0.225, 0.025, 0.05])
+    ahead = corners[corners[:, 0].argmax()] - centre
+    angle = np.radians(30.0)
+    for x, z in ((0.005, 0.01), (0.005, -0.01), (-0.005, 0.01), (-0.005, -0.01)):
+        there = centre[[0, 2]] + (x * np.cos(angle) - z * np.sin(angle), x * np.sin(angle) + z * np.cos(angle))
+        assert np.abs(corners[:, [0, 2]] - there).max(axis=1).min() < 1e-7
+    assert ahead[2] != 0.0
+
+
+def grounded(flow: Trajectory) -> Trajectory:
+    """The same above a terrain that falls along x and a wall without slip, which took momentum too."""
+    ground = Solid(
+        kind="terrain", origin=(-0.1, -0.1), spacing=(0.5, 0.3), heights=((0.02, 0.02), (0.01, 0.01)), friction=0.5
+    )
+    wall = Solid(name="wall", lower=(0.1, 0.0, 0.0), size=(0.02, 0.05, 0.02), contact="no-slip")
+    scene = dataclasses.replace(
+        flow.scene,
+        masses=tuple(
+            dataclasses.replace(mass, lower=(mass.lower[0], 0.05, mass.lower[2])) for mass in flow.scene.masses
+        ),
+        solids=(ground, wall),
+    )
+    return dataclasses.replace(flow, scene=scene, solid_impulse=np.random.default_rng(5).random((5, 4, 3)))
+
+
+def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> None:
+    flow = grounded(flow)
+    write_vtk(flow, tmp_path)
+    _, baffles, solids, _ = read(tmp_path)[0.02]
+    assert set(np.unique(baffles["baffle"])) == {0, 1}
+    assert set(np.unique(solids["solid"])) == {0, 1}
+    np.testing.assert_array_equal(np.unique(solids["friction"][solids["solid"] == 0]), np.float32(0.5))
+    assert np.isinf(solids["friction"][solids["solid"] == 1]).all()
+    for number in range(2):
+        faces = solids["solid"] == number
+        np.testing.assert_array_equal(np.unique(solids["impulse"][faces], axis=0)[0], flow.solid_impulse[2, 2 + number])
+    # The terrain's faces lie on its plane; the wall's stand out of it, up to where it ends.
+    points, on_ground = np.asarray(solids.points), np.repeat(solids["solid"] == 0, 3)
+    inside = on_ground & (points[:, 0] >= 0.0) & (points[:, 0] <= 0.3)
+    np.testing.assert_allclose(points[inside, 1], 0.02 - 0.02 * (points[inside, 0] + 0.1), atol=1e-7)
+    np.testing.assert_allclose(points[~on_ground, 1].max(), 0.05, atol=1e-7)
+    assert not set(np.unique(points[~on_ground, 0])) & set(np.array([0.2, 0.22], np.float32))
+
+
+def test_solids_in_two_dimensions_are_lines(tmp_path: Path, flow: Trajectory) -> None:
+    flow = flat(flow)
+    ground = Solid(kind="terrain", points=((0.0, 0.0), (0.1, 0.0), (0.3, 0.02)))
+    scene = dataclasses.replace(flow.scene, baffles=(), solids=(ground,))
+    write_vtk(dataclasses.replace(flow, scene=scene), tmp_path)
+    solids = read(tmp_path)[0.02][1]
+    points = np.asarray(solids.points)
+    inside = (points[:, 0] >= 0.0) & (points[:, 0] <= 0.3)
+    assert {tuple(point) for point in np.round(points[inside, :2].astype(float), 6).tolist()} == {
+        (0.0, 0.0),
+        (0.1, 0.0),
+        (0.3, 0.02),
+    }
+    assert solids.n_lines == solids.n_cells
+    assert (tmp_path / "solids.vtp").exists()
 
 
 def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
@@ -291,7 +376,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
     path = tmp_path / "points-0000.vtp"
     path.symlink_to("/dev/full")
     with pytest.raises(WorkFailed, match=r"points-0000\.vtp could not be written"):
-        vtk._write(vtk.Meshes(flow).points(0), path)
+        vtk._write(vtk.Meshes(flow).part("points", 0, 0), path)
 
 
 def test_who_writes_none_does_not_pay_for_it() -> None:
@@ -305,7 +390,11 @@ def test_every_file_and_array_is_on_the_page(tmp_path: Path, flow: Trajectory) -
     section = page.split("\n## VTK series (folder)\n")[1].split("\n## ")[0]
     named = set(re.findall(r"`([\w.-]+)`", section))
     recorded = {"stress": np.zeros((5, 4, 6), np.float32), "density": np.zeros((5, 4), np.float32)}
-    write_vtk(dataclasses.replace(flow, **recorded), tmp_path)
+    write_vtk(dataclasses.replace(grounded(flow), **recorded), tmp_path)
     files = {re.sub(r"-\d+", "-NNNN", file.name) for file in tmp_path.iterdir()}
-    arrays = {name for part in read(tmp_path)[0.0] for name in part.array_names}
-    assert named - {"baffles.vtp", "DIR"} == files | arrays
+    parts = read(tmp_path)[0.0]
+    arrays = {name for part in parts for name in (*part.point_data, *part.cell_data)}
+    assert all(
+        set(part.field_data) == {f"{name}_units" for name in (*part.point_data, *part.cell_data)} for part in parts
+    )
+    assert named - {"baffles.vtp", "solids.vtp", "DIR", "NAME_units"} == files | arrays

@@ -150,3 +150,15 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
         assert message in error
         assert len(error.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_solids_are_refused_in_one_line(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wall = "[[solids]]\nlower = [0.4, 0.0]\nsize = [0.05, 0.1]\n"
+    files["scene"].write_text(SCENE + wall)
+    assert run(files, tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert "solids: expected a scene without solids, the model knows baffles alone" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
@@ -83,6 +84,17 @@ REFUSED = [
     (SCENE, ModelSettings(), "baffles: expected a scene without baffles"),
     (SCENE, ModelSettings(dimension=3), "expected a 3D scene"),
     (dataclasses.replace(SCENE, slope_deg=10.0), SETTINGS, "slope_deg: expected a level floor"),
+    (
+        dataclasses.replace(SCENE, solids=(Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)),
+        SETTINGS,
+        "solids: expected a scene without solids, the model knows baffles alone",
+    ),
+    (
+        dataclasses.replace(SCENE, baffles=(dataclasses.replace(SCENE.baffles[0], turned_deg=5.0),)),
+        SETTINGS,
+        r"baffles\[0\].turned_deg: expected a baffle along the axes",
+    ),
+    (dataclasses.replace(SCENE, open_sides=("x+",)), SETTINGS, "open_sides: expected a closed box"),
     (
         dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),
         SETTINGS,

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datasets.command_line import run
@@ -77,12 +78,16 @@ def deep(text: str) -> str:
 def test_three_dimensions_with_a_baffle_as_a_series_for_paraview(tmp_path: Path) -> None:
     scene, out = tmp_path / "heap.toml", tmp_path / "out"
     scene.write_text(deep(SCENE))
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--vtk"]) == 0
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--vtk", "--forces"]) == 0
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 4000, 3)
     assert trajectory.baffle_impulse is not None
     assert trajectory.pressure is not None
     assert (out / "vtk" / "trajectory.pvd").is_file()
+    forces = np.genfromtxt(out / "forces.csv", delimiter=",", skip_header=1)
+    assert forces.shape == (4, 1 + 3 * 2)
+    np.testing.assert_allclose(0.005 * forces[:, 1:4].sum(axis=0), trajectory.solid_impulse[-1, 0], rtol=1e-6)
+    assert (out / "forces.png").is_file()
 
 
 def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

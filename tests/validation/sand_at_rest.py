@@ -47,7 +47,7 @@ def at_rest(scene: Scene | None = None, **changes: Any) -> Trajectory:
         "velocities": np.zeros((scene.frames, count, dimension), np.float32),
         "pressure": np.ones((scene.frames, count), np.float32),
         "plastic_strain": np.zeros((scene.frames, count), np.float32),
-        "baffle_impulse": np.zeros((scene.frames, len(scene.baffles), dimension)) if scene.baffles else None,
+        "solid_impulse": np.zeros((scene.frames, len(scene.baffles), dimension)) if scene.baffles else None,
     }
     flow = Trajectory(
         time=time,

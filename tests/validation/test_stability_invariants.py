@@ -42,7 +42,7 @@ def test_sand_at_rest_passes() -> None:
             assert finding is None or finding.ok, finding
 
 
-@pytest.mark.parametrize("field", ["positions", "velocities", "pressure", "plastic_strain", "baffle_impulse"])
+@pytest.mark.parametrize("field", ["positions", "velocities", "pressure", "plastic_strain", "solid_impulse"])
 def test_a_single_nan_is_found(field: str) -> None:
     flow = at_rest(scene_of(baffles=(BAFFLE,)))
     array = getattr(flow, field).copy()
@@ -131,7 +131,7 @@ def test_what_a_baffle_takes_is_counted() -> None:
     assert found(invariants.momentum, stopped).value > 0.1
     impulse = np.zeros((FRAMES, 1, 2))
     impulse[2:, 0, 0] = 2.0 * invariants.point_masses(flow).sum()
-    assert found(invariants.momentum, dataclasses.replace(stopped, baffle_impulse=impulse)).ok
+    assert found(invariants.momentum, dataclasses.replace(stopped, solid_impulse=impulse)).ok
 
 
 def test_momentum_weighs_every_material_by_its_density() -> None:

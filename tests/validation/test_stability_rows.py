@@ -166,7 +166,7 @@ def test_a_baffle_takes_its_share(share: float, ok: bool) -> None:
     flow = stopped(at_rest(scene_of(dataclasses.replace(BED, velocity=(3.0, 0.0)), baffles=(baffle,))))
     impulse = np.zeros((len(flow.time), 1, 2))
     impulse[2:, 0, 0] = share * 3.0 * 1800.0 * 0.08
-    assert expect.baffle_takes(dataclasses.replace(flow, baffle_impulse=impulse), least=0.5).ok is ok
+    assert expect.baffle_takes(dataclasses.replace(flow, solid_impulse=impulse), least=0.5).ok is ok
 
 
 def stopped(flow: Trajectory) -> Trajectory:

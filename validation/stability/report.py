@@ -215,7 +215,8 @@ def explanation() -> list[str]:
         "**Energy**: kinetic + potential + elastic never rises above that of an earlier frame by more than "
         f"{invariants.ENERGY:g} of the initial kinetic and potential energy, the latter above the lowest corner of the "
         "box: what would lift the whole flow by that part of its mean height. "
-        "The rises of all frames count together, not the largest alone.",
+        "The rises of all frames count together, not the largest alone. Sand thrown at solids may show half a step of "
+        "their power more: stress is half a step ahead of the velocity.",
         f"**Fronts** in f32 and in f64 lie within {deposit.AGREEMENT:g} cells of each other: less than what another "
         "jitter of the points does to a front. Flows that spray amplify rounding until it is another jitter: theirs "
         f"within {deposit.DEVIATIONS:g} standard deviations, in brackets, of the fronts of {deposit.JITTERS} jitters.",

@@ -1,0 +1,250 @@
+"""python -m datasets.forces TRAJECTORY --out DIR: the force on each solid over time, as CSV and as a plot.
+
+    F_k = (J(t_k) - J(t_(k-1))) / (t_k - t_(k-1)),    J(t_(-1)) = 0
+
+J is the momentum that a solid has taken since the start, as recorded (`Trajectory.solid_impulse`); F_k is the mean
+force over the interval that ends at t_k. So sum_k F_k (t_k - t_(k-1)) = J(end), exactly. Smoothed, J is its mean over a
+window w, with the force mirrored at both ends, which leaves that sum as it is:
+
+    J_w(t) = 1 / w  integral of J from t - w/2 to t + w/2,    J(-t) = -J(t),  J(T + t) = 2 J(T) - J(T - t)
+"""
+
+import csv
+import io
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.files import make_folder, replacing, write_text
+from datasets.trajectory import Trajectory, read_trajectory, solid_names
+
+# matplotlib takes a while to import: only who draws pays for it.
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+TABLE, PLOT = "forces.csv", "forces.png"
+AXES = ("x", "y", "z")
+WALLS = "walls"
+"""Name of the floor and the walls of the box where these were recorded together."""
+ROUNDING = 1.0e-9
+"""Relative difference up to which two times are the same."""
+MOST_PANELS = 8
+"""Solids in one plot; of more, those with the largest peaks are drawn."""
+COLOURS = ("#1b6ca8", "#d95f02", "#4d9221")
+"""Of the components along x, y and z."""
+INK = "#222222"
+PREFIXES = (("M", 1.0e6), ("k", 1.0e3), ("", 1.0))
+"""Of units, and how many of the unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forces:
+    """Mean forces on solids over the intervals of a trajectory's frames."""
+
+    names: tuple[str, ...]
+    """Of the solids: baffles, other solids, then floor and walls of the box where recorded."""
+    time: Floats
+    """Ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0."""
+    force: Floats
+    """Force on each solid [N, in 2D per metre of width], shape [T, S, D]; positive along the axes of the box."""
+
+    @property
+    def edges(self) -> Floats:
+        """Where the intervals begin and end [s], shape [T + 1]."""
+        return np.concatenate([[0.0], self.time])
+
+    @property
+    def unit(self) -> str:
+        """N, in 2D per metre of width."""
+        return "N/m" if self.force.shape[2] == 2 else "N"
+
+    @property
+    def magnitude(self) -> Floats:
+        """Of the force [N or N/m], shape [T, S]."""
+        return np.asarray(np.linalg.norm(self.force, axis=2))
+
+    @property
+    def impulse(self) -> Floats:
+        """Momentum that each solid has taken by the end [N s or N s/m], shape [S, D]: the sum of force times time."""
+        return np.asarray(np.einsum("tsd, t -> sd", self.force, np.diff(self.edges)))
+
+    def peak(self, name: str) -> tuple[float, float]:
+        """The largest force on a solid [N or N/m], and the middle of its interval [s]. Raises KeyError."""
+        if name not in self.names:
+            raise KeyError(name)
+        series = self.magnitude[:, self.names.index(name)]
+        interval = int(series.argmax())
+        return float(series[interval]), float(self.edges[interval : interval + 2].mean())
+
+
+def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
+    """The force on every solid whose impulse `trajectory` recorded, floor and walls of the box included.
+
+    window: [s] over which forces are averaged besides the interval between two frames; 0 for none.
+    Raises InputError where no impulse was recorded, or for a window that is negative or longer than twice the run.
+    """
+    taken = impulses(trajectory)
+    if not taken:
+        raise InputError("expected a trajectory that recorded the momentum solids took, this one did not")
+    time = trajectory.time
+    end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
+    if end == 0.0:
+        raise InputError("expected a trajectory of more than its start")
+    if not 0.0 <= window <= 2.0 * end:
+        raise InputError(f"expected a window of 0 to {2.0 * end:g} s, got {window:g} s")
+    # A frame at the start ends no interval, and frames after the deposit has come to rest repeat that moment.
+    first = 1 if time[0] == 0.0 else 0
+    last = int(np.searchsorted(time, end * (1.0 - ROUNDING)))
+    ends = np.minimum(time[first : last + 1], end)
+    edges = np.concatenate([[0.0], ends])
+    impulse = np.stack([series[first : last + 1] for series in taken.values()], axis=1)
+    impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
+    if window > 0.0:
+        impulse = smoothed(impulse, edges, window)
+    steps = np.diff(edges)[:, None, None]
+    return Forces(names=tuple(taken), time=ends, force=np.diff(impulse, axis=0) / steps)
+
+
+def impulses(trajectory: Trajectory) -> dict[str, Floats]:
+    """Momentum that each solid took up to each kept frame [N s or N s/m], shape [T, D], by its name; those recorded.
+
+    What the summary holds of the box has a value at every `frame_dt` of the scene: a series for floor and walls
+    together, or one for each of the names that it gives.
+    """
+    scene, taken = trajectory.scene, dict[str, Floats]()
+    if trajectory.solid_impulse is not None:
+        taken |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
+    walls: Any = trajectory.summary.get("side_impulse", trajectory.summary.get("wall_impulse"))
+    if walls is not None:
+        frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
+        named = walls if isinstance(walls, Mapping) else {WALLS: walls}
+        taken |= {name: np.array(series, np.float64)[frames] for name, series in named.items()}
+    return taken
+
+
+def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
+    """The mean of `impulse` [T, S, D], linear between the times [T], over `window` [s] around each, ends mirrored."""
+    end = time[-1]
+    mirrored = np.concatenate([-time[:0:-1], time, 2.0 * end - time[-2::-1]])
+    values = np.concatenate([-impulse[:0:-1], impulse, 2.0 * impulse[-1] - impulse[-2::-1]])
+    steps = np.diff(mirrored)[:, None, None]
+    integral = np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * steps * (values[1:] + values[:-1]), axis=0)])
+
+    def up_to(t: Floats) -> Floats:
+        """The integral of the linear pieces up to each t."""
+        piece = np.clip(np.searchsorted(mirrored, t, side="right") - 1, 0, len(steps) - 1)
+        part = (t - mirrored[piece])[:, None, None]
+        slope = (values[piece + 1] - values[piece]) / steps[piece]
+        return np.asarray(integral[piece] + part * (values[piece] + 0.5 * part * slope))
+
+    return (up_to(time + 0.5 * window) - up_to(time - 0.5 * window)) / window
+
+
+def write_table(path: Path, forces: Forces) -> None:
+    """Write a CSV: `time_s`, the end of an interval, and the mean force over it of each solid and axis."""
+    suffix = forces.unit.replace("/", "_per_")
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    axes = AXES[: forces.force.shape[2]]
+    writer.writerow(["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)])
+    for time, row in zip(forces.time.tolist(), forces.force.reshape(len(forces.time), -1).tolist(), strict=True):
+        writer.writerow([f"{time:.10g}", *(f"{value:.9g}" for value in row)])
+    write_text(path, text.getvalue())
+
+
+def draw(path: Path, forces: Forces) -> None:
+    """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
+    from matplotlib.figure import Figure
+
+    order = np.argsort(-forces.magnitude.max(axis=0), kind="stable")[:MOST_PANELS]
+    shown = [forces.names[index] for index in sorted(order)]
+    figure = Figure(figsize=(9.0, 1.2 + 2.4 * len(shown)), layout="constrained")
+    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    for axis, name in zip(panels, shown, strict=True):
+        _draw_one(axis, forces, name)
+    panels[0].legend(loc="upper right", ncols=4, frameon=False, fontsize=9)
+    panels[-1].set_xlabel("time [s]")
+    if len(shown) < len(forces.names):
+        figure.suptitle(f"{len(shown)} of {len(forces.names)} solids: the largest peaks", fontsize=10)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=110)
+
+
+def _draw_one(axis: "Axes", forces: Forces, name: str) -> None:
+    """The panel of one solid, in thousands or millions of the unit where the peak has as many."""
+    index = forces.names.index(name)
+    value, time = forces.peak(name)
+    prefix, scale = next(each for each in PREFIXES if value >= each[1] or each is PREFIXES[-1])
+    unit = prefix + forces.unit
+    for component, colour in zip(range(forces.force.shape[2]), COLOURS, strict=False):
+        series = forces.force[:, index, component] / scale
+        axis.stairs(series, forces.edges, color=colour, linewidth=1.1, baseline=None, label=f"$F_{AXES[component]}$")
+    series = forces.magnitude[:, index] / scale
+    axis.stairs(series, forces.edges, color=INK, linewidth=0.7, baseline=None, label="$|F|$")
+    axis.plot(time, value / scale, marker="o", color=INK, markersize=4)
+    late = time > 0.6 * forces.time[-1]
+    axis.annotate(
+        f"peak {value / scale:.4g} {unit} at {time:.4g} s",
+        (time, value / scale),
+        (-8 if late else 8, 3),
+        textcoords="offset points",
+        ha="right" if late else "left",
+        va="bottom",
+    )
+    axis.set_title(name, loc="left", fontsize=10)
+    axis.set_ylabel(f"force [{unit}]")
+    axis.axhline(0.0, color="#999999", linewidth=0.6)
+    axis.margins(x=0.0, y=0.18)
+    axis.grid(alpha=0.25)
+
+
+def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
+    """Write forces.csv and forces.png into `folder`, and return the forces. Raises InputError as `forces_of`."""
+    forces = forces_of(trajectory, window=window)
+    write_table(folder / TABLE, forces)
+    draw(folder / PLOT, forces)
+    return forces
+
+
+def spoken(forces: Forces) -> Sequence[str]:
+    """A line for each solid: its peak, when, and the momentum that it took."""
+    lines = []
+    for name, impulse in zip(forces.names, forces.impulse, strict=True):
+        value, time = forces.peak(name)
+        taken, unit = ", ".join(f"{part:.4g}" for part in impulse), forces.unit.replace("N", "N s")
+        lines.append(f"{name}: peak {value:.4g} {forces.unit} at {time:.4g} s, impulse ({taken}) {unit}")
+    return lines
+
+
+def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
+    """Write the force on each solid over time: OUT/forces.csv and OUT/forces.png.
+
+    Parameters
+    ----------
+    trajectory
+        A trajectory (NPZ), or the folder of a run that holds one.
+    out
+        Folder for the results.
+    smooth
+        Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
+    """
+    path, flow = read_trajectory(trajectory)
+    make_folder(out)
+    try:
+        forces = write_forces(flow, out, window=smooth)
+    except InputError as error:
+        raise error.at(str(path)) from None
+    print("\n".join(spoken(forces)))
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m datasets.forces"))

@@ -1,0 +1,199 @@
+"""The nearest place of a surface and the signed distance from it: the reference that the contact law is held against.
+
+The sign is that of the offset along the pseudonormal of the face, edge or corner that the foot lies on, which is right
+for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from datasets.geometry.surface import Surface
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+PAIRS = 1_000_000
+"""Pairs of a point and a face that are looked at together."""
+CLASSES = 2.0
+"""Factor in size between the classes of faces that are searched together."""
+ROUNDING = 1.0e-12
+"""Distance over the extent of the surface that is none."""
+INTERIOR = 1.0e-12
+"""Share of a face within which a foot lies on its rim."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Nearest:
+    """The nearest places of a surface for N points in D dimensions."""
+
+    distance: Floats
+    """Signed distance [m], negative inside the solid, shape [N]."""
+    foot: Floats
+    """The nearest place [m], shape [N, D]."""
+    normal: Floats
+    """Unit vector out of the solid at the foot: along the offset, on the surface the pseudonormal; shape [N, D]."""
+    face: Integers
+    """The face that the foot lies on, shape [N]."""
+
+
+def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest:
+    """The nearest places of `surface` for `points` [m], shape [N, D].
+
+    Points farther from it than `within` [m] cost less: their distance is inf, or right, whatever side they are on; what
+    else is said of those at inf is that of a place near by.
+    """
+    points = np.atleast_2d(np.asarray(points, np.float64))
+    search = Search(surface)
+    portion = PAIRS // 50
+    parts = [search.nearest(points[first : first + portion], within) for first in range(0, len(points), portion)]
+    return Nearest(
+        distance=np.concatenate([part.distance for part in parts] or [np.empty(0)]),
+        foot=np.concatenate([part.foot for part in parts] or [np.empty((0, surface.dimension))]),
+        normal=np.concatenate([part.normal for part in parts] or [np.empty((0, surface.dimension))]),
+        face=np.concatenate([part.face for part in parts] or [np.empty(0, np.int64)]),
+    )
+
+
+def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:
+    """Which `points` [m], shape [N, D], lie in the solid, shape [N]."""
+    return np.asarray(nearest(surface, points).distance < 0.0)
+
+
+class Search:
+    """Finds the faces near points by their centres, in classes of faces of similar size."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self.centres = 0.5 * (surface.corners.min(axis=1) + surface.corners.max(axis=1))
+        radii = self.radii = np.linalg.norm(surface.corners - self.centres[:, None], axis=-1).max(axis=1)
+        order = np.floor(np.log(radii / radii.max()) / np.log(CLASSES)).astype(int)
+        self.classes = []
+        for number in np.unique(order):
+            faces = np.flatnonzero(order == number)
+            self.classes.append((faces, cKDTree(self.centres[faces]), float(radii[faces].max())))
+
+    def nearest(self, points: Floats, within: float) -> Nearest:
+        """The nearest places for `points` [N, D], of those farther than `within` [m] some near place."""
+        bound, least, face = self.bound(points)
+        best = np.full(len(points), np.inf)
+        close = np.flatnonzero(least <= within)
+        for point, candidate in self.pairs(points[close], bound[close]):
+            point = close[point]
+            _, distance, _ = feet(self.surface.corners[candidate], points[point])
+            order = np.lexsort((candidate, distance, point))
+            first = order[np.unique(point[order], return_index=True)[1]]
+            better = distance[first] < best[point[first]]
+            chosen = first[better]
+            best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
+        found = sign_and_normal(self.surface, points, face)
+        return replace(found, distance=np.where(least <= within, found.distance, np.inf))
+
+    def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
+        """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""
+        bound, least = np.full(len(points), np.inf), np.full(len(points), np.inf)
+        face = np.zeros(len(points), np.int64)
+        for faces, tree, radius in self.classes:
+            centre, number = tree.query(points)
+            _, distance, _ = feet(self.surface.corners[faces[number]], points)
+            face = np.where(distance < bound, faces[number], face)
+            bound = np.minimum(bound, distance)
+            least = np.minimum(least, centre - radius)
+        return bound, least, face
+
+    def pairs(self, points: Floats, bound: Floats) -> list[tuple[Integers, Integers]]:
+        """Points and faces that may lie within `bound` of them, in portions."""
+        found = []
+        for faces, tree, radius in self.classes:
+            lists = tree.query_ball_point(points, (bound + radius) * (1.0 + 1.0e-9), return_sorted=False)
+            counts = np.fromiter(map(len, lists), np.int64, len(lists))
+            groups = np.split(np.arange(len(points)), np.flatnonzero(np.diff(np.cumsum(counts) // PAIRS)) + 1)
+            for group in groups:
+                if counts[group].sum():
+                    members = faces[np.concatenate([lists[index] for index in group]).astype(np.int64)]
+                    point = np.repeat(group, counts[group])
+                    # A face lies within its own radius of its centre, most have less than the largest of the class.
+                    off = np.linalg.norm(points[point] - self.centres[members], axis=1)
+                    kept = off <= (bound[point] + self.radii[members]) * (1.0 + 1.0e-9)
+                    found.append((point[kept], members[kept]))
+        return found
+
+
+def sign_and_normal(surface: Surface, points: Floats, face: Integers) -> Nearest:
+    """Signed distances of `points` [m], shape [N, D], from the nearest of the surface's faces `face`, shape [N]."""
+    foot, distance, weights = feet(surface.corners[face], points)
+    pseudonormal = normals_at(surface, face, weights)
+    offset = points - foot
+    sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
+    away = distance > ROUNDING * np.abs(surface.corners).max()
+    direction = sign[:, None] * offset / np.where(away, distance, 1.0)[:, None]
+    return Nearest(
+        distance=sign * distance,
+        foot=foot,
+        normal=np.where(away[:, None], direction, pseudonormal),
+        face=face,
+    )
+
+
+def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
+    """Pseudonormals [N, D] at places of faces [N] by their barycentric coordinates `weights` [N, D]."""
+    zero = weights <= INTERIOR
+    normal = surface.normals[face]
+    if surface.dimension == 3:
+        # Weight k + 2 vanishes on edge k.
+        for edge in range(3):
+            on_edge = zero[:, (edge + 2) % 3]
+            normal = np.where(on_edge[:, None], surface.edge_normals[face, edge], normal)
+    for corner in range(surface.dimension):
+        at_corner = weights[:, corner] >= 1.0 - INTERIOR
+        normal = np.where(at_corner[:, None], surface.corner_normals[face, corner], normal)
+    return normal
+
+
+def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Nearest places of faces [N, D, D] for points [N, D]: places [m], distances [m] and barycentric coordinates."""
+    weights = segment_weights(corners, points) if corners.shape[-1] == 2 else triangle_weights(corners, points)
+    foot = np.einsum("nk,nkd->nd", weights, corners)
+    # An inexact weight must not make a corner or an edge nearer than it is: the foot is what is measured.
+    return foot, np.linalg.norm(points - foot, axis=-1), weights
+
+
+def segment_weights(corners: Floats, points: Floats) -> Floats:
+    """Barycentric coordinates [N, 2] of the nearest places of segments [N, 2, D]."""
+    along = corners[:, 1] - corners[:, 0]
+    share = ((points - corners[:, 0]) * along).sum(-1) / (along * along).sum(-1)
+    share = np.clip(share, 0.0, 1.0)
+    return np.stack([1.0 - share, share], axis=-1)
+
+
+def triangle_weights(corners: Floats, points: Floats) -> Floats:
+    """Barycentric coordinates [N, 3] of the nearest places of triangles [N, 3, 3] (Ericson 2005, section 5.1.5)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    d1, d2 = ((points - a) * ab).sum(-1), ((points - a) * ac).sum(-1)
+    d3, d4 = ((points - b) * ab).sum(-1), ((points - b) * ac).sum(-1)
+    d5, d6 = ((points - c) * ab).sum(-1), ((points - c) * ac).sum(-1)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+
+    def quotient(top: Floats, bottom: Floats) -> Floats:
+        return np.asarray(np.divide(top, bottom, out=np.zeros_like(top), where=bottom != 0.0))
+
+    whole = va + vb + vc
+    zero, one = np.zeros_like(va), np.ones_like(va)
+    on_ab, on_ac = quotient(d1, d1 - d3), quotient(d2, d2 - d6)
+    on_bc = quotient(d4 - d3, (d4 - d3) + (d5 - d6))
+    v, w = quotient(vb, whole), quotient(vc, whole)
+    cases = [
+        ((d1 <= 0.0) & (d2 <= 0.0), (one, zero, zero)),
+        ((d3 >= 0.0) & (d4 <= d3), (zero, one, zero)),
+        ((d6 >= 0.0) & (d5 <= d6), (zero, zero, one)),
+        ((vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0), (one - on_ab, on_ab, zero)),
+        ((vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0), (one - on_ac, zero, on_ac)),
+        ((va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0), (zero, one - on_bc, on_bc)),
+    ]
+    inner = (one - v - w, v, w)
+    return np.stack(
+        [np.select([case for case, _ in cases], [value[k] for _, value in cases], inner[k]) for k in range(3)], axis=-1
+    )

@@ -1,0 +1,16 @@
+"""Scenes for those who know nothing solid but boxes along the axes: the surrogate, the formats of other codes."""
+
+from datasets.errors import InputError
+from datasets.scene import Scene
+
+
+def check_plain(scene: Scene, who: str, where: str = "") -> None:
+    """Raise InputError for a scene with solids, turned baffles or open sides, which `who` does not know."""
+    if scene.solids:
+        raise InputError(f"expected a scene without solids, {who} knows baffles alone", where=where, key="solids")
+    for index, baffle in enumerate(scene.baffles):
+        if baffle.turned_deg != 0.0:
+            message = f"expected a baffle along the axes, {who} knows no other"
+            raise InputError(message, where=where, key=f"baffles[{index}].turned_deg")
+    if scene.open_sides:
+        raise InputError(f"expected a closed box, {who} knows no other", where=where, key="open_sides")

@@ -1,0 +1,203 @@
+"""Fields over the plan from files: ESRI ASCII and GeoTIFF rasters, and CSV with columns x, z and a value.
+
+Plan coordinates are x, to the east, and z, to the north. A raster's values stand at the centres of its cells; by
+default the lower left corner of its extent becomes the corner x = 0, z = 0 of the box.
+"""
+
+import csv
+import dataclasses
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+
+Floats = NDArray[np.float64]
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
+"""Units of lengths in a CSV, in metres."""
+RASTERS = (".asc", ".tif", ".tiff")
+REGULAR = 1.0e-6
+"""Largest difference between two spacings of a regular grid, over the spacing."""
+METRES = (None, "", "m", "metre", "metres", "meter", "meters")
+"""What a raster may call the unit of its values."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """Values on a regular grid."""
+
+    x: Floats
+    """Ascending [m], shape [X]."""
+    z: Floats
+    """Ascending [m], shape [Z]."""
+    values: Floats
+    """NaN in holes, shape [X, Z]."""
+    corner: tuple[float, float]
+    """Lower left corner of the extent in the file's own coordinates [m]; (0, 0) of a CSV."""
+    extra: Floats | None = None
+    """Another column of a CSV on the same grid, shape [X, Z]."""
+    crs: str | None = None
+    """Coordinate reference system of a raster, as an authority's code or in WKT, where it names one."""
+
+    def moved(self, offset: tuple[float, float]) -> "Field":
+        """The field at other coordinates."""
+        return dataclasses.replace(self, x=self.x + offset[0], z=self.z + offset[1])
+
+    def cropped(self, size: tuple[float, float], margin: float) -> "Field":
+        """What lies in [0, size] and `margin` [m] around it, at least two values along each axis."""
+        parts = []
+        for places, length in ((self.x, size[0]), (self.z, size[1])):
+            low = max(0, int(np.searchsorted(places, -margin, side="right")) - 1)
+            high = min(len(places), int(np.searchsorted(places, length + margin)) + 1)
+            parts.append(slice(min(low, len(places) - 2), max(high, low + 2)))
+        i, k = parts
+        extra = None if self.extra is None else self.extra[i, k]
+        return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k], extra=extra)
+
+
+def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Field:
+    """A field from a raster or from the columns x, z and `column` of a CSV. Raises InputError, which names the file.
+
+    unit: of the lengths in a CSV; extra: another column of a CSV, if it is there.
+    """
+    try:
+        if path.suffix.lower() in RASTERS:
+            if unit != "m":
+                raise InputError(f"expected a raster in metres, not in {unit}")
+            return read_raster(path)
+        if path.suffix.lower() == ".csv":
+            return gridded(read_columns(path, ("x", "z", column), (extra,) if extra else ()), column, unit, extra)
+        raise InputError(f"expected a raster ({', '.join(RASTERS)}) or a CSV")
+    except InputError as error:
+        raise error.at(str(path)) from None
+
+
+def read_raster(path: Path) -> Field:
+    """A raster of one band, north up, in metres. Raises InputError."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+
+    if not path.exists():
+        raise InputError("expected a raster, there is no such file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as file:
+                placed = not file.transform.is_identity
+                transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+                masked = file.read(1, masked=True).astype(np.float64)
+    except RasterioIOError as error:
+        raise InputError(f"expected a readable raster, {str(error).splitlines()[0]}") from None
+    if bands != 1:
+        raise InputError(f"expected a raster of one band, got {bands}")
+    check_units(crs, unit)
+    if not placed:
+        raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
+    if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
+        raise InputError("expected a raster with north up, got one that is turned or mirrored")
+    rows, columns = masked.shape
+    if min(rows, columns) < 2:
+        raise InputError(f"expected at least 2 x 2 values, got {rows} x {columns}")
+    values = masked.filled(np.nan)
+    values[~np.isfinite(values)] = np.nan
+    return Field(
+        x=np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a),
+        z=np.asarray(transform.f + (np.arange(rows)[::-1] + 0.5) * transform.e),
+        values=np.ascontiguousarray(values[::-1].T),
+        corner=(float(transform.c), float(transform.f + rows * transform.e)),
+        crs=crs.to_string() if crs else None,
+    )
+
+
+def check_units(crs: object, unit: str | None) -> None:
+    """Raise InputError unless a raster's coordinates, where it says what they are, and its values are in metres."""
+    from rasterio.errors import CRSError
+
+    if unit is not None and unit.lower() not in METRES:
+        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
+    if not crs:
+        return
+    if getattr(crs, "is_geographic", False):
+        raise InputError("expected a projected coordinate system in metres, got a geographic one in degrees")
+    try:
+        name, factor = crs.linear_units_factor  # type: ignore[attr-defined]
+    except CRSError:
+        name, factor = "unknown units", math.nan
+    if factor != 1.0 or str(name).lower() not in METRES:
+        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
+
+
+def read_columns(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
+    """Columns of a CSV with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
+
+    Lines that begin with # are comments. Raises InputError, which does not name the file.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = [(number, line) for number, line in enumerate(file, 1) if line.strip() and line[0] != "#"]
+    except FileNotFoundError:
+        raise InputError("expected a CSV, there is no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"expected a readable CSV, {error}") from None
+    names, columns = "`, `".join(needed), len(needed)
+    header = [name.strip() for name in next(csv.reader([lines[0][1]]))] if lines else []
+    if not set(needed) <= set(header):
+        raise InputError(f"expected a header with the columns `{names}`, got {', '.join(header) or 'an empty file'}")
+    unknown = [name for name in header if name not in (*needed, *optional)]
+    if unknown:
+        raise InputError(f"expected no other columns than `{'`, `'.join((*needed, *optional))}`, got `{unknown[0]}`")
+    if len(set(header)) < len(header):
+        raise InputError("expected each column once")
+    rows = []
+    for number, line in lines[1:]:
+        parts = next(csv.reader([line]))
+        try:
+            row = [float(part) for part in parts]
+        except ValueError:
+            raise InputError(f"expected numbers in line {number}, got {line.strip()[:40]!r}") from None
+        if len(row) != len(header):
+            raise InputError(f"expected {len(header)} numbers in line {number}, got {len(row)}")
+        if not all(map(math.isfinite, row)):
+            raise InputError(f"expected finite numbers in line {number}, got {line.strip()[:40]!r}")
+        rows.append(row)
+    if not rows:
+        raise InputError(f"expected rows of {columns} numbers, got none")
+    table = np.array(rows)
+    return {name: table[:, place] for place, name in enumerate(header)}
+
+
+def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:
+    """Rows x, z, value as a regular grid. Raises InputError for rows that are missing, twice or not on one."""
+    x, i = np.unique(columns["x"], return_inverse=True)
+    z, k = np.unique(columns["z"], return_inverse=True)
+    count = len(columns["x"])
+    if min(len(x), len(z)) < 2:
+        raise InputError("expected rows on a grid of at least 2 x 2 places in x and z")
+    for name, places in (("x", x), ("z", z)):
+        steps = np.diff(places)
+        if steps.max() - steps.min() > REGULAR * steps.max():
+            raise InputError(f"expected a regular grid, {name} has steps of {steps.min():g} and of {steps.max():g}")
+    number = i * len(z) + k
+    if len(np.unique(number)) < count:
+        raise InputError("expected each place once, some are there twice")
+    if count < len(x) * len(z):
+        raise InputError(
+            f"expected a row for each of {len(x)} x {len(z)} places, {len(x) * len(z) - count} are missing"
+        )
+    metres = UNITS[unit]
+
+    def grid(values: Floats) -> Floats:
+        return np.asarray(values[np.argsort(number)].reshape(len(x), len(z)))
+
+    return Field(
+        x=metres * x,
+        z=metres * z,
+        values=metres * grid(columns[column]),
+        corner=(0.0, 0.0),
+        extra=grid(columns[extra]) if extra and extra in columns else None,
+    )

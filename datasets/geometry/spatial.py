@@ -1,0 +1,292 @@
+"""Solids in three dimensions: each as a closed surface of triangles, and the boundary of their union."""
+
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from datasets.errors import InputError
+from datasets.geometry.ground import first_diagonal, ground_grid
+from datasets.geometry.margins import BEYOND, CLOSING, OUTSIDE, SIDES, TOUCHING, Box
+from datasets.geometry.planar import turned, unit
+from datasets.geometry.solid import Solid
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FLAT = 1.0e-6
+"""What makes the place of a vertex between faces of one plane unique [-]."""
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+"""Corners of the unit cube; the last coordinate changes fastest."""
+CUBE_TRIANGLES = np.array(
+    [
+        *([0, 1, 3], [0, 3, 2]),  # x = 0
+        *([4, 6, 7], [4, 7, 5]),  # x = 1
+        *([0, 4, 5], [0, 5, 1]),  # y = 0
+        *([2, 3, 7], [2, 7, 6]),  # y = 1
+        *([0, 2, 6], [0, 6, 4]),  # z = 0
+        *([1, 5, 7], [1, 7, 3]),  # z = 1
+    ]
+)
+"""Its faces, anticlockwise from outside."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """The surface of a solid, closed."""
+
+    vertices: Floats
+    """[m], shape [V, 3]."""
+    triangles: Integers
+    """Vertices of each triangle, anticlockwise from outside, shape [T, 3]."""
+    friction: Floats
+    """Coulomb coefficient at each vertex [-], shape [V]."""
+    key: str
+    """Where the solid stands in the scene, such as `solids[0]`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Triangles:
+    """The boundary of a union of bodies."""
+
+    corners: Floats
+    """Anticlockwise from outside [m], shape [F, 3, 3]."""
+    normals: Floats
+    """Outward unit normals, shape [F, 3]."""
+    corner_normals: Floats
+    """Pseudonormals, weighted by the angles at a corner, shape [F, 3, 3]."""
+    edge_normals: Floats
+    """Means of the two faces at an edge, shape [F, 3, 3]; edge k joins corners k and k + 1."""
+    body: NDArray[np.int32]
+    """The body that each triangle belongs to, shape [F]."""
+    friction: Floats
+    """At the corners [-], shape [F, 3]."""
+
+
+def body_of(solid: Solid, key: str, box: Box) -> Body:
+    """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
+    if solid.kind == "terrain":
+        return ground_body(solid, key, box)
+    if solid.kind == "box":
+        low, size = np.array(solid.lower), np.array(solid.size)
+        vertices, triangles = low + CUBE * size, CUBE_TRIANGLES
+        if solid.turned_deg != 0.0:
+            vertices[:, ::2] = turned(vertices[:, ::2], (low + 0.5 * size)[::2], solid.turned_deg)
+    else:
+        vertices, triangles = np.array(solid.vertices), np.array(solid.triangles, np.int64)
+        triangles = outward(vertices, triangles, f"{key}.triangles")
+    assert isinstance(solid.friction, int | float)
+    body = Body(vertices=vertices, triangles=triangles, friction=np.full(len(vertices), solid.friction), key=key)
+    for axis, side in SIDES[3]:
+        body = continued(body, axis, side, box)
+    return body
+
+
+def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
+    """The triangles of a closed surface, turned to face outwards. Raises InputError where it is open."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    _, number = np.unique(edges, axis=0, return_counts=True)
+    opened, shared = int((number == 1).sum()), int((number > 2).sum())
+    if opened or shared:
+        fault = f"{opened} open edges" if opened else f"{shared} edges of more than two triangles"
+        raise InputError(f"expected a closed surface, got one with {fault}", key=key)
+    status = manifold(vertices, triangles).status()
+    if status != manifold3d.Error.NoError:
+        raise InputError("expected a closed surface whose triangles all face the same way", key=key)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    volume = float(np.einsum("ni,ni->", a, np.cross(b, c)))
+    if volume == 0.0:
+        raise InputError("expected a surface that encloses a volume", key=key)
+    return triangles if volume > 0.0 else triangles[:, ::-1].copy()
+
+
+def ground_body(solid: Solid, key: str, box: Box) -> Body:
+    """All that lies below a height field, some cells beyond the box; it goes on level, or straight from a side."""
+    x, z, heights, friction = ground_grid(solid, key, box)
+    count = len(x) * len(z)
+    deep = min(0.0, float(heights.min())) - BEYOND * box.cell
+    plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
+    top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
+    number = np.arange(count).reshape(len(x), len(z))
+    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    first = first_diagonal(heights).ravel()[:, None, None]
+    faces = np.where(
+        first,
+        np.stack([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)], axis=1),
+        np.stack([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)], axis=1),
+    ).reshape(-1, 3)
+    # Around the edge once, then down to a floor far below that fans from one corner.
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    below = count + np.arange(len(rim))
+    after, below_after = np.roll(rim, -1), np.roll(below, -1)
+    bottom = top[rim] * [1.0, 0.0, 1.0] + [0.0, deep, 0.0]
+    sides = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
+    middle = count + len(rim)
+    floor = np.stack([below, below_after, np.full(len(rim), middle)], axis=1)
+    centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
+    return Body(
+        vertices=np.concatenate([top, bottom, centre]),
+        triangles=np.concatenate([faces, sides, floor]),
+        friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
+        key=key,
+    )
+
+
+def continued(body: Body, axis: int, side: int, box: Box) -> Body:
+    """The body cut off at a side of the box (0 or 1 of `axis`) and continued straight beyond, where it reaches it."""
+    limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
+    vertices, triangles, friction = body.vertices.copy(), body.triangles, body.friction
+    near = np.abs(vertices[:, axis] - limit) <= TOUCHING
+    vertices[near, axis] = limit
+    height = out * (vertices[:, axis] - limit)
+    if height.max() < 0.0:
+        return body
+    if height.max() > 0.0:
+        inward = np.zeros(3)
+        inward[axis] = -out
+        part = manifold(vertices, triangles).trim_by_plane(tuple(inward), -out * limit)
+        if part.is_empty():
+            raise InputError(OUTSIDE, key=body.key)
+        mesh = part.to_mesh64()
+        vertices, triangles = np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
+        friction = np.full(len(vertices), friction[0])
+        near = np.abs(vertices[:, axis] - limit) <= TOUCHING
+        vertices[near, axis] = limit
+    on_side = (vertices[triangles][..., axis] == limit).all(axis=1)
+    if not on_side.any():
+        return body
+    lid = triangles[on_side]
+    used, renamed = np.unique(lid, return_inverse=True)
+    renamed = renamed.reshape(-1, 3) + len(vertices)
+    moved = vertices[used]
+    moved[:, axis] = limit + out * BEYOND * box.cell
+    edges = np.stack([lid, np.roll(lid, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.stack([renamed, np.roll(renamed, -1, axis=1)], axis=-1).reshape(-1, 2)
+    known = {tuple(edge) for edge in edges.tolist()}
+    rim = np.array([(b, a) not in known for a, b in edges.tolist()])
+    (a, b), (c, d) = edges[rim].T, ends[rim].T
+    sides = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+    return Body(
+        vertices=np.concatenate([vertices, moved]),
+        triangles=np.concatenate([triangles[~on_side], renamed, sides]),
+        friction=np.concatenate([friction, friction[used]]),
+        key=body.key,
+    )
+
+
+def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> manifold3d.Manifold:
+    """A closed surface as the library takes it, with the friction of its vertices where given."""
+    values = vertices if friction is None else np.column_stack([vertices, friction])
+    mesh = manifold3d.Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
+    return manifold3d.Manifold(mesh)
+
+
+def boundary(bodies: list[Body], box: Box) -> Triangles:
+    """The boundary of the union of `bodies`; touching bodies are one."""
+    if len(bodies) == 1:
+        (body,) = bodies
+        vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
+        owner = np.zeros(len(triangles), np.int32)
+    else:
+        vertices, triangles, friction, owner = union(bodies, CLOSING * box.cell)
+    normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
+    flat = ~normals.any(axis=1)
+    return Triangles(
+        corners=vertices[triangles][~flat],
+        normals=normals[~flat],
+        corner_normals=corner_normals[~flat],
+        edge_normals=edge_normals[~flat],
+        body=owner[~flat],
+        friction=friction[~flat],
+    )
+
+
+def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+    """Vertices [V, 3], triangles [T, 3], friction at their corners [T, 3] and the body of each [T].
+
+    Every body grows by `gap`, so that those that touch but for rounding share volume.
+    """
+    parts, numbers = [], {}
+    for number, body in enumerate(bodies):
+        part = manifold(grown(body, gap), body.triangles, body.friction).as_original()
+        if part.status() != manifold3d.Error.NoError:
+            raise InputError("expected a closed surface that does not cross itself", key=body.key)
+        parts.append(part)
+        numbers[part.original_id()] = number
+    mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
+    values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
+    owner = np.zeros(len(triangles), np.int32)
+    starts = np.array(mesh.run_index, np.int64) // 3
+    for original, first, last in zip(mesh.run_original_id, starts[:-1], starts[1:], strict=True):
+        owner[first:last] = numbers[int(original)]
+    friction = values[:, 3][triangles]
+    # Vertices where bodies meet stand in the mesh once for each body.
+    same = np.arange(len(values))
+    same[np.array(mesh.merge_from_vert, np.int64)] = np.array(mesh.merge_to_vert, np.int64)
+    return values[:, :3], same[triangles], friction, owner
+
+
+def grown(body: Body, gap: float) -> Floats:
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
+
+    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
+    """
+    normals, _, _ = pseudonormals(body.vertices, body.triangles)
+    matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
+    for corner in range(3):
+        np.add.at(matrix, body.triangles[:, corner], normals[:, :, None] * normals[:, None, :])
+        np.add.at(right, body.triangles[:, corner], gap * normals)
+    matrix += FLAT * np.eye(3)
+    return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
+
+
+def pseudonormals(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats, Floats]:
+    """Unit normals of the triangles [T, 3], 0 of one without area, of their corners and of their edges, both [T, 3, 3].
+
+    A corner's is the sum of the normals around its vertex, weighted by their angles there, an edge's that of its two
+    (Baerentzen & Aanaes 2005).
+    """
+    corners = vertices[triangles]
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.cross(edges[:, 0], edges[:, 1])
+    longest = (edges * edges).sum(-1).max(axis=1)
+    across[np.linalg.norm(across, axis=1) <= 1.0e-14 * longest] = 0.0
+    normals = unit(across)
+    ahead, back = unit(edges), -unit(np.roll(edges, 1, axis=1))
+    angles = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=-1), (ahead * back).sum(-1))
+    at_vertex = np.zeros_like(vertices)
+    np.add.at(at_vertex, triangles, angles[..., None] * normals[:, None])
+    pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    _, edge = np.unique(pairs, axis=0, return_inverse=True)
+    at_edge = np.zeros((int(edge.max()) + 1, 3))
+    np.add.at(at_edge, edge.ravel(), np.repeat(normals, 3, axis=0))
+    return normals, unit(at_vertex)[triangles], unit(at_edge)[edge.ravel()].reshape(-1, 3, 3)
+
+
+def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
+    """Volume [m^3] inside a closed surface whose triangles face outwards."""
+    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
+    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
+
+
+def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
+    """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
+    # The library cuts across its third axis.
+    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])
+    within = np.zeros(len(lattice), bool)
+    for level in np.unique(lattice[:, 1]):
+        here = np.flatnonzero(lattice[:, 1] == level)
+        rings = [shapely.Polygon(ring) for ring in body.slice(float(level)).to_polygons() if len(ring) >= 3]
+        for ring in rings:
+            # A ring inside another one is a hole.
+            within[here] ^= np.asarray(shapely.contains_xy(ring, lattice[here, 0], lattice[here, 2]), bool)
+    return within
+
+
+def enclosing(within: NDArray[np.bool_], counts: list[int]) -> NDArray[np.bool_]:
+    """Of a lattice of `counts` places along its axes, those whose neighbours are all in the body too, shape [N]."""
+    eroded = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False)
+    return np.asarray(eroded.ravel(), bool)

@@ -1,0 +1,114 @@
+"""What the kernel knows of the solids in the box: faces, which of them are near a cell, nodes deep inside, and where
+each particle touches at the start (`mpm.contact`)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.geometry.nearest import feet, nearest
+from datasets.geometry.surface import Surface, surface_of
+from datasets.scene import Scene
+from mpm.faces import faces_near, node_shape
+from mpm.layout import Contact
+from mpm.properties import CONTACT_WIDTH, search_distance
+
+Array = NDArray[Any]
+
+HELD_DEPTH = 0.5
+"""Depth [cells] from which nodes in a solid are held."""
+NO_SLIP = 1.0e9
+"""Coulomb coefficient that stands for no slip: times no pressure it is none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Obstacles:
+    """The solids of one scene for the kernel: F faces, C cells, K nodes that are held."""
+
+    faces: Array
+    """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], adhesion [Pa],
+    number of its solid; see `mpm.layout.Features.face_normal` and what follows it; shape [F, columns]."""
+    cell_faces: Array
+    """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
+    near_faces: Array
+    """The faces near the cells."""
+    held_nodes: Array
+    """1 + the line of each node in `node_contacts`, 0 where no solid holds it, shape [C + 1]."""
+    node_contacts: Array
+    """Of each held node the normal, friction and the number of its solid, shape [K, D + 2]."""
+
+
+def obstacles_of(scene: Scene) -> Obstacles:
+    """The solids of `scene`, none where it has none. Raises InputError as `datasets.geometry.surface.surface_of`."""
+    surface = surface_of(scene)
+    if surface is None:
+        nodes = int(np.prod(node_shape(scene)))
+        columns = face_columns(scene.dimension)
+        none = np.zeros(nodes + 1, np.int32)
+        return Obstacles(
+            faces=np.zeros((0, columns)),
+            cell_faces=none,
+            near_faces=none[:0],
+            held_nodes=none,
+            node_contacts=np.zeros((0, scene.dimension + 2)),
+        )
+    return obstacles_with(surface, scene)
+
+
+def obstacles_with(surface: Surface, scene: Scene) -> Obstacles:
+    """The solids with `surface` in the box of `scene`."""
+    cell = scene.domain.cell
+    # A cell beyond what has to be known: who comes from there does so in more than a step.
+    near = faces_near(scene, surface, reach=1.0 + search_distance(scene) / cell)
+    deep = np.flatnonzero(near.distance <= -HELD_DEPTH * cell * (1.0 - 1.0e-9))
+    held = np.zeros(len(near.first), np.int32)
+    held[near.nodes[deep]] = np.arange(1, len(deep) + 1)
+    count = len(surface.corners)
+    return Obstacles(
+        faces=np.concatenate(
+            [
+                *(
+                    part.reshape(count, -1)
+                    for part in (surface.corners, surface.normals, surface.corner_normals, surface.edge_normals)
+                ),
+                np.minimum(surface.friction, NO_SLIP),
+                surface.adhesion[:, None],
+                surface.solid[:, None],
+            ],
+            axis=1,
+        ),
+        cell_faces=near.first,
+        near_faces=near.faces,
+        held_nodes=held,
+        node_contacts=np.concatenate(
+            [near.normal[deep], np.minimum(near.friction[deep], NO_SLIP)[:, None], near.solid[deep, None]], axis=1
+        ),
+    )
+
+
+def face_columns(dimension: int) -> int:
+    """Numbers in a line of `Obstacles.faces`."""
+    normals = 1 + dimension + (3 if dimension == 3 else 0)
+    return dimension * (dimension + normals + 1) + 2
+
+
+def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
+    count, dimension = positions.shape
+    found = np.zeros((count, len(Contact) - 1 + 2 * dimension))
+    found[:, Contact.DISTANCE] = np.inf
+    surface = surface_of(scene)
+    if surface is None:
+        return found
+    width = CONTACT_WIDTH * scene.domain.cell
+    places = nearest(surface, positions)
+    q = np.clip(places.distance / width, 0.0, 1.0)
+    _, _, weights = feet(surface.corners[places.face], positions)
+    found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
+    found[:, Contact.DISTANCE] = np.maximum(places.distance, 0.0)
+    found[:, Contact.ADHESION] = surface.adhesion[places.face]
+    found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, NO_SLIP)[places.face]).sum(axis=1)
+    found[:, Contact.SOLID] = surface.solid[places.face]
+    found[:, Contact.NORMAL : Contact.NORMAL + dimension] = places.normal
+    return found

@@ -1,0 +1,268 @@
+"""Bodies of every kind: exact volume, particles inside, one line for what is no body."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+
+from datasets.errors import InputError
+from datasets.geometry.solid import Solid
+from datasets.material import Material
+from datasets.particles import initial_particles, mass_volumes, particle_count, warn_if_unresolved
+from datasets.scene import Domain, Mass, Scene, heights_above_ground
+from tests.datasets.geometry.test_nearest import sphere
+
+SLOPE = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.1), (2.0, 0.1)))
+VALLEY = Solid(
+    kind="terrain",
+    origin=(0.0, 0.0),
+    spacing=(0.1, 0.1),
+    heights=tuple(tuple(0.1 + 0.4 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11)) for _ in range(21)),
+)
+TRIANGLE = ((0.5, 0.1), (1.0, 0.1), (0.5, 0.6))
+
+
+def scene_of(*masses: Mass, solids: tuple[Solid, ...] = (), dimension: int = 2, **changes: object) -> Scene:
+    """Masses in a box of 2 x 1 x 1 m on cells of 5 cm."""
+    settings = {"domain": Domain(size=(2.0, 1.0, 1.0)[:dimension], cell=0.05)} | changes
+    return Scene(material=Material(friction_deg=30.0), masses=masses, solids=solids, **settings)  # type: ignore[arg-type]
+
+
+def ball(centre: tuple[float, float, float], radius: float) -> Mass:
+    """A ball of material as a mesh."""
+    vertices, triangles = sphere(np.array(centre), radius, 3)
+    return Mass(
+        kind="mesh",
+        vertices=tuple(map(tuple, vertices.tolist())),
+        triangles=tuple(map(tuple, triangles.tolist())),
+    )
+
+
+def test_a_polygon_has_its_area_and_holds_its_particles() -> None:
+    scene = scene_of(
+        Mass(kind="polygon", vertices=TRIANGLE, velocity=(1.0, 0.0)), domain=Domain(size=(2.0, 1.0), cell=0.02)
+    )
+    particles = initial_particles(scene)
+    assert particles.volume.sum() == pytest.approx(0.125, rel=1e-12)
+    assert particle_count(scene) == len(particles.positions) == pytest.approx(0.125 / 1e-4, rel=0.02)
+    assert shapely.contains_xy(shapely.Polygon(TRIANGLE), *particles.positions.T).all()
+    assert (particles.velocities == [1.0, 0.0]).all()
+    assert scene.masses[0].lower == (0.5, 0.1)
+    np.testing.assert_allclose(scene.masses[0].size, (0.5, 0.5))
+    # The jitter moved them.
+    still = initial_particles(dataclasses.replace(scene, jitter=0.0)).positions
+    assert (np.abs(particles.positions - still).max(axis=1) > 1e-6).mean() > 0.8
+    assert np.abs(particles.positions - still).max() <= 0.4 * 0.01 + 1e-12
+
+
+def test_a_mesh_has_its_volume_and_holds_its_particles() -> None:
+    scene = scene_of(ball((1.0, 0.5, 0.5), 0.3), dimension=3)
+    particles = initial_particles(scene)
+    vertices, triangles = sphere(np.zeros(3), 0.3, 3)
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    assert particles.volume.sum() == pytest.approx(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0, rel=1e-12)
+    assert (np.linalg.norm(particles.positions - [1.0, 0.5, 0.5], axis=1) < 0.3).all()
+    assert len(particles.positions) * 0.025**3 == pytest.approx(4.0 / 3.0 * np.pi * 0.3**3, rel=0.03)
+
+
+def test_a_layer_follows_the_ground_in_2d() -> None:
+    scene = scene_of(Mass(kind="layer", thickness=0.1, outline=((0.2,), (1.4,))), solids=(SLOPE,))
+    particles = initial_particles(scene)
+    above = particles.positions[:, 1] - np.interp(particles.positions[:, 0], [0.0, 1.0, 2.0], [0.5, 0.1, 0.1])
+    assert particles.volume.sum() == pytest.approx(0.12, rel=1e-12)
+    assert above.min() > 0.0
+    assert above.max() < 0.1
+    np.testing.assert_allclose(particles.depth, 0.1 - above, atol=1e-12)
+    assert 0.2 < particles.positions[:, 0].min() < 0.23
+    assert 1.37 < particles.positions[:, 0].max() < 1.4
+    # As many in every stretch.
+    counts, _ = np.histogram(particles.positions[:, 0], bins=np.linspace(0.2, 1.4, 13))
+    assert counts.max() - counts.min() <= 4
+    assert (heights_above_ground(scene) == 0.0).all()
+
+
+def test_a_layer_of_given_thickness_in_2d() -> None:
+    wedge = Mass(kind="layer", thickness=((0.5, 0.2), (1.5, 0.0)))
+    particles = initial_particles(scene_of(wedge, domain=Domain(size=(2.0, 1.0), cell=0.02)))
+    assert particles.volume.sum() == pytest.approx(0.1, rel=1e-12)
+    assert (particles.positions[:, 1] < np.interp(particles.positions[:, 0], [0.5, 1.5], [0.2, 0.0])).all()
+    # Evenly: the particles' share of the volume in the first half is the wedge's.
+    assert particles.volume[particles.positions[:, 0] < 1.0].sum() == pytest.approx(0.075, rel=0.02)
+
+
+@pytest.mark.parametrize("outline", [None, ((0.5, 0.2), (1.5, 0.2), (1.0, 0.8))])
+def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | None) -> None:
+    rows = tuple(tuple(0.1 + 0.1 * x for _ in range(6)) for x in np.linspace(0.0, 2.0, 11))
+    area, mean_x = (2.0, 1.0) if outline is None else (0.3, 1.0)
+    for thickness, extra, volume in (
+        (0.1, {}, 0.1 * area),
+        (rows, {"origin": (0.0, 0.0), "spacing": (0.2, 0.2)}, (0.1 + 0.1 * mean_x) * area),
+    ):
+        mass = Mass(kind="layer", thickness=thickness, outline=outline, **extra)  # type: ignore[arg-type]
+        scene = scene_of(mass, solids=(VALLEY,), dimension=3)
+        particles = initial_particles(scene)
+        x, y, z = particles.positions.T
+        above = y - 0.1 - 0.4 * np.abs(z - 0.5)
+        assert mass_volumes(scene)[0] == pytest.approx(volume, rel=1e-9)
+        assert particles.volume.sum() == pytest.approx(volume, rel=1e-9)
+        assert above.min() > 0.0
+        assert (above < (0.1 if extra == {} else 0.1 + 0.1 * x)).all()
+        if outline is not None:
+            assert shapely.contains_xy(shapely.Polygon(outline), x, z).all()
+
+
+def test_particles_from_elsewhere() -> None:
+    given = Mass(
+        kind="particles",
+        positions=((0.5, 0.5), (0.6, 0.5)),
+        velocities=((1.0, 0.0), (0.0, 2.0)),
+        volume=(1e-4, 3e-4),
+    )
+    particles = initial_particles(scene_of(given, Mass(lower=(1.0, 0.0), size=(0.1, 0.1))))
+    assert particles.positions[:2].tolist() == [[0.5, 0.5], [0.6, 0.5]]
+    assert particles.velocities[:2].tolist() == [[1.0, 0.0], [0.0, 2.0]]
+    assert particles.volume[:2].tolist() == [1e-4, 3e-4]
+    alike = initial_particles(scene_of(dataclasses.replace(given, volume=None)))
+    assert alike.common_volume == pytest.approx(0.025**2)
+
+
+def test_a_scene_of_all_kinds_survives_json() -> None:
+    for scene in (
+        scene_of(
+            Mass(kind="polygon", vertices=((1.2, 0.5), (1.6, 0.5), (1.2, 0.9))),
+            Mass(kind="layer", thickness=0.1, outline=((0.2,), (0.9,))),
+            solids=(SLOPE,),
+            open_sides=("x+",),
+        ),
+        scene_of(ball((1.0, 0.7, 0.5), 0.2), Mass(kind="layer", thickness=0.05), solids=(VALLEY,), dimension=3),
+    ):
+        again = Scene.from_json(scene.to_json())
+        assert again == scene
+        np.testing.assert_array_equal(initial_particles(again).positions, initial_particles(scene).positions)
+
+
+def test_a_box_among_other_masses_begins_as_it_does_alone() -> None:
+    box = Mass(lower=(1.2, 0.3), size=(0.3, 0.2))
+    alone = initial_particles(scene_of(box))
+    among = initial_particles(scene_of(box, Mass(kind="polygon", vertices=TRIANGLE)))
+    np.testing.assert_array_equal(among.positions[among.mass == 0], alone.positions)
+
+
+@pytest.mark.parametrize(
+    ("mass", "key", "words"),
+    [
+        (
+            Mass(kind="polygon", vertices=((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))),
+            "masses[0].vertices",
+            "cross",
+        ),
+        (Mass(kind="polygon", vertices=((0.1, 0.1), (0.5, 0.5))), "masses[0].vertices", "at least 3"),
+        (Mass(kind="polygon", vertices=((0.1, 0.1), (0.1, 0.1), (0.5, 0.5))), "masses[0].vertices[1]", "twice"),
+        (Mass(kind="polygon", vertices=((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))), "masses[0]", "inside the domain"),
+        (
+            Mass(kind="polygon", vertices=((0.1, 0.1, 0.1), (2.5, 0.1, 0.1), (0.5, 0.5, 0.1))),
+            "masses[0].vertices[0]",
+            "2",
+        ),
+        (Mass(kind="polygon"), "masses[0].vertices", "`vertices` of a polygon"),
+        (Mass(kind="polygon", vertices=TRIANGLE, thickness=1.0), "masses[0].thickness", "no such key"),
+        (Mass(kind="heap"), "masses[0].kind", "box, polygon, layer, particles in 2D"),
+        (Mass(kind="layer", thickness=-1.0), "masses[0].thickness", "positive"),
+        (Mass(kind="layer", thickness=2.0), "masses[0]", "its top is at y = 2"),
+        (Mass(kind="layer", thickness=((0.0, 0.1), (0.0, 0.1))), "masses[0].thickness[1]", "twice"),
+        (Mass(kind="layer", thickness=((0.0, 0.1), (1.0, -0.1))), "masses[0].thickness", "at least 0"),
+        (Mass(kind="layer", thickness=0.1, outline=((3.0,), (4.0,))), "masses[0]", "lies in the box"),
+        (Mass(kind="layer", thickness=0.1, k0=0.5), "masses[0].k0", "no box"),
+        (Mass(kind="layer", thickness=0.1, release=0.5), "masses[0].release", "no box"),
+        (Mass(kind="particles", positions=((0.5, 2.5),)), "masses[0].positions[0]", "inside the domain"),
+        (Mass(kind="particles", positions=((0.5, 0.5),), volume=0.0), "masses[0].volume", "positive volumes"),
+        (Mass(kind="particles", positions=((0.5, 0.5),), volume=(1.0, 1.0)), "masses[0].volume", "1 volumes"),
+        (Mass(kind="particles", positions=((0.5, 0.5),), velocities=()), "masses[0].velocities", "one for each"),
+        (Mass(lower=(0.1, 0.1)), "masses[0].size", "missing"),
+    ],
+)
+def test_what_is_no_body(mass: Mass, key: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        scene_of(mass)
+    assert caught.value.key == key
+    assert words in caught.value.message
+
+
+def test_an_open_mesh_says_how_many_edges_are_open() -> None:
+    whole = ball((1.0, 0.5, 0.5), 0.2)
+    assert whole.triangles is not None
+    with pytest.raises(
+        InputError, match=r"masses\[0\].triangles: expected a closed surface, got one with 3 open edges"
+    ):
+        scene_of(dataclasses.replace(whole, triangles=whole.triangles[1:]), dimension=3)
+    swapped = (whole.triangles[0][::-1], *whole.triangles[1:])
+    with pytest.raises(InputError, match="all face the same way"):
+        scene_of(dataclasses.replace(whole, triangles=swapped), dimension=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("masses", "solids", "key", "words"),
+    [
+        ((Mass(lower=(0.1, 0.3), size=(0.3, 0.3)),), (SLOPE,), "masses[0]", "clear of solids[0]"),
+        ((Mass(kind="polygon", vertices=((0.1, 0.1), (0.4, 0.1), (0.1, 0.3))),), (SLOPE,), "masses[0]", "solids[0]"),
+        ((Mass(kind="particles", positions=((0.5, 0.2),)),), (SLOPE,), "masses[0]", "clear of solids[0]"),
+        (
+            (Mass(lower=(1.2, 0.2), size=(0.4, 0.3)),),
+            (SLOPE, Solid(lower=(1.4, 0.3), size=(0.001, 0.1), turned_deg=10.0)),
+            "masses[0]",
+            "clear of solids[1]",
+        ),
+        (
+            (Mass(lower=(0.5, 0.1), size=(0.1, 0.2)), Mass(kind="polygon", vertices=TRIANGLE)),
+            (),
+            "masses[1]",
+            "clear of masses[0]",
+        ),
+        (
+            (Mass(lower=(1.2, 0.15), size=(0.3, 0.2)), Mass(kind="layer", thickness=0.1)),
+            (SLOPE,),
+            "masses[1]",
+            "clear of masses[0]",
+        ),
+        (
+            (Mass(lower=(0.1, 0.3), size=(0.3, 0.3)),),
+            (Solid(lower=(2.5, 0.3), size=(0.3, 0.3)),),
+            "solids[0]",
+            "reaches",
+        ),
+    ],
+)
+def test_overlaps(masses: tuple[Mass, ...], solids: tuple[Solid, ...], key: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        scene_of(*masses, solids=solids)
+    assert caught.value.key == key
+    assert words in caught.value.message
+
+
+def test_overlaps_in_3d() -> None:
+    with pytest.raises(InputError, match=r"masses\[0\]: expected a body clear of solids\[0\].*layer"):
+        scene_of(Mass(lower=(0.5, 0.2, 0.1), size=(0.2, 0.2, 0.2)), solids=(VALLEY,), dimension=3)
+    with pytest.raises(InputError, match=r"masses\[0\]: expected a body clear of solids\[0\]"):
+        scene_of(ball((1.0, 0.4, 0.5), 0.35), solids=(VALLEY,), dimension=3)
+    with pytest.raises(InputError, match=r"masses\[1\]: expected a body clear of masses\[0\]"):
+        scene_of(ball((1.0, 0.5, 0.5), 0.2), ball((1.1, 0.5, 0.5), 0.2), dimension=3)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.12])
+def test_bodies_on_and_above_solids(gap: float) -> None:
+    flat = Mass(lower=(1.2, 0.1 + gap), size=(0.4, 0.2))
+    along = Mass(kind="polygon", vertices=((0.0, 0.5 + gap), (0.5, 0.3 + gap), (0.5, 0.8), (0.0, 0.8)))
+    box = Solid(lower=(1.7, 0.0), size=(0.2, 0.4))
+    on_box = Mass(lower=(1.7, 0.4 + gap), size=(0.1, 0.1))
+    scene = scene_of(flat, along, on_box, solids=(SLOPE, box))
+    np.testing.assert_allclose(heights_above_ground(scene), gap, atol=0.0125)
+    assert scene.remembers_gaps == (gap > 0.05)
+    cell = Domain(size=(2.0, 1.0, 1.0), cell=0.05)
+    deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3, domain=cell)
+    np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)
+
+
+def test_a_thin_layer_is_said_to_be_one() -> None:
+    with pytest.warns(UserWarning, match=r"masses\[0\]: 0.03 m thick in cells of 0.05 m"):
+        warn_if_unresolved(scene_of(Mass(kind="layer", thickness=0.03), solids=(SLOPE,)))

@@ -1,0 +1,280 @@
+"""Terrain, friction, thickness, meshes and particles from files; one line for what cannot be read."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+
+from datasets.errors import InputError
+from datasets.geometry.nearest import nearest
+from datasets.geometry.surface import surface_of
+from datasets.library import read_scene
+from datasets.particles import initial_particles, mass_volumes
+from datasets.scene import Scene
+from tests.datasets.geometry.test_nearest import sphere
+
+PLANE = """\
+duration = 0.1
+[domain]
+size = [2.0, 1.0]
+cell = 0.05
+[material]
+friction_deg = 30.0
+"""
+SPACE = PLANE.replace("[2.0, 1.0]", "[2.0, 1.0, 1.0]")
+BODY = "[[masses]]\nlower = [1.7, 0.8]\nsize = [0.2, 0.1]\n"
+BODY_3D = "[[masses]]\nlower = [1.7, 0.8, 0.4]\nsize = [0.2, 0.1, 0.2]\n"
+TERRAIN = '[[solids]]\nkind = "terrain"\n'
+ASCII = "ncols 20\nnrows 10\nxllcorner {0}\nyllcorner {1}\ncellsize 0.1\nNODATA_value -9999\n"
+
+
+def scene(folder: Path, text: str) -> Scene:
+    """The scene of `text`, read from a file in `folder`."""
+    (folder / "scene.toml").write_text(text)
+    return read_scene(str(folder / "scene.toml"))
+
+
+def tilted() -> np.ndarray:
+    """Rows of a raster, from north to south, of y = 0.1 + 0.1 x + 0.2 z at the centres of cells of 0.1 m."""
+    x, z = 0.05 + 0.1 * np.arange(20), 0.05 + 0.1 * np.arange(10)[::-1]
+    return 0.1 + 0.1 * x[None] + 0.2 * z[:, None]
+
+
+def write_ascii(path: Path, values: np.ndarray, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+    """An ESRI ASCII raster."""
+    path.write_text(ASCII.format(*corner) + "\n".join(" ".join(f"{v:.6f}" for v in row) for row in values) + "\n")
+
+
+def write_tiff(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
+    """A GeoTIFF whose lower left corner is at 500000, 5000000."""
+    profile = {
+        "driver": "GTiff",
+        "count": 1,
+        "height": values.shape[0],
+        "width": values.shape[1],
+        "dtype": "float64",
+        "crs": crs,
+        "nodata": -9999.0,
+        "transform": Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000000.0 + 0.1 * values.shape[0]),
+    } | changes
+    with rasterio.open(path, "w", **profile) as file:
+        file.write(values, 1)
+
+
+def ground(found: Scene, places: list[tuple[float, float, float]]) -> np.ndarray:
+    """Signed distances from the surface of a scene."""
+    surface = surface_of(found)
+    assert surface is not None
+    return nearest(surface, np.array(places)).distance
+
+
+def test_a_ground_line(tmp_path: Path) -> None:
+    (tmp_path / "line.csv").write_text("# surveyed\nx,y,friction\n0,500,0.2\n1000,100,0.4\n2000,100,0.4\n")
+    found = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nunit = "mm"\nadhesion = 3.0\n')
+    (solid,) = found.solids
+    assert solid.points == ((0.0, 0.5), (1.0, 0.1), (2.0, 0.1))
+    assert solid.friction == (0.2, 0.4, 0.4)
+    assert Scene.from_json(found.to_json()) == found
+    moved = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nunit = "mm"\nat = [0.0, 0.1]\n')
+    assert moved.solids[0].points == ((0.0, 0.6), (1.0, 0.2), (2.0, 0.2))
+
+
+@pytest.mark.parametrize("name", ["dem.asc", "dem.tif", "dem.csv"])
+def test_a_height_field(tmp_path: Path, name: str) -> None:
+    if name == "dem.asc":
+        write_ascii(tmp_path / name, tilted(), (1000.0, 2000.0))
+    elif name == "dem.tif":
+        write_tiff(tmp_path / name, tilted())
+    else:
+        rows = [(x, z, 0.1 + 0.1 * x + 0.2 * z) for x in np.linspace(0.0, 2.0, 11) for z in np.linspace(0.0, 1.0, 6)]
+        lines = [",".join(f"{v:.9g}" for v in row) for row in np.random.default_rng(0).permutation(rows)]
+        (tmp_path / name).write_text("\n".join(["x,z,y", *lines]))
+    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
+    slope = np.sqrt(1.0 + 0.1**2 + 0.2**2)
+    distance = ground(found, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])
+    np.testing.assert_allclose(distance, np.array([0.05, -0.09, 0.09]) / slope, atol=1e-6)
+    assert Scene.from_json(found.to_json()) == found
+
+
+def test_a_part_of_a_large_raster(tmp_path: Path) -> None:
+    x, z = 0.05 + 0.1 * np.arange(200), 0.05 + 0.1 * np.arange(150)[::-1]
+    write_tiff(tmp_path / "dem.tif", 0.1 + 0.01 * x[None] + 0.02 * z[:, None])
+    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-5.0, -8.0]\n')
+    expected = 0.1 + 0.01 * 6.0 + 0.02 * 8.5
+    distance = ground(found, [(1.0, expected, 0.5)])
+    np.testing.assert_allclose(distance, 0.0, atol=1e-6)
+    assert found.solids[0].heights is not None
+    assert len(found.solids[0].heights) < 40
+
+
+def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Path) -> None:
+    write_tiff(tmp_path / "dem.tif", np.full((10, 20), 0.2))
+    write_tiff(tmp_path / "mu.tif", 0.3 + 0.05 * (0.05 + 0.1 * np.arange(20))[None] + np.zeros((10, 1)))
+    # 0.4 x 0.3 m of release, 1.0 and 0.5 m from the corner.
+    place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
+    write_tiff(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=place)
+    found = scene(
+        tmp_path,
+        SPACE
+        + TERRAIN
+        + 'file = "dem.tif"\nfriction = "mu.tif"\n[[masses]]\nkind = "layer"\nthickness = "release.tif"\n',
+    )
+    surface = surface_of(found)
+    assert surface is not None
+    seen = nearest(surface, np.array([[1.02, 0.25, 0.51]]))
+    assert surface.friction[seen.face].mean() == pytest.approx(0.3 + 0.05 * 1.02, abs=0.003)
+    # Between the centres of the raster's cells.
+    assert mass_volumes(found)[0] == pytest.approx(0.3 * 0.2 * 0.1, rel=1e-6)
+    particles = initial_particles(found).positions
+    np.testing.assert_allclose(particles.min(axis=0), (1.05, 0.2, 0.55), atol=0.025)
+    np.testing.assert_allclose(particles.max(axis=0), (1.35, 0.3, 0.75), atol=0.025)
+
+
+def test_a_layer_from_a_csv_in_2d(tmp_path: Path) -> None:
+    (tmp_path / "depth.csv").write_text("x,thickness\n20,0\n70,10\n120,0\n")
+    text = '[[masses]]\nkind = "layer"\nthickness = "depth.csv"\nunit = "cm"\nat = [0.1, 0.0]\n'
+    found = scene(tmp_path, PLANE + text)
+    assert mass_volumes(found)[0] == pytest.approx(0.05, rel=1e-9)
+    assert found.masses[0].lower[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.ply", "ball.msh", "ball.vtu"])
+def test_a_mesh(tmp_path: Path, name: str) -> None:
+    vertices, triangles = sphere(np.zeros(3), 200.0, 3)
+    meshio.Mesh(vertices, [("triangle", triangles)]).write(
+        tmp_path / name, **({"file_format": "gmsh22"} if name.endswith("msh") else {})
+    )
+    text = f'kind = "mesh"\nfile = "{name}"\nscale = 0.001\nat = [1.0, 0.4, 0.5]\n'
+    found = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\n" + text)
+    distance = ground(found, [(1.0, 0.7, 0.5), (1.0, 0.4, 0.4)])
+    np.testing.assert_allclose(distance, [0.1, -0.1], atol=0.004)
+    body = scene(tmp_path, SPACE + "[[masses]]\n" + text)
+    assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
+
+
+def test_tetrahedra_have_a_skin(tmp_path: Path) -> None:
+    corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
+    cells = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+    meshio.Mesh(corners, [("tetra", cells)]).write(tmp_path / "cube.vtu")
+    found = scene(tmp_path, SPACE + '[[masses]]\nkind = "mesh"\nfile = "cube.vtu"\nat = [1.0, 0.1, 0.5]\n')
+    assert mass_volumes(found)[0] == pytest.approx(0.008, rel=1e-9)
+    assert len(initial_particles(found).positions) == 8**3
+
+
+def test_particles(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("x,y,vx,vy\n0.5,0.5,1,0\n0.6,0.5,0,2\n")
+    np.savez(tmp_path / "p.npz", positions=[[0.5, 0.5], [0.6, 0.5]], velocities=[[1.0, 0.0], [0.0, 2.0]], volume=1e-4)
+    for name, volume in (("p.csv", 0.025**2), ("p.npz", 1e-4)):
+        found = initial_particles(scene(tmp_path, PLANE + f'[[masses]]\nkind = "particles"\nfile = "{name}"\n'))
+        assert found.positions.tolist() == [[0.5, 0.5], [0.6, 0.5]]
+        assert found.velocities.tolist() == [[1.0, 0.0], [0.0, 2.0]]
+        np.testing.assert_allclose(found.volume, volume)
+
+
+def holes(path: Path) -> None:
+    values = tilted()
+    values[2, 3] = values[4, 5] = -9999.0
+    write_ascii(path, values)
+
+
+def open_ball(path: Path) -> None:
+    vertices, triangles = sphere(np.array([1.0, 0.4, 0.5]), 0.2, 2)
+    meshio.Mesh(vertices, [("triangle", triangles[1:])]).write(path)
+
+
+def csv(text: str) -> Callable[[Path], None]:
+    return lambda path: path.write_text(text) and None
+
+
+SQUARE = "x,z,y\n0,0,1\n0,1,1\n2,0,1\n2,1,1\n"
+CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
+    ("dem.asc", TERRAIN, holes, "expected a raster without holes in the box, got 2 cells without data"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "a geographic one in degrees"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:2263"), "metres, got one in US survey foot"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "heights over the whole box, x from 0"),
+    ("dem.tif", TERRAIN, csv("no raster"), "expected a readable raster"),
+    ("dem.png", TERRAIN, csv("no raster"), "expected a raster (.asc, .tif, .tiff) or a CSV"),
+    ("dem.asc", TERRAIN, None, "there is no such file"),
+    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1\n", "")), "1 are missing"),
+    ("dem.csv", TERRAIN, csv(SQUARE + "2,1,1\n"), "some are there twice"),
+    ("dem.csv", TERRAIN, csv(SQUARE + "3,0,1\n3,1,1\n"), "expected a regular grid, x has steps of 1 and of 2"),
+    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1", "2,1,nan")), "expected finite numbers in line 5"),
+    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1", "2,1,one")), "expected numbers in line 5, got '2,1,one'"),
+    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1", "2,1")), "expected 3 numbers in line 5, got 2"),
+    ("dem.csv", TERRAIN, csv("a,b\n1,2\n"), "expected a header with the columns `x`, `z`, `y`, got a, b"),
+    ("m.stl", '[[solids]]\nkind = "mesh"\n', open_ball, "expected a closed surface, got one with 3 open edges"),
+    ("m.stl", '[[masses]]\nkind = "mesh"\n', open_ball, "expected a closed surface, got one with 3 open edges"),
+    ("m.obj", '[[solids]]\nkind = "mesh"\n', csv("v 1 2"), "expected vertices of three"),
+    ("m.xyz", '[[solids]]\nkind = "mesh"\n', csv("v 1 2"), "of a kind that meshio reads"),
+    ("p.npz", '[[masses]]\nkind = "particles"\n', csv("no archive"), "expected an NPZ of plain numbers"),
+    (
+        "p.csv",
+        '[[masses]]\nkind = "particles"\n',
+        csv("x,y,z,vx\n1,0.5,0.5,1\n"),
+        "all of the columns `vx`, `vy`, `vz`",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "write", "words"), CASES)
+def test_files_that_are_refused(
+    tmp_path: Path, name: str, text: str, write: Callable[[Path], None] | None, words: str
+) -> None:
+    if write is not None:
+        write(tmp_path / name)
+    with pytest.raises(InputError) as caught:
+        scene(tmp_path, SPACE + ("" if "masses" in text else BODY_3D) + text + f'file = "{name}"\n')
+    message = str(caught.value)
+    assert words in message
+    assert "\n" not in message
+    assert name in message or "scene.toml" in message
+    assert "s[0]" in message
+
+
+def test_an_array_of_objects_is_not_loaded(tmp_path: Path) -> None:
+    np.savez(tmp_path / "p.npz", positions=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match="plain numbers"):
+        scene(tmp_path, PLANE + '[[masses]]\nkind = "particles"\nfile = "p.npz"\n')
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1]]\n",
+            "solids[0].points: expected a ground line over the whole box",
+        ),
+        (TERRAIN + "points = [[0.0, 0.1], [0.0, 0.1], [2.0, 0.1]]\n", "solids[0].points[1]: expected different points"),
+        (TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1], [1.0, 0.2]]\n", "solids[0].points[2]: expected x not to fall"),
+        (TERRAIN + "points = [[0.0, 0.1], [2.0, nan]]\n", "solids[0].points[1]"),
+        (TERRAIN + "points = [[0.0, 0.9], [2.0, 0.9]]\n", "masses[0]: expected a body clear of solids[0]"),
+        (TERRAIN, "solids[0].points: expected `points` or a file of a terrain"),
+        (
+            TERRAIN + "points = [[0.0, 0.1], [2.0, 0.1]]\nfriction = [0.1]\n",
+            "solids[0].friction: expected 2 coefficients",
+        ),
+        (TERRAIN + "points = [[0.0, 0.1], [2.0, 0.1]]\nfriction = -1\n", "solids[0].friction: expected a coefficient"),
+        (TERRAIN + "points = [[0.0, 0.1], [2.0, 0.1]]\nunit = 'mm'\n", "solids[0].unit: expected no such key"),
+        (TERRAIN + "file = 'x.csv'\nunit = 'inch'\n", "solids[0].unit: expected one of m, cm, mm, ft, got 'inch'"),
+        (TERRAIN + "file = 'x.csv'\nscale = 2\n", "solids[0].scale: expected no such key"),
+        ("[[solids]]\nkind = 'cone'\n", "solids[0].kind: expected box, polygon, terrain in 2D, got 'cone'"),
+        ("[[solids]]\nlower = [0.1, 0.1]\n", "solids[0].size: expected `lower`, `size` of a box"),
+        ("[[solids]]\nlower = [0.1, 0.1]\nsize = [0.1, 0.1]\nfrction = 1\n", "did you mean 'friction'"),
+        ("[[solids]]\nlower = [0.1, 0.1]\nsize = [0.1, 0.1]\ncontact = 'glue'\n", "solids[0].contact"),
+        (
+            "[[solids]]\nkind = 'polygon'\nvertices = [[0.1, 0.1], [0.5, 0.5], [0.5, 0.1], [0.1, 0.5]]\n",
+            "solids[0].vertices: expected a polygon that does not cross itself, it does at (0.3, 0.3)",
+        ),
+        ("open_sides = ['z-']\n", "open_sides[0]: expected one of x-, x+, y-, y+"),
+    ],
+)
+def test_solids_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    whole = text + PLANE + BODY if text.startswith("open") else PLANE + BODY + text
+    with pytest.raises(InputError) as caught:
+        scene(tmp_path, whole)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,175 @@
+"""Signed distances against closed forms: boxes, turned boxes, polygons, ground lines, height fields, spheres."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from datasets.geometry.nearest import inside, nearest
+from datasets.geometry.solid import Solid
+from datasets.geometry.surface import Surface, surface_of
+from datasets.scene import Scene
+from tests.datasets.geometry.solids import scene_of
+
+Floats = NDArray[np.float64]
+
+
+def surface(scene: Scene) -> Surface:
+    """The surface of a scene that has one."""
+    found = surface_of(scene)
+    assert found is not None
+    return found
+
+
+def places(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> Floats:
+    """Points at random in a box, shape [count, D]."""
+    return np.random.default_rng(7).uniform(low, high, (count, len(low)))
+
+
+def box_distance(points: Floats, centre: Floats, half: Floats) -> Floats:
+    """Signed distance from a box (closed form)."""
+    off = np.abs(points - centre) - half
+    return np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(axis=1), 0.0)
+
+
+def consistent(points: Floats, found: object) -> None:
+    """The foot, the normal and the distance say the same."""
+    np.testing.assert_allclose(found.foot + found.distance[:, None] * found.normal, points, atol=1e-9)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 30.0, -101.0])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_box(dimension: int, turned_deg: float) -> None:
+    low, size = (0.8, 0.4, 0.3)[:dimension], (0.4, 0.2, 0.3)[:dimension]
+    scene = scene_of(Solid(lower=low, size=size, turned_deg=turned_deg), size=(2.0, 1.0, 1.0)[:dimension])
+    points = places(3000, (0.5, 0.1, 0.0)[:dimension], (1.5, 0.9, 0.9)[:dimension])
+    centre, half = np.add(low, np.multiply(0.5, size)), np.multiply(0.5, size)
+    plane = [0, 1] if dimension == 2 else [0, 2]
+    c, s = math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))
+    local = points.copy()
+    local[:, plane] = (points - centre)[:, plane] @ np.array([[c, -s], [s, c]]) + centre[plane]
+    found = nearest(surface(scene), points)
+    np.testing.assert_allclose(found.distance, box_distance(local, centre, half), atol=1e-12)
+    consistent(points, found)
+
+
+def test_a_polygon_with_reflex_corners() -> None:
+    star = [
+        (1.0 + r * math.cos(a), 0.5 + r * math.sin(a))
+        for k in range(10)
+        for r, a in [((0.4, 0.15)[k % 2], 0.2 * math.pi * k)]
+    ]
+    points = places(3000, (0.5, 0.0), (1.5, 1.0))
+    polygon = shapely.Polygon(star)
+    expected = shapely.distance(shapely.points(points), polygon.exterior)
+    sign = np.where(shapely.contains_xy(polygon, *points.T), -1.0, 1.0)
+    for vertices in (star, star[::-1]):
+        found = nearest(surface(scene_of(Solid(kind="polygon", vertices=tuple(vertices)))), points)
+        np.testing.assert_allclose(found.distance, sign * expected, atol=1e-12)
+        consistent(points, found)
+
+
+def test_a_ground_line_with_a_kink_and_a_valley() -> None:
+    points = places(3000, (0.0, 0.0), (2.0, 1.0))
+    valley = Solid(kind="terrain", points=((0.0, 0.6), (0.8, 0.1), (1.4, 0.3), (2.0, 0.3)))
+    found = nearest(surface(scene_of(valley)), points)
+    # It goes on straight beyond the sides.
+    line = shapely.LineString([(-1.6, 1.6), (0.8, 0.1), (1.4, 0.3), (4.0, 0.3)])
+    height = np.interp(points[:, 0], [0.0, 0.8, 1.4, 2.0], [0.6, 0.1, 0.3, 0.3])
+    expected = np.where(points[:, 1] < height, -1.0, 1.0) * shapely.distance(shapely.points(points), line)
+    # The line ends some cells beyond the box: what lies farther from it may see that.
+    near = np.abs(expected) < 0.1
+    assert near.sum() > 500
+    np.testing.assert_allclose(found.distance[near], expected[near], atol=1e-12)
+    np.testing.assert_array_equal(found.distance < 0.0, expected < 0.0)
+
+
+def test_a_valley_on_a_height_field() -> None:
+    z = np.linspace(0.0, 1.0, 21)
+    rows = tuple(tuple(0.1 + 0.6 * np.abs(z - 0.5)) for _ in range(41))
+    solid = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.05, 0.05), heights=rows)
+    scene = scene_of(solid, size=(2.0, 1.0, 1.0), cell=0.05)
+    points = places(2000, (0.3, 0.0, 0.2), (1.7, 0.4, 0.8))
+    found = nearest(surface(scene), points)
+    # A plane on either side; above the valley's line the nearer of both, below it the line itself where that is nearer.
+    across = (points[:, 1] - 0.1 - 0.6 * np.abs(points[:, 2] - 0.5)) / math.hypot(1.0, 0.6)
+    line = np.hypot(points[:, 1] - 0.1, points[:, 2] - 0.5)
+    along = np.abs(points[:, 2] - 0.5) + 0.6 * (points[:, 1] - 0.1)
+    expected = np.where(along >= 0.0, across, -line)
+    np.testing.assert_allclose(found.distance, expected, atol=1e-12)
+    consistent(points, found)
+
+
+def test_a_kink_leaves_no_crack_between_its_sides() -> None:
+    z = np.linspace(0.0, 1.0, 11)
+    rows = tuple(tuple(0.4 - 0.3 * np.abs(z - 0.5)) for _ in range(21))
+    solid = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=rows)
+    ridge = surface(scene_of(solid, size=(2.0, 1.0, 1.0), cell=0.05))
+    x = np.linspace(0.0, 2.0, 201)
+    for offset, expected in ((-1e-7, True), (1e-7, False)):
+        points = np.stack([x, np.full_like(x, 0.4 + offset), np.full_like(x, 0.5)], axis=1)
+        assert (inside(ridge, points) == expected).all()
+
+
+def sphere(centre: Floats, radius: float, level: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices [V, 3] and triangles [T, 3] of an octahedron whose faces are cut in four `level` times, on a sphere."""
+    vertices = [np.array(v, float) for v in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
+    triangles = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
+    for _ in range(level):
+        middles: dict[tuple[int, int], int] = {}
+        finer = []
+
+        def middle(a: int, b: int, known: dict[tuple[int, int], int] = middles) -> int:
+            key = (min(a, b), max(a, b))
+            if key not in known:
+                place = vertices[a] + vertices[b]
+                vertices.append(place / np.linalg.norm(place))
+                known[key] = len(vertices) - 1
+            return known[key]
+
+        for a, b, c in triangles:
+            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            finer += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        triangles = finer
+    return centre + radius * np.array(vertices), np.array(triangles)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_sphere(flipped: bool) -> None:
+    centre = np.array([1.0, 0.5, 0.5])
+    vertices, triangles = sphere(centre, 0.3, 4)
+    solid = Solid(
+        kind="mesh",
+        vertices=tuple(map(tuple, vertices.tolist())),
+        triangles=tuple(map(tuple, (triangles[:, ::-1] if flipped else triangles).tolist())),
+    )
+    points = places(1000, (0.6, 0.1, 0.1), (1.4, 0.9, 0.9))
+    found = nearest(surface(scene_of(solid, size=(2.0, 1.0, 1.0))), points)
+    expected = np.linalg.norm(points - centre, axis=1) - 0.3
+    # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
+    assert np.abs(found.distance - expected).max() < 0.004
+    consistent(points, found)
+
+
+def test_pseudonormals_tell_the_side_where_faces_do_not() -> None:
+    # Above the tip of a sharp spike the nearest face alone can have either sign.
+    spike = Solid(kind="polygon", vertices=((0.9, 0.2), (1.1, 0.2), (1.0, 0.8)))
+    assert not inside(surface(scene_of(spike)), np.array([[1.0, 0.81], [1.001, 0.801], [0.999, 0.801]])).any()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_lies_farther_than_asked_for_is_not_looked_at(dimension: int) -> None:
+    size = (2.0, 1.0, 1.0)[:dimension]
+    boxes = [Solid(lower=(x, 0.0, 0.3)[:dimension], size=(0.1, 0.3, 0.2)[:dimension]) for x in (0.2, 0.9, 1.3)]
+    solids = surface(scene_of(*boxes, size=size))
+    points = places(2000, (0.0,) * dimension, size)
+    exact, found = nearest(solids, points), nearest(solids, points, within=0.05)
+    close = np.abs(exact.distance) <= 0.05
+    assert 10 < close.sum() < 1900
+    np.testing.assert_array_equal(found.distance[close], exact.distance[close])
+    np.testing.assert_array_equal(found.face[close], exact.face[close])
+    assert (np.isinf(found.distance[~close]) | (found.distance[~close] == exact.distance[~close])).all()
+    assert np.isinf(found.distance).sum() > 100

@@ -1,0 +1,163 @@
+"""Forces: exact means of the momentum that solids took, whatever the frames and the window; as CSV and as a plot."""
+
+import csv
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.forces import command, forces_of, write_forces
+from datasets.scene import Baffle
+from datasets.trajectory import Trajectory
+
+TIME = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.10])
+BAFFLES = (Baffle(lower=(0.12, 0.0), size=(0.02, 0.03)), Baffle(lower=(0.16, 0.0), size=(0.02, 0.03)))
+
+
+@pytest.fixture
+def flow(trajectory: Trajectory) -> Trajectory:
+    """Frames at uneven times, two baffles that take random momentum, walls that take 3 N/m along x, -5 along y."""
+    stream = np.random.default_rng(7)
+    impulse = np.cumsum(stream.normal(0.0, 1.0, (len(TIME), 2, 2)), axis=0)
+    impulse[0] = 0.0
+    every = np.arange(11) * 0.01
+    return dataclasses.replace(
+        trajectory,
+        positions=stream.random((len(TIME), 5, 2), np.float32),
+        time=TIME,
+        scene=dataclasses.replace(trajectory.scene, baffles=BAFFLES, duration=0.1, frame_dt=0.01),
+        solid_impulse=impulse,
+        summary={"wall_impulse": (every[:, None] * [3.0, -5.0]).tolist()},
+    )
+
+
+def rows(path: Path) -> tuple[list[str], np.ndarray]:
+    with path.open(newline="") as file:
+        head, *lines = list(csv.reader(file))
+    return head, np.array(lines, float)
+
+
+@pytest.mark.parametrize("window", [0.0, 0.003, 0.02, 0.1, 0.2])
+def test_force_times_time_is_the_impulse(flow: Trajectory, window: float) -> None:
+    forces = forces_of(flow, window=window)
+    assert forces.names == ("baffles[0]", "baffles[1]", "walls")
+    np.testing.assert_array_equal(forces.edges, TIME)
+    np.testing.assert_allclose(forces.impulse[:2], flow.solid_impulse[-1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(forces.impulse[2], [0.3, -0.5], rtol=1e-12)
+    # A constant force is none other in a window, ends included.
+    np.testing.assert_allclose(forces.force[:, 2], np.tile([3.0, -5.0], (5, 1)), rtol=1e-9)
+
+
+def test_a_window_is_a_moving_mean(flow: Trajectory) -> None:
+    """Against the mean of the force itself, sampled densely, over each interval and window."""
+    window, raw = 0.02, forces_of(flow)
+    found = forces_of(flow, window=window).force
+    fine = (np.arange(20_000) + 0.5) * (0.1 / 20_000)
+    force = raw.force[np.searchsorted(TIME, fine) - 1]
+    mirrored = np.concatenate([force[::-1], force, force[::-1]])
+    half = round(0.5 * window / 0.1 * 20_000)
+    total = np.concatenate([np.zeros_like(mirrored[:1]), np.cumsum(mirrored, axis=0)])
+    middle = 20_000 + np.arange(20_000)
+    moving = (total[middle + half] - total[middle - half]) / (2 * half)
+    for interval, (begin, end) in enumerate(itertools.pairwise(TIME)):
+        mean = moving[(fine > begin) & (fine < end)].mean(axis=0)
+        np.testing.assert_allclose(found[interval], mean, atol=2e-3 * np.abs(raw.force).max())
+
+
+def test_a_last_frame_alone_gives_the_mean_since_the_start(flow: Trajectory) -> None:
+    last = dataclasses.replace(
+        flow, positions=flow.positions[-1:], time=TIME[-1:], solid_impulse=flow.solid_impulse[-1:]
+    )
+    np.testing.assert_allclose(forces_of(last).force[0, :2], flow.solid_impulse[-1] / 0.1)
+    np.testing.assert_allclose(forces_of(last).force[0, 2], [3.0, -5.0])
+
+
+def test_frames_after_rest_are_none(flow: Trajectory) -> None:
+    """They repeat the moment of rest: a force of zero in them would be wrong."""
+    impulse = flow.solid_impulse.copy()
+    impulse[3:] = impulse[3]
+    walls = np.minimum(np.arange(11) * 0.01, 0.04)[:, None] * [3.0, -5.0]
+    rested = dataclasses.replace(
+        flow, solid_impulse=impulse, summary={"end_time": 0.04, "wall_impulse": walls.tolist()}
+    )
+    forces = forces_of(rested)
+    np.testing.assert_allclose(forces.time, [0.01, 0.02, 0.04])
+    np.testing.assert_allclose(forces.impulse[:2], impulse[-1], atol=1e-12)
+    np.testing.assert_allclose(forces.force[:, 2], np.tile([3.0, -5.0], (3, 1)))
+
+
+def test_named_sides_of_the_box_are_columns(tmp_path: Path, flow: Trajectory) -> None:
+    walls = np.array(flow.summary["wall_impulse"])
+    sides = {"floor": (walls * [0, 1]).tolist(), "x+": (walls * [1, 0]).tolist()}
+    write_forces(dataclasses.replace(flow, summary={"wall_impulse": sides}), tmp_path)
+    head, values = rows(tmp_path / "forces.csv")
+    assert head[5:] == ["floor_fx_N_per_m", "floor_fy_N_per_m", "x+_fx_N_per_m", "x+_fy_N_per_m"]
+    np.testing.assert_allclose(values[:, 5:], np.tile([0.0, -5.0, 3.0, 0.0], (5, 1)))
+
+
+def test_the_table_holds_the_impulse(tmp_path: Path, flow: Trajectory) -> None:
+    write_forces(flow, tmp_path)
+    head, values = rows(tmp_path / "forces.csv")
+    assert head[:3] == ["time_s", "baffles[0]_fx_N_per_m", "baffles[0]_fy_N_per_m"]
+    np.testing.assert_allclose(values[:, 0], TIME[1:])
+    given = (np.diff(values[:, 0], prepend=0.0)[:, None] * values[:, 1:5]).sum(axis=0)
+    np.testing.assert_allclose(given, flow.solid_impulse[-1].ravel(), rtol=1e-7)
+
+
+def test_three_dimensions_are_in_newtons(tmp_path: Path, flow: Trajectory) -> None:
+    scene = dataclasses.replace(
+        flow.scene,
+        domain=dataclasses.replace(flow.scene.domain, size=(0.2, 0.1, 0.1)),
+        masses=tuple(
+            dataclasses.replace(m, lower=(*m.lower, 0.0), size=(*m.size, 0.1), velocity=None) for m in flow.scene.masses
+        ),
+        baffles=tuple(Baffle(lower=(*b.lower, 0.0), size=(*b.size, 0.1)) for b in BAFFLES),
+    )
+    impulse = np.random.default_rng(1).random((len(TIME), 2, 3))
+    solid = dataclasses.replace(flow, scene=scene, solid_impulse=impulse, summary={})
+    write_forces(solid, tmp_path)
+    assert rows(tmp_path / "forces.csv")[0][-1] == "baffles[1]_fz_N"
+
+
+def test_the_peak_is_where_it_is_and_drawn(tmp_path: Path, flow: Trajectory) -> None:
+    impulse = np.zeros_like(flow.solid_impulse)
+    impulse[3:, 0, 0], impulse[5:, 1, 1] = 60.0, -40.0
+    forces = write_forces(dataclasses.replace(flow, solid_impulse=impulse, summary={}), tmp_path)
+    assert forces.peak("baffles[0]") == (pytest.approx(2000.0), pytest.approx(0.035))
+    assert forces.peak("baffles[1]") == (pytest.approx(1000.0), pytest.approx(0.08))
+    with pytest.raises(KeyError):
+        forces.peak("baffles[2]")
+    image = imread(tmp_path / "forces.png")
+    assert image.shape[0] > 400
+    assert image[..., :3].std() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("changes", "window", "said"),
+    [
+        ({"solid_impulse": None, "summary": {}}, 0.0, "recorded the momentum"),
+        ({}, -0.1, "window of 0 to 0.2 s"),
+        ({}, 0.3, "window of 0 to 0.2 s, got 0.3 s"),
+    ],
+)
+def test_what_cannot_be(flow: Trajectory, changes: dict[str, object], window: float, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        forces_of(dataclasses.replace(flow, **changes), window=window)
+
+
+def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:
+    flow.save(tmp_path / "run" / "trajectory.npz")
+    out = tmp_path / "out"
+    assert run(command, "forces", [str(tmp_path / "run"), "--out", str(out), "--smooth", "0.02"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("peak") == 3
+    assert "impulse (0.3, -0.5) N s/m" in said
+    assert {path.name for path in out.iterdir()} == {"forces.csv", "forces.png"}
+    dataclasses.replace(flow, solid_impulse=None, summary={}).save(tmp_path / "none.npz")
+    assert run(command, "forces", [str(tmp_path / "none.npz"), "--out", str(out)]) == 2
+    assert str(tmp_path / "none.npz") in capsys.readouterr().err

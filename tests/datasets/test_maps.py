@@ -1,0 +1,278 @@
+"""Maps as files: read back by rasterio and as GeoJSON, on the right side up; the command in 2D and 3D."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from matplotlib.image import imread
+from shapely.geometry import shape
+
+from datasets.command_line import run
+from datasets.geometry.solid import Solid
+from datasets.library import read_scene
+from datasets.map_pictures import draw_map
+from datasets.maps import COLUMNS, command, write_maps, write_profile
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.plan import map_edges, maps_of, station_edges
+from datasets.rasters import LOCAL, Georeference, area, outline, write_outlines, write_raster
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+
+PLACE = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
+
+
+@pytest.fixture
+def flow() -> Trajectory:
+    """A block at small x and large z that slides along x, past a baffle, on a terrain that falls along x."""
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.6, 0.5), cell=0.05),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.1, 0.3, 0.35), size=(0.2, 0.1, 0.1)),),
+        baffles=(Baffle(lower=(0.7, 0.0, 0.05), size=(0.1, 0.3, 0.1)),),
+        solids=(Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.25, 0.2), (0.1, 0.05))),),
+        duration=0.4,
+        frame_dt=0.1,
+        jitter=0.0,
+    )
+    start = initial_particles(scene)
+    shift = np.arange(5)[:, None, None] * np.array([0.1, -0.02, 0.0])
+    return Trajectory(
+        positions=(start.positions + shift).astype(np.float32),
+        time=np.arange(5) * 0.1,
+        velocity0=np.tile(np.float32([1.0, -0.2, 0.0]), (len(start.positions), 1)),
+        friction=start.friction,
+        scene=scene,
+    )
+
+
+def flat(flow: Trajectory) -> Trajectory:
+    """The same in 2D, on a level floor, of as many particles."""
+    scene = dataclasses.replace(
+        flow.scene,
+        domain=Domain(size=(1.0, 0.6), cell=0.05),
+        masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.1)),),
+        baffles=(),
+        solids=(),
+    )
+    start = initial_particles(scene)
+    shift = np.arange(5)[:, None, None] * np.array([0.1, 0.0])
+    return dataclasses.replace(
+        flow,
+        positions=(start.positions + shift).astype(np.float32),
+        velocity0=np.tile(np.float32([1.0, 0.0]), (len(start.positions), 1)),
+        friction=start.friction,
+        scene=scene,
+    )
+
+
+def band(path: Path) -> tuple[np.ndarray, Any]:
+    with rasterio.open(path) as raster:
+        return raster.read(1), raster.profile
+
+
+@pytest.mark.parametrize("kind", ["tif", "asc"])
+@pytest.mark.parametrize("place", [LOCAL, PLACE])
+def test_a_raster_read_back(tmp_path: Path, flow: Trajectory, kind: Any, place: Georeference) -> None:
+    maps = maps_of(flow, map_edges(flow.scene, 0.025))
+    write_raster(tmp_path / f"map.{kind}", maps.thickness, 0.025, place, kind=kind, name="thickness", unit="m")
+    values, profile = band(tmp_path / f"map.{kind}")
+    assert values.shape == (20, 40)
+    np.testing.assert_allclose(values[::-1].T, maps.thickness, rtol=1e-6, atol=1e-9)
+    assert values.astype(float).sum() * 0.025**2 == pytest.approx(maps.volume, rel=1e-6)
+    transform = profile["transform"]
+    # The north-western corner of the raster, and its cells.
+    assert (transform.c, transform.f) == pytest.approx((place.east, place.north + 0.5))
+    assert (transform.a, transform.e) == pytest.approx((0.025, -0.025))
+    assert (profile["crs"] is None) == (place.crs is None)
+    if place.crs:
+        assert profile["crs"].to_epsg() == 25832
+    # What lies at large z lies in the north, in the first rows; at the end the block is between x = 0.5 and 0.7.
+    rows, columns = np.nonzero(values > 0.05)
+    assert rows.max() < 8
+    assert (columns.min(), columns.max()) == pytest.approx((20, 27), abs=1)
+    with rasterio.open(tmp_path / f"map.{kind}") as raster:
+        if kind == "tif":
+            assert (raster.units[0], raster.descriptions[0]) == ("m", "thickness")
+        assert raster.bounds == pytest.approx((place.east, place.north, place.east + 1.0, place.north + 0.5))
+
+
+def test_an_outline_is_a_disc_with_a_hole() -> None:
+    """In anticlockwise and clockwise rings, closed, whose area is that of the disc to second order."""
+    cell, place = 0.01, Georeference(east=1000.0, north=2000.0)
+    x, z = np.meshgrid(*[(np.arange(100) + 0.5) * cell] * 2, indexing="ij")
+    distance = np.hypot(x - 0.5, z - 0.4)
+    values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
+    (rings,) = polygons = outline(values, cell, place, 0.05)
+    assert len(rings) == 2
+    assert area(polygons) == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
+    assert all(ring[0] == ring[-1] for ring in rings)
+    polygon = shape({"type": "Polygon", "coordinates": rings})
+    assert polygon.is_valid
+    assert polygon.exterior.is_ccw
+    assert not polygon.interiors[0].is_ccw
+    assert (polygon.centroid.x, polygon.centroid.y) == pytest.approx((1000.5, 2000.4), abs=1e-3)
+
+
+def test_an_outline_ends_at_the_walls() -> None:
+    polygons = outline(np.full((10, 4), 0.2), 0.1, LOCAL, 0.05)
+    assert area(polygons) == pytest.approx(0.4, rel=1e-5)
+    assert np.array(polygons[0][0]).min(axis=0) == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05) == []
+
+
+@pytest.mark.parametrize("place", [LOCAL, PLACE])
+def test_outlines_as_geojson(tmp_path: Path, place: Georeference) -> None:
+    found = outline(np.full((10, 4), 0.2), 0.1, place, 0.05)
+    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": []}, 0.05, place)
+    text = json.loads((tmp_path / "outline.geojson").read_text())
+    deposit, release = text["features"]
+    assert deposit["properties"] == {"name": "deposit", "threshold_m": 0.05, "area_m2": pytest.approx(0.4, rel=1e-5)}
+    assert shape(deposit["geometry"]).area == pytest.approx(0.4, rel=1e-5)
+    assert release["geometry"] == {"type": "MultiPolygon", "coordinates": []}
+    named = text.get("crs", {}).get("properties")
+    assert named == (None if place is LOCAL else {"name": "urn:ogc:def:crs:EPSG::25832"})
+
+
+def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
+    maps = maps_of(flow, map_edges(flow.scene, 0.05), threshold=0.02)
+    write_maps(flow, maps, tmp_path, ("tif", "asc", "geojson"), PLACE)
+    names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "asc", "prj")}
+    assert {path.name for path in tmp_path.iterdir()} == names | {"outline.geojson", "maps.json"}
+    said = json.loads((tmp_path / "maps.json").read_text())
+    assert said["volume"] == pytest.approx(0.2 * 0.1 * 0.1, rel=1e-9)
+    assert (said["east"], said["north"], said["crs"]) == (500_000.0, 5_200_000.0, "EPSG:25832")
+    assert (said["time"], said["cell"], said["threshold"], said["left"]) == (0.4, 0.05, 0.02, 0.0)
+    # The block of 0.2 by 0.1 m, its edge spread over two spacings; it slid by 0.4 m to 0.7 m.
+    assert said["area_release"] == pytest.approx(0.2 * 0.1, rel=0.7)
+    assert said["area_deposit"] == pytest.approx(said["area_release"], rel=0.05)
+    assert said["area_covered"] > 2.5 * said["area_deposit"]
+    assert said["reach"] == pytest.approx(0.7, abs=0.05)
+    assert said["thickness_max"] == pytest.approx(0.1, rel=0.25)
+    assert said["velocity_max"] == pytest.approx(np.hypot(1.0, 0.2), rel=1e-3)
+    velocity, _ = band(tmp_path / "velocity.tif")
+    depth, _ = band(tmp_path / "depth.tif")
+    np.testing.assert_allclose(velocity[depth > 0.03], np.hypot(1.0, 0.2), rtol=1e-3)
+    outlines = json.loads((tmp_path / "outline.geojson").read_text())["features"]
+    assert [feature["properties"]["name"] for feature in outlines] == ["deposit", "covered", "release"]
+
+
+def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A slope that falls to the east, surveyed in UTM; the box begins 10 m east and 5 m north of its corner."""
+    elevation = np.tile(20.0 - 0.5 * (np.arange(60) + 0.5), (40, 1))
+    profile = {
+        "driver": "GTiff",
+        "width": 60,
+        "height": 40,
+        "count": 1,
+        "dtype": "float64",
+        "crs": "EPSG:25832",
+        "transform": rasterio.Affine(1.0, 0.0, 690_000.0, 0.0, -1.0, 5_300_040.0),
+    }
+    with rasterio.open(tmp_path / "dem.tif", "w", **profile) as raster:
+        raster.write(elevation, 1)
+    (tmp_path / "slope.toml").write_text(
+        "duration = 0.1\nframe_dt = 0.1\n[domain]\nsize = [20.0, 30.0, 30.0]\ncell = 1.0\n"
+        "[material]\nfriction_deg = 30.0\n"
+        '[[solids]]\nkind = "terrain"\nfile = "dem.tif"\nat = [-10.0, -5.0]\n'
+        "[[masses]]\nlower = [2.0, 18.0, 22.0]\nsize = [4.0, 2.0, 6.0]\n"
+    )
+    scene = read_scene(str(tmp_path / "slope.toml"))
+    start = initial_particles(scene)
+    flow = Trajectory(
+        positions=start.positions[None].astype(np.float32),
+        time=np.zeros(1),
+        velocity0=start.velocities.astype(np.float32),
+        friction=start.friction,
+        scene=scene,
+    )
+    flow.save(tmp_path / "trajectory.npz")
+    assert (
+        run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), "--formats", "tif,geojson"])
+        == 0
+    )
+    with rasterio.open(tmp_path / "thickness.tif") as raster:
+        assert raster.crs.to_epsg() == 25832
+        assert raster.bounds == pytest.approx((690_010.0, 5_300_005.0, 690_030.0, 5_300_035.0))
+        ((west, south, east, north),) = [shape(each["geometry"]).bounds for each in deposits(tmp_path)]
+    assert (west, east) == pytest.approx((690_012.0, 690_016.0), abs=1.0)
+    assert (south, north) == pytest.approx((5_300_027.0, 5_300_033.0), abs=1.0)
+    maps = maps_of(flow, map_edges(scene, 1.0))
+    # Half a metre of fall for every metre; the raster's own values at the middles of its cells.
+    np.testing.assert_allclose(maps.ground, np.tile(elevation[0, 10:30], (30, 1)).T, atol=1e-9)
+
+
+def deposits(folder: Path) -> list[Any]:
+    features = json.loads((folder / "outline.geojson").read_text())["features"]
+    return [feature for feature in features if feature["properties"]["name"] == "deposit"]
+
+
+def test_pictures_show_the_deposit_on_the_ground(tmp_path: Path, flow: Trajectory) -> None:
+    write_maps(flow, maps_of(flow, map_edges(flow.scene, 0.05)), tmp_path, ("png",), LOCAL)
+    assert {path.name for path in tmp_path.iterdir()} == {"thickness.png", "depth.png", "velocity.png", "maps.json"}
+    image = imread(tmp_path / "thickness.png")[..., :3]
+    coloured = image.max(axis=2) - image.min(axis=2) > 0.3
+    rows, columns = np.nonzero(coloured[:, : int(0.85 * image.shape[1])])
+    # The deposit lies right of the middle and above it; the relief is grey.
+    assert np.median(columns) > 0.45 * image.shape[1]
+    assert np.median(rows) < 0.5 * image.shape[0]
+    level = dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(), baffles=()))
+    maps = maps_of(level, map_edges(flow.scene, 0.05))
+    draw_map(tmp_path / "level.png", maps, maps.thickness, level.scene, LOCAL, label="", colours="YlOrBr", title="")
+    # Without relief there is no grey but that of the lines.
+    assert np.median(imread(tmp_path / "level.png")[..., :3]) > np.median(image)
+
+
+def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
+    flow = flat(flow)
+    maps = maps_of(flow, station_edges(flow.scene, 0.05))
+    write_profile(flow, maps, tmp_path, ("csv", "png"))
+    rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
+    assert rows.dtype.names == COLUMNS
+    np.testing.assert_allclose(rows["x"], np.arange(21) * 0.05, atol=1e-9)
+    assert np.trapezoid(rows["height"], rows["x"]) == pytest.approx(0.2 * 0.1, rel=1e-6)
+    np.testing.assert_array_equal(rows["surface"], rows["height"])
+    assert rows["largest_depth"].max() == pytest.approx(0.1, rel=1e-4)
+    np.testing.assert_allclose(rows["largest_velocity"][rows["largest_depth"] > 0.09], 1.0, rtol=1e-3)
+    said = json.loads((tmp_path / "maps.json").read_text())
+    assert said["volume"] == pytest.approx(0.02)
+    assert said["reach"] == pytest.approx(0.7, abs=0.05)
+    assert "area_deposit" not in said
+    assert imread(tmp_path / "profile.png").shape[0] > 300
+
+
+def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:
+    flow.save(tmp_path / "run" / "trajectory.npz")
+    out = tmp_path / "out"
+    assert (
+        run(command, "maps", [str(tmp_path / "run"), "--out", str(out), "--cell", "0.1", "--formats", "asc,geojson"])
+        == 0
+    )
+    assert "volume 0.002 m³" in capsys.readouterr().out
+    names = {"thickness.asc", "depth.asc", "velocity.asc", "outline.geojson", "maps.json"}
+    assert {path.name for path in out.iterdir()} == names
+    flat(flow).save(tmp_path / "flat.npz")
+    assert run(command, "maps", [str(tmp_path / "flat.npz"), "--out", str(tmp_path / "profile")]) == 0
+    assert {path.name for path in (tmp_path / "profile").iterdir()} == {"profile.csv", "profile.png", "maps.json"}
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--formats", "tiff"], "--formats: expected some of tif, asc, png, geojson, separated by commas, got 'tiff'"),
+        (["--cell", "0"], "--cell: expected a length of at most 0.5 m"),
+        (["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
+    ],
+)
+def test_mistakes_are_one_line(
+    tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str], flags: list[str], said: str
+) -> None:
+    flow.save(tmp_path / "trajectory.npz")
+    assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path / "out"), *flags]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1

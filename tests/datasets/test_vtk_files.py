@@ -1,0 +1,166 @@
+"""VTKHDF, XDMF and VTU: read back with VTK's own readers and meshio's, every part, array and time."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+import pyvista
+from meshio.xdmf import TimeSeriesReader
+from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
+from vtkmodules.vtkIOHDF import vtkHDFReader
+from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
+
+from datasets import vtkhdf
+from datasets.command_line import WorkFailed
+from datasets.geometry.solid import Solid
+from datasets.trajectory import Trajectory
+from datasets.vtk import Meshes, write_vtk
+from datasets.vtkhdf import write_vtkhdf
+from datasets.xdmf import write_xdmf
+from tests.datasets.toys import toy
+
+
+@pytest.fixture(params=[2, 3])
+def flow(request: pytest.FixtureRequest) -> Trajectory:
+    """A block before two baffles and a wall, with stresses and impulses."""
+    flow, stream = toy(request.param), np.random.default_rng(8)
+    frames, points, dimension = flow.positions.shape
+    wall = Solid(lower=(0.46, 0.0, 0.0)[:dimension], size=(0.02, 0.1, 0.04)[:dimension])
+    if dimension == 3:
+        wall = dataclasses.replace(wall, lower=(0.36, 0.0, 0.0))
+    return dataclasses.replace(
+        flow,
+        scene=dataclasses.replace(flow.scene, solids=(wall,)),
+        stress=stream.random((frames, points, 4 if dimension == 2 else 6), np.float32),
+        solid_impulse=stream.random((frames, 3, dimension)),
+    )
+
+
+def frames_in(reader: Any, path: Path) -> dict[float, Any]:
+    """What a reader of VTK's gives for each time that it tells of."""
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    about, key = reader.GetOutputInformation(0), vtkStreamingDemandDrivenPipeline.TIME_STEPS()
+    frames = {}
+    for index in range(about.Length(key)):
+        reader.UpdateTimeStep(about.Get(key, index))
+        frames[about.Get(key, index)] = pyvista.wrap(reader.GetOutputDataObject(0)).copy()
+    return frames
+
+
+def same(found: Any, wanted: pyvista.PolyData) -> None:
+    np.testing.assert_array_equal(found.points, wanted.points)
+    for kind in ("point_data", "cell_data"):
+        arrays, others = getattr(found, kind), getattr(wanted, kind)
+        assert set(arrays) == set(others)
+        for name in others:
+            np.testing.assert_array_equal(arrays[name], others[name])
+            assert arrays[name].dtype == others[name].dtype
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, every: int) -> None:
+    path, meshes = tmp_path / "trajectory.vtkhdf", Meshes(flow)
+    write_vtkhdf(flow, path, every=every)
+    frames = frames_in(vtkHDFReader(), path)
+    kept = list(range(0, 6, every)) if every == 1 else [0, 2, 4, 5]
+    assert list(frames) == flow.time[kept].tolist()
+    since = 0
+    for frame, blocks in zip(kept, frames.values(), strict=True):
+        assert blocks.keys() == ["points", "baffles", "solids", "domain"]
+        for name in ("points", "baffles", "solids", "domain"):
+            wanted = meshes.part(name, frame, since)
+            same(blocks[name], wanted)
+            cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], wanted)]
+            for found, known in zip(*cells, strict=True):
+                np.testing.assert_array_equal(found, known)
+        assert blocks["points"].point_data.active_vectors_name == "velocity"
+        assert blocks["solids"].cell_data.active_vectors_name == "force"
+        since = frame
+
+
+def test_pyvista_reads_vtkhdf_as_it_is(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
+    blocks = pyvista.read(tmp_path / "trajectory.vtkhdf")
+    np.testing.assert_array_equal(blocks["points"].points[:, :2], flow.positions[0, :, :2])
+
+
+def test_vtkhdf_says_its_units_and_stores_once_what_stays(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
+    with h5py.File(tmp_path / "trajectory.vtkhdf") as file:
+        root, points = file["VTKHDF"], flow.positions.shape[1]
+        assert root["points/PointData/velocity"].attrs["units"] == "m/s"
+        assert root["solids/CellData/force"].attrs["units"] == ("N/m" if flow.scene.dimension == 2 else "N")
+        assert len(root["points/PointData/velocity"]) == 6 * points
+        assert len(root["points/PointData/material"]) == points
+        assert len(root["baffles/Points"]) < 20
+
+
+def test_a_vtkhdf_that_fails_leaves_the_older_one(
+    tmp_path: Path, flow: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "trajectory.vtkhdf"
+    write_vtkhdf(flow, path)
+    before = path.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(vtkhdf.Block, "write", full)
+    with pytest.raises(WorkFailed, match=r"trajectory\.vtkhdf could not be written: no space left"):
+        write_vtkhdf(flow, path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["trajectory.vtkhdf"]
+
+
+def test_xdmf_by_meshio(tmp_path: Path, flow: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    write_xdmf(flow, tmp_path / "out", every=2)
+    assert list(elsewhere.iterdir()) == []
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"trajectory.xdmf", "trajectory.h5"}
+    meshes, kept = Meshes(flow), [0, 2, 4, 5]
+    with TimeSeriesReader(tmp_path / "out" / "trajectory.xdmf") as reader:
+        assert reader.num_steps == 4
+        for step, frame in enumerate(kept):
+            reader.mesh_grid = reader.collection[step]
+            points, cells = reader.read_points_cells()
+            time, arrays, _ = reader.read_data(step)
+            assert time == flow.time[frame]
+            np.testing.assert_array_equal(points[:, : flow.scene.dimension], flow.positions[frame])
+            np.testing.assert_array_equal(cells[0].data.ravel(), np.arange(len(points)))
+            wanted = meshes.arrays("points", frame, 0)
+            assert arrays.keys() == wanted.keys()
+            for name, values in wanted.items():
+                np.testing.assert_array_equal(arrays[name], values)
+
+
+def test_xdmf_by_vtk(tmp_path: Path, flow: Trajectory) -> None:
+    write_xdmf(flow, tmp_path)
+    frames = frames_in(vtkXdmfReader(), tmp_path / "trajectory.xdmf")
+    assert list(frames) == flow.time.tolist()
+    for frame, points in enumerate(frames.values()):
+        wanted = Meshes(flow).part("points", frame, 0)
+        np.testing.assert_array_equal(points.points, wanted.points)
+        np.testing.assert_array_equal(points["displacement"], wanted["displacement"])
+        assert points.n_cells == points.n_points
+
+
+def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
+    write_vtk(flow, tmp_path, suffix=".vtu")
+    assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == flow.time.tolist()
+    meshes = Meshes(flow)
+    for part, kind in (("points", "point_data"), ("baffles", "cell_data"), ("solids", "cell_data")):
+        found, wanted = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
+        np.testing.assert_array_equal(found.points, wanted.points)
+        for name, values in getattr(wanted, kind).items():
+            array = found.point_data[name] if kind == "point_data" else np.concatenate(found.cell_data[name])
+            np.testing.assert_array_equal(array, values)
+    # A series of one kind takes the place of one of the other.
+    write_vtk(flow, tmp_path)
+    assert not list(tmp_path.glob("*.vtu"))

@@ -1,0 +1,286 @@
+"""Contact with solids: exact statics at any offset, closed forms of sliding, no leaks, momentum."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datasets.geometry.nearest import nearest
+from datasets.geometry.solid import Solid
+from datasets.geometry.surface import surface_of
+from datasets.material import Material
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm.simulate import simulate
+
+SAND = Material(friction_deg=30.0, density=1500.0, young=1.0e6, poisson=0.3)
+CELL, GRAVITY = 0.02, 9.81
+DEPTH = 0.2
+
+
+def total_energy(flow: Trajectory) -> np.ndarray:
+    """Kinetic, potential and elastic energy of every frame [J/m or J], shape [T]."""
+    series = flow.summary["energy"]
+    return np.sum([series[key] for key in ("kinetic", "potential", "elastic")], axis=0)
+
+
+def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes: object) -> Scene:
+    """A layer on a level surface `offset` cells above a node, between smooth walls, unstressed at the start."""
+    top, width = 5 * CELL + offset * CELL, 0.4 if dimension == 2 else 0.12
+    deep = (width,) * (dimension - 2)
+    solids: tuple[Solid, ...] = ()
+    if terrain:
+        solids = (Solid(kind="terrain", points=((0.0, top), (0.3 * width, top), (width, top)), friction=0.5),)
+    settings = {
+        "domain": Domain(size=(width, 0.4, *deep), cell=CELL),
+        "masses": (Mass(lower=(0.0, top, *(0.0 for _ in deep)), size=(width, DEPTH, *deep)),),
+        "baffles": () if terrain else (Baffle(lower=(0.0, 0.0, *(0.0 for _ in deep)), size=(width, top, *deep)),),
+        "solids": solids,
+        "baffle_friction": 0.5,
+        "duration": 1.0,
+        "frame_dt": 0.01,
+        "step_fraction": 0.9,
+    } | changes
+    return Scene(material=SAND, **settings)  # type: ignore[arg-type]
+
+
+def assert_at_rest(flow: Trajectory, top: float, since: int) -> None:
+    """The layer neither sinks nor rises beyond its elastic settlement, gains no energy, and weighs what it weighs."""
+    scene = flow.scene
+    weight = SAND.density * GRAVITY * DEPTH * np.prod([s for k, s in enumerate(scene.domain.size) if k != 1])
+    nu = SAND.poisson
+    modulus = SAND.young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    settlement = SAND.density * GRAVITY * DEPTH**2 / (3.0 * modulus)
+    height = flow.positions[:, :, 1].mean(axis=1)
+    assert height[since:].mean() - height[0] == pytest.approx(-settlement, abs=0.05 * CELL)
+    energy = total_energy(flow)
+    assert energy.max() - energy[0] <= 1.0e-3 * weight * 0.5 * DEPTH
+    assert flow.solid_impulse is not None
+    given = flow.solid_impulse[-1, 0] - flow.solid_impulse[since, 0]
+    force = given / (flow.time[-1] - flow.time[since])
+    assert force[1] == pytest.approx(-weight, rel=0.01)
+    assert flow.positions[:, :, 1].min() >= top - 1.0e-5 * CELL
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.25, 0.5, 0.83])
+def test_a_layer_on_a_baffle_rests_wherever_its_face_cuts_the_cells(offset: float) -> None:
+    scene = layer(offset)
+    assert_at_rest(simulate(scene), 5 * CELL + offset * CELL, since=40)
+
+
+def test_a_layer_on_a_terrain_rests() -> None:
+    assert_at_rest(simulate(layer(0.37, terrain=True)), 5.37 * CELL, since=40)
+
+
+def test_a_layer_rests_in_three_dimensions() -> None:
+    assert_at_rest(simulate(layer(0.6, dimension=3, duration=0.6)), 5.6 * CELL, since=20)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terrain", [False, True])
+@pytest.mark.parametrize("offset", np.arange(0.0, 1.0, 0.1).tolist())
+def test_a_layer_rests_for_five_seconds_at_any_offset(offset: float, terrain: bool) -> None:
+    flow = simulate(layer(offset, terrain=terrain, duration=5.0))
+    assert_at_rest(flow, 5 * CELL + offset * CELL, since=250)
+    assert flow.solid_impulse is not None
+    weight = SAND.density * GRAVITY * DEPTH * 0.4
+    force = (flow.solid_impulse[-1, 0, 1] - flow.solid_impulse[250, 0, 1]) / 2.5
+    assert force == pytest.approx(-weight, rel=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.75])
+def test_a_layer_rests_for_five_seconds_in_three_dimensions(offset: float) -> None:
+    assert_at_rest(simulate(layer(offset, dimension=3, duration=5.0)), 5 * CELL + offset * CELL, since=250)
+
+
+@pytest.mark.parametrize("changes", [{"relaxation_time": 0.0}, {"particles_per_axis": 3}, {"step_fraction": 0.4}])
+def test_a_layer_rests_with_other_transfers_particles_and_steps(changes: dict[str, object]) -> None:
+    assert_at_rest(simulate(layer(0.7, **changes)), 5.7 * CELL, since=40)
+
+
+def test_a_bed_with_k0_rests_on_a_solid_from_the_first_frame_on() -> None:
+    """Geostatic stress in equilibrium with the contact itself: nothing moves."""
+    scene = layer(0.4)
+    scene = dataclasses.replace(scene, masses=(dataclasses.replace(scene.masses[0], k0=0.5),), duration=0.2)
+    flow = simulate(scene, precision="f64")
+    speed = np.linalg.norm(np.diff(flow.positions.astype(float), axis=0), axis=2).max() / scene.frame_dt
+    assert speed < 2.0e-3
+
+
+def block(angle_deg: float, offset: float) -> Scene:
+    """An elastic block on a plate in a tilted box, Coulomb coefficient 0.5, from its static state."""
+    cell = 0.01
+    top = (4.0 + offset) * cell
+    return Scene(
+        domain=Domain(size=(1.0, 0.2), cell=cell),
+        material=Material(young=2.0e7, poisson=0.0, friction_deg=30.0, cohesion=1.0e9, tension_cutoff=1.0e9),
+        masses=(Mass(lower=(0.2, top), size=(0.2, 0.1), k0="elastic"),),
+        baffles=(Baffle(lower=(0.0, 0.0), size=(1.0, top)),),
+        baffle_friction=0.5,
+        slope_deg=angle_deg,
+        duration=0.6,
+        frame_dt=0.01,
+    )
+
+
+@pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
+def test_a_block_holds_below_the_angle_of_its_base_and_slides_beyond_it_by_the_closed_form() -> None:
+    """a = g (sin theta - mu cos theta), where that is positive (Coulomb)."""
+    for offset in (0.0, 0.3):
+        holds = simulate(block(24.0, offset))
+        moved = (holds.positions[-1] - holds.positions[0])[:, 0].mean()
+        assert abs(moved) < 1.0e-4
+        slides = simulate(block(33.0, offset))
+        where = slides.positions[:, :, 0].mean(axis=1, dtype=float)
+        late = slides.time > 0.2
+        speed = np.gradient(where, slides.time)
+        acceleration = np.polyfit(slides.time[late], speed[late], 1)[0]
+        theta = np.radians(33.0)
+        assert acceleration == pytest.approx(GRAVITY * (np.sin(theta) - 0.5 * np.cos(theta)), rel=0.01)
+
+
+def thrown(*baffles: Baffle, speed: float) -> Scene:
+    """A block of sand thrown along the box."""
+    return Scene(
+        domain=Domain(size=(2.0, 0.6), cell=CELL),
+        material=SAND,
+        masses=(Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(speed, 0.0)),),
+        baffles=baffles,
+        duration=0.2,
+        frame_dt=0.002,
+    )
+
+
+@pytest.mark.parametrize(("thickness", "speed"), [(0.5, 50.0), (0.2, 20.0), (0.05, 5.0)])
+def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
+    face = 0.8 + 0.3 * CELL
+    scene = thrown(Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6)), speed=speed)
+    assert simulate(scene).positions[:, :, 0].max() <= face + 1.0e-6
+
+
+def test_sand_on_touching_solids_stays_above_them() -> None:
+    """Terrain of baffles of a cell and a half that touch, their tops level or in steps: no joint lets a particle in."""
+    edge = 1.5 * CELL
+    for rise in (0.0, 0.3):
+        baffles = tuple(
+            Baffle(lower=(index * edge, 0.0), size=(edge, 0.213 + rise * CELL * (index % 3))) for index in range(20)
+        )
+        scene = Scene(
+            domain=Domain(size=(20 * edge, 0.6), cell=CELL),
+            material=SAND,
+            masses=(Mass(lower=(0.1, 0.24), size=(0.3, 0.2)),),
+            baffles=baffles,
+            baffle_friction=0.3,
+            duration=0.8,
+            frame_dt=0.01,
+        )
+        assert_outside(simulate(scene))
+
+
+def assert_outside(flow: Trajectory) -> None:
+    """No particle is inside a solid, in any tenth frame."""
+    surface = surface_of(flow.scene)
+    assert surface is not None
+    for positions in flow.positions[::10]:
+        assert nearest(surface, positions.astype(float)).distance.min() > -1.0e-5 * flow.scene.domain.cell
+
+
+def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
+    for points in (
+        ((0.0, 0.45), (0.35, 0.2), (0.4, 0.27), (0.8, 0.05)),
+        ((0.0, 0.5), (0.28, 0.1), (0.3, 0.1), (0.58, 0.5), (0.8, 0.5)),
+    ):
+        scene = Scene(
+            domain=Domain(size=(0.8, 0.8), cell=CELL),
+            material=SAND,
+            masses=(Mass(lower=(0.05, 0.52), size=(0.5, 0.2)),),
+            solids=(Solid(kind="terrain", points=points, friction=0.4),),
+            duration=0.8,
+            frame_dt=0.01,
+        )
+        assert_outside(simulate(scene))
+
+
+def test_momentum_goes_into_sides_and_solids_alone() -> None:
+    """P(t) - P(0) = M g t less what every side of the box and every solid took, a slope and a turned box among them."""
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.6), cell=CELL),
+        material=SAND,
+        masses=(Mass(lower=(0.0, 0.36), size=(0.2, 0.2)),),
+        solids=(
+            Solid(kind="terrain", points=((0.0, 0.35), (0.5, 0.1), (1.0, 0.06)), friction=0.2),
+            Solid(lower=(0.6, 0.1), size=(0.1, 0.1), turned_deg=30.0, friction=0.4),
+        ),
+        duration=0.6,
+        frame_dt=0.01,
+    )
+    flow = simulate(scene, fields=True, precision="f64")
+    assert flow.velocities is not None
+    assert flow.solid_impulse is not None
+    mass = SAND.density * scene.particle_volume
+    momentum = mass * flow.velocities.sum(axis=1, dtype=float)
+    weight = np.outer(flow.time, scene.gravity_vector) * mass * flow.positions.shape[1]
+    sides = np.sum(list(flow.summary["side_impulse"].values()), axis=0)
+    error = momentum - weight + sides + flow.solid_impulse.sum(axis=1)
+    assert np.abs(error).max() < 1.0e-5 * np.abs(weight).max()
+    assert flow.solid_impulse[-1, 1, 0] > 0.0
+
+
+def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
+    def slope(**surface: object) -> Trajectory:
+        scene = Scene(
+            domain=Domain(size=(1.0, 0.4), cell=CELL),
+            material=Material(friction_deg=45.0, density=1500.0, young=1.0e6, poisson=0.3, cohesion=2000.0),
+            masses=(Mass(lower=(0.3, 0.087), size=(0.3, 0.06)),),
+            solids=(Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface),),  # type: ignore[arg-type]
+            slope_deg=25.0,
+            duration=0.5,
+            frame_dt=0.01,
+        )
+        return simulate(scene)
+
+    slides, sticks = slope(friction=0.2), slope(contact="no-slip")
+    moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
+    exact = 0.5 * GRAVITY * (np.sin(np.radians(25.0)) - 0.2 * np.cos(np.radians(25.0))) * 0.5**2
+    assert moved[0] == pytest.approx(exact, rel=0.1)
+    assert abs(moved[1]) < 0.03 * moved[0]
+
+
+def test_adhesion_holds_cohesive_soil_under_a_ceiling() -> None:
+    """A thin elastic plate hangs from a ceiling that bears more tension than its weight, and falls from one without."""
+
+    def fall(adhesion: float) -> float:
+        scene = Scene(
+            domain=Domain(size=(0.2, 0.4), cell=CELL),
+            material=Material(young=1.0e6, poisson=0.0, friction_deg=30.0, cohesion=1.0e5, tension_cutoff=1.0e5),
+            masses=(Mass(lower=(0.0, 0.2), size=(0.2, 0.1)),),
+            solids=(Solid(lower=(0.0, 0.3), size=(0.2, 0.1), adhesion=adhesion),),
+            duration=0.2,
+            frame_dt=0.01,
+        )
+        flow = simulate(scene)
+        return float((flow.positions[0] - flow.positions[-1])[:, 1].mean())
+
+    assert fall(1.0e4) < 0.1 * CELL
+    assert fall(0.0) > 0.1
+
+
+def test_open_sides_let_sand_out_and_count_it() -> None:
+    scene = Scene(
+        domain=Domain(size=(0.6, 0.4), cell=CELL),
+        material=SAND,
+        masses=(Mass(lower=(0.2, 0.0), size=(0.2, 0.3)),),
+        open_sides=("x+",),
+        floor_friction=0.2,
+        duration=1.0,
+        frame_dt=0.01,
+    )
+    flow = simulate(scene)
+    wide = dataclasses.replace(scene, domain=Domain(size=(2.0, 0.4), cell=CELL), open_sides=())
+    beyond = float((simulate(wide).positions[-1, :, 0] > 0.6).mean())
+    total = SAND.density * 0.2 * 0.3
+    share = flow.summary["outflow"]["x+"] / total
+    assert share == pytest.approx((flow.positions[-1, :, 0] > 0.6).mean(), abs=1.0e-9)
+    assert share == pytest.approx(beyond, rel=0.15)
+    assert beyond > 0.05

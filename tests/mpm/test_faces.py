@@ -1,0 +1,128 @@
+"""Lists of faces hold every face that a particle of the cell can need, and nodes see what the reference sees."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datasets.geometry.nearest import feet, nearest
+from datasets.geometry.solid import Solid
+from datasets.geometry.surface import Surface, surface_of
+from datasets.scene import Baffle, Domain, Mass, Material, Scene
+from mpm.faces import Faces, faces_near, node_positions, node_shape
+from mpm.layout import PADDING
+
+CELL = 0.05
+WAVES = tuple(
+    tuple(0.1 + 0.05 * np.sin(3.0 * x) + 0.1 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11))
+    for x in np.linspace(0.0, 1.0, 14)
+)
+SCENES = {
+    2: (
+        Solid(kind="terrain", points=((0.0, 0.5), (0.43, 0.2), (1.0, 0.22)), friction=(0.1, 0.3, 0.4)),
+        Solid(kind="polygon", vertices=((0.6, 0.4), (0.9, 0.42), (0.7, 0.45), (0.72, 0.8))),
+        Solid(lower=(0.2, 0.6), size=(0.013, 0.2), turned_deg=25.0, contact="no-slip"),
+    ),
+    3: (
+        Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0 / 13.0, 0.1), heights=WAVES, friction=0.3),
+        Solid(lower=(0.5, 0.0, 0.3), size=(0.02, 0.7, 0.3), turned_deg=30.0, friction=0.5),
+    ),
+}
+
+
+def scene_of(dimension: int) -> Scene:
+    """A scene with solids of several kinds and a baffle."""
+    size = (1.0, 1.0, 1.0)[:dimension]
+    return Scene(
+        domain=Domain(size=size, cell=CELL),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension),),
+        baffles=(Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension]),),
+        solids=SCENES[dimension],
+    )
+
+
+def surface(scene: Scene) -> Surface:
+    """The surface of a scene that has one."""
+    found = surface_of(scene)
+    assert found is not None
+    return found
+
+
+def listed(found: Faces, cell: int) -> set[int]:
+    """The faces in the list of a cell."""
+    return set(found.faces[found.first[cell] : found.first[cell + 1]].tolist())
+
+
+def cells_of(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The cell of each point, by the number of its lowest node."""
+    index = np.floor(points / CELL).astype(np.int64) + PADDING
+    return np.ravel_multi_index(tuple(index.T), node_shape(scene))
+
+
+@pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_cell_lists_what_its_points_need(dimension: int, reach: float) -> None:
+    scene = scene_of(dimension)
+    whole = surface(scene)
+    found = faces_near(scene, whole, reach=reach)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
+    cells = cells_of(scene, points)
+    seen = nearest(whole, points)
+    directions = rng.normal(size=points.shape)
+    ends = points + CELL * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    ways = points + np.linspace(0.0, 1.0, 17)[:, None, None] * (ends - points)
+    near = 0
+    for number, cell in enumerate(cells.tolist()):
+        faces = listed(found, cell)
+        if abs(seen.distance[number]) <= reach * CELL:
+            near += 1
+            assert int(seen.face[number]) in faces
+        # A face that is met on the way comes closer to a sample than the samples lie apart.
+        corners = np.broadcast_to(whole.corners, (17, *whole.corners.shape))
+        flat = np.repeat(ways[:, number], len(whole.corners), axis=0)
+        distance = feet(corners.reshape(-1, dimension, dimension), flat)[1].reshape(17, -1).min(axis=0)
+        assert set(np.flatnonzero(distance < 1e-3 * CELL).tolist()) <= faces
+    assert near > 8
+    lengths = np.diff(found.first)
+    assert lengths.max() < (25 if dimension == 2 else 120)
+    assert (lengths == 0).sum() > 0.2 * len(lengths)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_nodes_see_the_surface(dimension: int) -> None:
+    scene = scene_of(dimension)
+    whole = surface(scene)
+    found = faces_near(scene, whole, reach=1.5)
+    everything = np.arange(int(np.prod(node_shape(scene))))
+    seen = nearest(whole, node_positions(scene, everything))
+    # The last nodes along an axis are the lowest of no cell.
+    last = np.array([axis[-1] for axis in np.stack(np.unravel_index(everything, node_shape(scene)))[:, -1:]])
+    within = (np.stack(np.unravel_index(everything, node_shape(scene)), axis=1) < last).all(axis=1)
+    near = np.flatnonzero((np.abs(seen.distance) <= 1.5 * CELL) & within)
+    np.testing.assert_array_equal(found.nodes, near)
+    np.testing.assert_allclose(found.distance, seen.distance[near], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)
+    assert (found.solid == whole.solid[found.face]).all()
+    stuck = np.array([solid.contact == "no-slip" for solid in scene.solids])[np.maximum(found.solid - 1, 0)]
+    np.testing.assert_array_equal(np.isinf(found.friction), stuck & (found.solid > 0))
+    distance, normal, solid = found.everywhere()
+    assert np.isinf(distance).sum() == len(everything) - len(near)
+    assert (solid[near] == found.solid).all()
+    assert (normal[solid < 0] == 0.0).all()
+
+
+def test_an_empty_neighbourhood() -> None:
+    scene = scene_of(2)
+    away = Surface(
+        corners=np.array([[[50.0, 50.0], [51.0, 50.0]]]),
+        normals=np.array([[0.0, -1.0]]),
+        corner_normals=np.array([[[0.0, -1.0]] * 2]),
+        edge_normals=np.zeros((1, 0, 2)),
+        solid=np.zeros(1, np.int32),
+        friction=np.zeros((1, 2)),
+        adhesion=np.zeros(1),
+    )
+    found = faces_near(scene, away)
+    assert len(found.faces) == len(found.nodes) == 0
+    assert (found.first == 0).all()

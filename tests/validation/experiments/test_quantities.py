@@ -1,0 +1,102 @@
+"""Fronts, heights and profiles of deposits that are known."""
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.scene import Domain, Mass, Scene
+from validation.experiments.experiment import Measured, Quantity, Status
+from validation.experiments.quantities import edge, quantity
+
+BLOCK = Scene(
+    domain=Domain(size=(1.0, 0.2), cell=0.01),
+    material=Material(friction_deg=30.0),
+    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)),),
+    jitter=0.0,
+)
+AT_START = initial_particles(BLOCK).positions
+
+
+def number(kind: Quantity, **other: object) -> Measured:
+    """A measured number of a kind."""
+    return Measured(
+        quantity=kind,
+        value=0.1,
+        spread=0.01,
+        spread_from="",
+        status=Status.READ,
+        source="",
+        **other,  # type: ignore[arg-type]
+    )
+
+
+def test_height_is_that_of_the_surface() -> None:
+    assert quantity(number(Quantity.HEIGHT, within=0.05), BLOCK, AT_START) == pytest.approx(0.1)
+
+
+def test_front_by_share_and_by_thickness() -> None:
+    assert quantity(number(Quantity.FRONT), BLOCK, AT_START) == pytest.approx(0.4, abs=0.006)
+    thin = quantity(number(Quantity.FRONT, thicker_than=0.05), BLOCK, AT_START)
+    assert thin == pytest.approx(0.4, abs=0.006)
+
+
+def test_edge_is_linear_between_stations_and_ends_with_the_deposit() -> None:
+    stations = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.0]), 0.05) == pytest.approx(0.25)
+    # A crumb beyond a gap does not belong to the deposit.
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.2]), 0.05) == pytest.approx(0.25)
+    assert edge(stations, np.array([0.3, 0.3, 0.3, 0.3, 0.3]), 0.05) == 0.4
+    assert edge(stations, np.array([0.0, 0.0, 0.01, 0.0, 0.0]), 0.05) == pytest.approx(0.2)
+
+
+def test_radius_is_about_the_vertical_axis() -> None:
+    angles = np.linspace(0.0, np.pi / 2.0, 1001)
+    circle = np.stack([0.3 * np.cos(angles), np.zeros(1001), 0.3 * np.sin(angles)], axis=1)
+    assert quantity(number(Quantity.RADIUS), BLOCK, circle) == pytest.approx(0.3)
+
+
+def test_profile_is_held_against_the_rows() -> None:
+    measured = Measured(
+        quantity=Quantity.PROFILE,
+        spread=0.01,
+        spread_from="",
+        status=Status.READ,
+        source="",
+        x=(0.1, 0.2, 0.3, 0.6),
+        heights=(0.1, 0.12, 0.1, 0.0),
+    )
+    # One row of four is 20 mm off.
+    assert quantity(measured, BLOCK, AT_START) == pytest.approx(0.01, rel=1e-3)
+
+
+@pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
+def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
+    with pytest.raises(InputError):
+        Measured(
+            quantity=Quantity.PROFILE,
+            spread=0.01,
+            spread_from="",
+            status=Status.READ,
+            source="",
+            x=x,
+            heights=heights,
+        )
+
+
+def test_a_camera_sees_what_lies_beside_the_walls() -> None:
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.2, 0.12), cell=0.02),
+        material=Material(friction_deg=30.0),
+        masses=(
+            Mass(lower=(0.0, 0.0, 0.04), size=(0.6, 0.1, 0.04)),
+            Mass(lower=(0.0, 0.0, 0.0), size=(0.4, 0.1, 0.04)),
+        ),
+        jitter=0.0,
+    )
+    positions = initial_particles(scene).positions
+    # The middle reaches to 0.6 m, one wall's side to 0.4 m, the other's is empty: 50 mm in the mean beside the walls.
+    beside = quantity(number(Quantity.FRONT, thicker_than=0.04, beside_walls=0.04), scene, positions)
+    assert beside == pytest.approx(0.4, abs=0.03)
+    assert quantity(number(Quantity.FRONT, thicker_than=0.02), scene, positions) == pytest.approx(0.6, abs=0.03)

@@ -1,0 +1,1 @@
+"""Pages of measurements by name: `python -m validation.bench NAME --out docs`."""

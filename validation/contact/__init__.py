@@ -1,0 +1,1 @@
+"""Contact with solids, measured: `python -m validation.bench contact`."""

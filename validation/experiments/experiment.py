@@ -1,0 +1,243 @@
+"""A measured experiment as data: `NAME/experiment.toml` and the scenes beside it.
+
+A number is there because it stood in a source that was read, or follows from such numbers; `status` says which. What
+the authors do not state is listed with the choice made for it.
+"""
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.library import read_scene
+from datasets.scene import Domain, Scene
+from datasets.strict import Strict, from_mapping, read_toml
+
+FOLDER = Path(__file__).parent
+
+
+class Status(StrEnum):
+    """Where a number comes from; one from memory alone is not used."""
+
+    READ = "read"
+    WORKED_OUT = "worked out"
+
+
+class Quantity(StrEnum):
+    """What was measured on a deposit."""
+
+    FRONT = "front"
+    RADIUS = "radius"
+    HEIGHT = "height"
+    PROFILE = "profile"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Angle(Strict):
+    """An angle of friction of the material that was measured by itself, not on the flow."""
+
+    name: str
+    """Such as avalanche or repose."""
+    lower_deg: float
+    """Least value that the sources allow [deg]."""
+    upper_deg: float
+    """Largest one [deg]."""
+    status: Status
+    source: str
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.lower_deg <= self.upper_deg < 90.0:
+            raise InputError(
+                f"expected 0 < lower_deg <= upper_deg < 90, got {self.lower_deg:g} and {self.upper_deg:g}",
+                key="lower_deg",
+            )
+
+    @property
+    def deg(self) -> float:
+        """Middle of the range [deg]."""
+        return 0.5 * (self.lower_deg + self.upper_deg)
+
+    @property
+    def half_width_deg(self) -> float:
+        """Half of the range [deg]."""
+        return 0.5 * (self.upper_deg - self.lower_deg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured(Strict):
+    """A measured number, or a measured profile."""
+
+    quantity: Quantity
+    """front: x [m] that 99.5 % of the particles are behind, or where the deposit first gets thinner than
+    `thicker_than`; radius: the same share by distance from the vertical axis; height: of the surface [m] next to the
+    wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0."""
+    value: float = 0.0
+    """[m], from the wall x = 0."""
+    spread: float
+    """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
+    spread_from: str
+    """Where the spread comes from."""
+    status: Status
+    source: str
+    beyond: str = ""
+    """Why the computation may miss it: printed where it does, by more than twice the spread."""
+    thicker_than: float | None = None
+    """Thickness [m] by which the measurement defines a front."""
+    beside_walls: float | None = None
+    """In 3D, width [m] of the strips along both side walls over which a front by thickness is taken: what a camera sees
+    that looks through a wall. The whole width where absent."""
+    within: float | None = None
+    """Strip [m] next to the wall over which a height is taken."""
+    x: tuple[float, ...] = ()
+    """Where the heights of a profile were measured [m], ascending."""
+    heights: tuple[float, ...] = ()
+    """Of the surface at `x` [m]."""
+
+    def __post_init__(self) -> None:
+        if self.spread <= 0.0:
+            raise InputError(f"expected a positive length in m, got {self.spread:g}", key="spread")
+        if self.quantity is Quantity.HEIGHT and self.within is None:
+            raise InputError("expected a value, a height needs one", key="within")
+        if self.quantity is Quantity.PROFILE and not len(self.x) == len(self.heights) > 1:
+            raise InputError(f"expected as many heights as x, {len(self.x)}, and two or more", key="heights")
+        if any(later <= earlier for earlier, later in itertools.pairwise(self.x)):
+            raise InputError("expected lengths that ascend", key="x")
+        if self.quantity is not Quantity.PROFILE and self.value <= 0.0:
+            raise InputError(f"expected a positive length in m, got {self.value:g}", key="value")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course(Strict):
+    """An extent over time; time counts from the first row on, at which the computation is as far as the measurement."""
+
+    times: tuple[float, ...]
+    """[s], ascending from 0."""
+    values: tuple[float, ...]
+    """[m]."""
+    spreads: tuple[float, ...]
+    """[m]."""
+    spread_from: str
+    status: Status
+    source: str
+
+    def __post_init__(self) -> None:
+        if not len(self.times) == len(self.values) == len(self.spreads) > 1:
+            raise InputError(
+                f"expected as many values and spreads as times, two or more, got {len(self.times)} times,"
+                f" {len(self.values)} values and {len(self.spreads)} spreads",
+                key="times",
+            )
+        if self.times[0] != 0.0 or any(later <= earlier for earlier, later in itertools.pairwise(self.times)):
+            raise InputError("expected times that ascend from 0", key="times")
+        if min(self.spreads) <= 0.0:
+            raise InputError("expected positive lengths in m", key="spreads")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case(Strict):
+    """A scene and what was measured in it."""
+
+    name: str
+    scene: str
+    """File of the scene, beside the experiment."""
+    cells: tuple[float, float] | None = None
+    """Its own grid cells [m]; the experiment's where absent."""
+    measured: tuple[Measured, ...]
+    """The first one that is a front or a radius is what an angle is inferred from."""
+    course: Course | None = None
+    """The same extent over time, to be held against a run at the angle that was inferred."""
+
+    @property
+    def target(self) -> int | None:
+        """Index of the measured number that an angle is inferred from."""
+        extents = (Quantity.FRONT, Quantity.RADIUS)
+        return next((number for number, each in enumerate(self.measured) if each.quantity in extents), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant(Strict):
+    """A scene that differs in one respect, computed on the coarse cells: what that respect is worth."""
+
+    name: str
+    case: str
+    scene: str
+    says: str
+    """What differs, and why it is tried."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unsaid(Strict):
+    """Something the authors do not state."""
+
+    what: str
+    choice: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment(Strict):
+    """The contents of an `experiment.toml`."""
+
+    title: str
+    what: str
+    source: str
+    licence: str
+    floor: float | str
+    """Coulomb coefficient of the floor [-], or "material": a floor as rough as the grains, tan(phi)."""
+    angles: tuple[Angle, ...] = ()
+    """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
+    cells: tuple[float, float]
+    """Grid cells, the coarse and the fine one [m]."""
+    cases: tuple[Case, ...]
+    variants: tuple[Variant, ...] = ()
+    unsaid: tuple[Unsaid, ...] = ()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.floor, str) and self.floor != "material":
+            raise InputError(f"expected a coefficient or 'material', got {self.floor!r}", key="floor")
+        names = [case.name for case in self.cases]
+        for number, variant in enumerate(self.variants):
+            if variant.case not in names:
+                raise InputError(
+                    f"expected one of {', '.join(names)}, got {variant.case!r}", key=f"variants[{number}].case"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shipped:
+    """An experiment and the folder it was read from."""
+
+    name: str
+    folder: Path
+    experiment: Experiment
+
+    def cells(self, case: Case) -> tuple[float, float]:
+        """Grid cells of a case, the coarse and the fine one [m]."""
+        return case.cells or self.experiment.cells
+
+    def scene(self, file: str, cell: float, friction_deg: float) -> Scene:
+        """The scene of `file` on another cell [m], of grains at another angle of friction [deg], floor included."""
+        scene = read_scene(str(self.folder / file)).with_friction_deg(friction_deg)
+        floor = self.experiment.floor
+        return dataclasses.replace(
+            scene,
+            domain=Domain(size=scene.domain.size, cell=cell),
+            floor_friction=math.tan(math.radians(friction_deg)) if isinstance(floor, str) else floor,
+        )
+
+
+def read_experiment(folder: Path) -> Shipped:
+    """Read `folder`/experiment.toml. Raises InputError, which names the file and the key."""
+    path = folder / "experiment.toml"
+    try:
+        return Shipped(name=folder.name, folder=folder, experiment=from_mapping(Experiment, read_toml(path)))
+    except InputError as error:
+        raise error if error.where else error.at(str(path)) from None
+
+
+def read_experiments(folder: Path = FOLDER) -> list[Shipped]:
+    """Every experiment in `folder`, by name. Raises InputError."""
+    return [read_experiment(path.parent) for path in sorted(folder.glob("*/experiment.toml"))]
