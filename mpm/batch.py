@@ -128,10 +128,12 @@ class Batch:
         tables = [obstacles_of(scene) for scene in self.scenes] if self.features.contact else []
         geometry = face = near = held = 0
         cell_faces, near_faces, held_nodes = [], [], []
+        self.first_faces: list[int] = []
         for offset, table in zip(self.offsets, tables, strict=False):
             offset[Offset.GEOMETRY] = geometry
             cell_faces.append(table.cell_faces + near)
             near_faces.append(table.near_faces + face)
+            self.first_faces.append(face)
             held_nodes.append(np.where(table.held_nodes > 0, table.held_nodes + held, 0))
             geometry += len(table.cell_faces)
             face, near, held = face + len(table.faces), near + len(table.near_faces), held + len(table.node_contacts)
@@ -180,7 +182,9 @@ class Batch:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
         if features.contact:
-            put(features.contacts, initial_contacts(scene, particles.positions))
+            contacts = initial_contacts(scene, particles.positions)
+            contacts[:, Contact.FACE] += self.first_faces[index]
+            put(features.contacts, contacts)
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.

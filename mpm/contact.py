@@ -32,7 +32,7 @@ keep it in balance; it is held like a node behind a wall of the box (`mpm.bounda
 import taichi as ti
 
 from mpm.boundary import stopped_by
-from mpm.face_lookup import cell_of, face_vector, first_crossed, nearest_face
+from mpm.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
 from mpm.lanes import add, lane_maximum, lane_minimum, larger, smaller
 from mpm.layout import Contact, Setting, Worker, component
 
@@ -160,12 +160,12 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     features, lanes = arrays.features, arrays.features.lanes
     if touches(block, arrays):
         prepare_contact(block, scratch, arrays)
-        number, value = contact_at(block, Contact.SOLID, arrays), contact_at(block, Contact.IMPULSE, arrays)
+        face, value = contact_at(block, Contact.FACE, arrays), contact_at(block, Contact.IMPULSE, arrays)
         for k in ti.static(range(features.dimension)):
             force = arrays.scratch[scratch + features.push + k]
             arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
             for lane in range(lanes):
-                solid = ti.cast(arrays.lanes[number * lanes + lane], ti.i32)
+                solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
                 give(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
 
 
@@ -258,28 +258,28 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             moved = True
             if v.dot(normal) < 0.0:
                 v = stopped_by(v, normal, arrays.faces[face, features.face_friction])
-                solid = ti.cast(arrays.faces[face, features.face_solid], ti.i32)
+                solid = solid_of(face, arrays)
     # Beyond the cells that have faces there are none within the reach of their search.
     delta, distance = 0.0 * cell, arrays.settings[scene, Setting.REACH]
     here = cell_of(x, scene, arrays)
     if arrays.cell_faces[here] < arrays.cell_faces[here + 1]:
-        face, weights, normal, d = nearest_face(x, here, arrays)
+        last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
+        face, weights, normal, d = nearest_face(x, last, here, arrays)
         friction = 0.0 * d
         for k in ti.static(range(dimension)):
             friction += weights[k] * arrays.faces[face, features.face_friction + k]
-        number = arrays.faces[face, features.face_solid]
         if d < 0.0:
             x = x - d * normal
             d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
                 v = stopped_by(v, normal, friction)
-                solid = ti.cast(number, ti.i32)
+                solid = solid_of(face, arrays)
         distance = ti.min(d, distance)
         q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
         delta = 2.0 / arrays.settings[scene, Setting.CONTACT_WIDTH] * (1.0 - q * q * (3.0 - 2.0 * q))
         arrays.lanes[contact + Contact.ADHESION * lanes] = arrays.faces[face, features.face_adhesion]
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
-        arrays.lanes[contact + Contact.SOLID * lanes] = number
+        arrays.lanes[contact + Contact.FACE * lanes] = face
         # The shear traction turns with the surface, and ends where the particle leaves it.
         shear = lane_vector(contact + (Contact.NORMAL + dimension) * lanes, arrays)
         shear = shear - shear.dot(normal) * normal

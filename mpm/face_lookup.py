@@ -68,18 +68,27 @@ def covers_point(face, point, arrays: ti.template()):
 
 
 @ti.func
-def nearest_face(x, cell_index, arrays: ti.template()):
+def solid_of(face, arrays: ti.template()):
+    """The number of a face's solid."""
+    return ti.cast(arrays.faces[face, arrays.features.face_solid], ti.i32)
+
+
+@ti.func
+def nearest_face(x, last, cell_index, arrays: ti.template()):
     """Of the faces listed for a cell that nearest to `x` [m]: its number, the weights of its corners at the foot, the
 
-    normal n [-] and the signed distance d [m], negative inside, with x = foot + d n.
+    normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last: where to look first.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
     least = 0.0 * x[0] + 1.0e30
-    face, feature = -1, 0
+    face, feature = last, 0
     weights, offset = 0.0 * x, 0.0 * x
-    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
-        candidate = arrays.near_faces[at]
+    first = arrays.cell_faces[cell_index]
+    for number in range(arrays.cell_faces[cell_index + 1] - first + 1):
+        candidate = last
+        if number > 0:
+            candidate = arrays.near_faces[first + number - 1]
         # No point of a face is nearer than its plane.
         height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
         if height * height < least:

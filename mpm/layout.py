@@ -103,7 +103,7 @@ class Contact(Column):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     ADHESION = auto()  # of that face [Pa]
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
-    SOLID = auto()  # the number of its solid
+    FACE = auto()  # the line of that face in `faces`
     IMPULSE = auto()  # one component of what a particle gives to its solid; before that its mass
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 

@@ -109,6 +109,6 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     found[:, Contact.DISTANCE] = np.maximum(places.distance, 0.0)
     found[:, Contact.ADHESION] = surface.adhesion[places.face]
     found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, NO_SLIP)[places.face]).sum(axis=1)
-    found[:, Contact.SOLID] = surface.solid[places.face]
+    found[:, Contact.FACE] = places.face
     found[:, Contact.NORMAL : Contact.NORMAL + dimension] = places.normal
     return found
