@@ -105,6 +105,9 @@ def prepare(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> tuple[
         rough = max(rough, own_rough)
     noise, by_chance = np.concatenate([np.diag(each) for each in covariance]), np.concatenate(chance)
     scale = np.sqrt(noise + by_chance**2)
+    if not np.all(scale > 0.0):
+        name = next(part.name for part in parts if not np.all(scale[part.numbers] > 0.0))
+        raise InputError(f"expected a noise above 0 for {name}, whose numbers are all 0", key="observations")
     combined = Combined(parts, scale, by_chance)
     whole = blocks(covariance) / np.outer(scale, scale)
     deposit = None if hidden is None else hidden.positions[-1]

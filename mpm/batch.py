@@ -11,6 +11,7 @@ from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
 from datasets.scene import SIDES, Scene
 from mpm import rest
+from mpm.gate_layout import Gate, Held, Holding
 from mpm.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
@@ -18,9 +19,6 @@ from mpm.layout import (
     Contact,
     Energy,
     Features,
-    Gate,
-    Held,
-    Holding,
     Offset,
     Precision,
     StepControl,

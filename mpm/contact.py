@@ -7,7 +7,8 @@ solid, d: a particle's distance). With a delta of width h, that of the first row
     L_p = C_p + delta_h(d_p) (n . v_f) n n^T,    v_f = sum_i w_ip v_i* - d_p C_p n
     delta_h(d) = (2 / h) (1 - 3 q^2 + 2 q^3),    q = d / h in [0, 1];    its integral over d is 1
 
-is what strains the particle: approaching the surface compresses the sand that touches it.
+is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
+(`mpm.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is unstable.
 
 **Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
 virtual power a particle gives to a node
@@ -22,8 +23,8 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
-**Deep nodes.** A node deeper than HELD_DEPTH in a solid is reached by the first row alone, which could not keep it in
-balance; it is held like a node behind a wall of the box (`mpm.boundary`).
+**Deep nodes.** A node deep in a solid (`mpm.obstacles.HELD_DEPTH`) is reached by the first row alone, which could not
+keep it in balance; it is held like a node behind a wall of the box (`mpm.boundary`).
 
 **Position.** No particle passes a face: a way that crosses one ends there and goes on along it.
 """
@@ -31,15 +32,14 @@ balance; it is held like a node behind a wall of the box (`mpm.boundary`).
 import taichi as ti
 
 from mpm.boundary import stopped_by
+from mpm.face_lookup import cell_of, face_vector, first_crossed, nearest_face
 from mpm.lanes import add, lane_maximum, lane_minimum, larger, smaller
-from mpm.layout import PADDING, Contact, Offset, Setting, Worker, component
-from mpm.nodes import rows_of
+from mpm.layout import Contact, Setting, Worker, component
 
-SKIN = 1.0e-3
-"""Cells by which rounding may have put a particle behind the face it rests on."""
 TURNS = 3
 """Faces along which a particle's way of one step is led; then it stays where it was."""
 TINY = 1.0e-20
+"""Keeps quotients finite."""
 
 
 @ti.func
@@ -311,143 +311,3 @@ def put_lane_vector(first, value, arrays: ti.template()):
     features = arrays.features
     for k in ti.static(range(features.dimension)):
         arrays.lanes[first + k * features.lanes] = value[k]
-
-
-@ti.func
-def face_vector(face, column, arrays: ti.template()):
-    """D numbers of a face from `column` on."""
-    return ti.Vector([arrays.faces[face, column + k] for k in ti.static(range(arrays.features.dimension))])
-
-
-@ti.func
-def cell_of(x, scene, arrays: ti.template()):
-    """Index in `cell_faces` of the cell that the position `x` [m] lies in."""
-    features = arrays.features
-    rows = rows_of(scene, arrays)
-    index = arrays.offsets[scene, Offset.GEOMETRY]
-    for k in ti.static(range(features.dimension)):
-        along = ti.floor(x[k] / arrays.settings[scene, Setting.CELL]) + PADDING
-        last = arrays.offsets[scene, Offset.CELLS_X + k] + 2 * PADDING
-        index += ti.max(0, ti.min(ti.cast(along, ti.i32), last)) * rows[k]
-    return index
-
-
-@ti.func
-def first_crossed(start, end, cell_index, cell, arrays: ti.template()):
-    """The face that the way from `start` to `end` [m] first passes into a solid through; -1 where it passes none."""
-    features = arrays.features
-    nearest, found = 0.0 * cell + 2.0, -1
-    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
-        face = arrays.near_faces[at]
-        corner, normal = face_vector(face, 0, arrays), face_vector(face, features.face_normal, arrays)
-        before, after = (start - corner).dot(normal), (end - corner).dot(normal)
-        if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:
-            part = ti.max(before, 0.0) / (before - after)
-            if part < nearest and covers_point(face, start + part * (end - start), arrays):
-                nearest, found = part, face
-    return found
-
-
-@ti.func
-def covers_point(face, point, arrays: ti.template()):
-    """Whether a point [m] in the plane of a face lies in it, or by rounding beside it."""
-    features = arrays.features
-    a = face_vector(face, 0, arrays)
-    b = face_vector(face, features.dimension, arrays)
-    if ti.static(features.dimension == 2):
-        t = (point - a).dot(b - a) / (b - a).dot(b - a)
-        return t > 0.0 - SKIN and t < 1.0 + SKIN
-    else:
-        c = face_vector(face, 2 * features.dimension, arrays)
-        normal = face_vector(face, features.face_normal, arrays)
-        area = (b - a).cross(c - a).dot(normal)
-        one = (c - b).cross(point - b).dot(normal)
-        two = (a - c).cross(point - c).dot(normal)
-        return one > 0.0 - SKIN * area and two > 0.0 - SKIN * area and one + two < (1.0 + SKIN) * area
-
-
-@ti.func
-def nearest_face(x, cell_index, arrays: ti.template()):
-    """Of the faces listed for a cell that nearest to `x` [m]: its number, the weights of its corners at the foot, the
-
-    normal n [-] and the signed distance d [m], negative inside, with x = foot + d n.
-    """
-    features = arrays.features
-    dimension = ti.static(features.dimension)
-    least = 0.0 * x[0] + 1.0e30
-    face, feature = -1, 0
-    weights, offset = 0.0 * x, 0.0 * x
-    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
-        candidate = arrays.near_faces[at]
-        # No point of a face is nearer than its plane.
-        height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
-        if height * height < least:
-            w, part = 0.0 * x, 0
-            if ti.static(dimension == 2):
-                w, part = foot_on_segment(x, candidate, arrays)
-            else:
-                w, part = foot_on_triangle(x, candidate, arrays)
-            away = x
-            for k in ti.static(range(dimension)):
-                away = away - w[k] * face_vector(candidate, k * dimension, arrays)
-            square = away.dot(away)
-            if square < least:
-                least, face, feature, weights, offset = square, candidate, part, w, away
-    # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
-    column = features.face_normal + feature * dimension
-    normal = face_vector(face, column, arrays)
-    d = offset.dot(normal)
-    if feature > 0:
-        side = 1.0
-        if d < 0.0:
-            side = -1.0
-        length = ti.sqrt(least)
-        d = side * length
-        if length > TINY:
-            normal = offset * (side / length)
-    return face, weights, normal, d
-
-
-@ti.func
-def foot_on_segment(x, face, arrays: ti.template()):
-    """Weights of the corners at the point of a segment nearest to `x` [m]; 0: inside it, 1, 2: that corner."""
-    a, b = face_vector(face, 0, arrays), face_vector(face, 2, arrays)
-    t = (x - a).dot(b - a) / (b - a).dot(b - a)
-    part = 0
-    if t <= 0.0:
-        t, part = 0.0 * t, 1
-    elif t >= 1.0:
-        t, part = 0.0 * t + 1.0, 2
-    return ti.Vector([1.0 - t, t]), part
-
-
-@ti.func
-def foot_on_triangle(x, face, arrays: ti.template()):
-    """Weights of the corners at the point of a triangle nearest to `x` [m] (Ericson 2005, section 5.1.5).
-
-    0: inside it; 1, 2, 3: that corner; 4, 5, 6: the edge from corner 1 to 2, 2 to 3, 3 to 1.
-    """
-    a, b, c = face_vector(face, 0, arrays), face_vector(face, 3, arrays), face_vector(face, 6, arrays)
-    ab, ac = b - a, c - a
-    d1, d2 = ab.dot(x - a), ac.dot(x - a)
-    d3, d4 = ab.dot(x - b), ac.dot(x - b)
-    d5, d6 = ab.dot(x - c), ac.dot(x - c)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    part = 0
-    w = ti.Vector([va, vb, vc]) / ti.max(va + vb + vc, TINY)
-    if d1 <= 0.0 and d2 <= 0.0:
-        w, part = ti.Vector([1.0, 0.0, 0.0]) + 0.0 * w, 1
-    elif d3 >= 0.0 and d4 <= d3:
-        w, part = ti.Vector([0.0, 1.0, 0.0]) + 0.0 * w, 2
-    elif d6 >= 0.0 and d5 <= d6:
-        w, part = ti.Vector([0.0, 0.0, 1.0]) + 0.0 * w, 3
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = d1 / (d1 - d3)
-        w, part = ti.Vector([1.0 - t, t, 0.0]), 4
-    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        w, part = ti.Vector([0.0, 1.0 - t, t]), 5
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6)
-        w, part = ti.Vector([1.0 - t, 0.0, t]), 6
-    return w, part

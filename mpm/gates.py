@@ -14,7 +14,8 @@ held compile none of it.
 
 import taichi as ti
 
-from mpm.layout import Gate, Held, Holding, Offset
+from mpm.gate_layout import Gate, Held, Holding
+from mpm.layout import Offset
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""

@@ -40,7 +40,7 @@ from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
 from datasets.scene import SIDES, TOLERANCE, Mass, Scene
-from mpm.contact_operator import ContactOperator
+from mpm.grid_operators import ContactOperator, gradient_matrices
 from mpm.layout import PADDING
 from mpm.release import gates, inside
 
@@ -347,34 +347,6 @@ class Equilibrium:
             return result
 
         return precondition
-
-
-def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArray[np.int64]]:
-    """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
-
-    Only the n nodes that particles reach; indices count from the first padding node, as the kernel's.
-    """
-    count, dimension = positions.shape
-    cell = scene.domain.cell
-    place = positions / cell + PADDING
-    low = np.floor(place - 0.5)
-    f = place - low
-    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
-    stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
-    weight = np.ones((count, len(stencil)))
-    for axis in range(dimension):
-        weight *= spline[:, axis, :][:, stencil[:, axis]]
-    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
-    index = low.astype(np.int64)[:, None, :] + stencil
-    reached, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
-    row = np.repeat(np.arange(count), len(stencil))
-
-    def matrix(values: Floats) -> Any:
-        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(reached)))
-
-    slopes = [matrix(4.0 / cell * weight * (stencil[:, axis] - f[:, axis, None])) for axis in range(dimension)]
-    nodes = np.stack(np.unravel_index(reached, shape), axis=1)
-    return matrix(weight), sparse.vstack(slopes).tocsr(), nodes
 
 
 def quotient(top: Floats, bottom: Floats) -> Floats:

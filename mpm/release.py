@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene
+from mpm.gate_layout import Gate as GateColumn
+from mpm.gate_layout import Held, Holding
 from mpm.gates import ENERGY, FORCE
-from mpm.layout import PADDING, Held, Holding
-from mpm.layout import Gate as GateColumn
+from mpm.layout import PADDING
 
 BEYOND = 2
 """Cells beyond a face in which nodes are held: a quadratic B-spline reaches one and a half."""

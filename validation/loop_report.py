@@ -138,13 +138,18 @@ def sentence(solved: Solved) -> str:
     if result.problem.target.least:
         return design(solved, who)
     measured = miss(solved)
-    return {
-        Verdict.CONFIRMED: f"**The MPM confirms**: {who} is {measured}.{widened(result)}",
-        Verdict.UNCONFIRMED: f"**The MPM does not confirm**: {who} is {measured}.{widened(result)}",
-        Verdict.NOT_IDENTIFIABLE: f"**It fits, but is not identifiable**: {who} is {measured}. {unidentified(result)}",
-        Verdict.UNREACHABLE: "**Nothing within the bounds reaches the target, not even in the MPM.** "
-        f"Below is the nearest that was found; there {who} is {measured}.",
-    }[result.verdict]
+    match result.verdict:
+        case Verdict.CONFIRMED:
+            return f"**The MPM confirms**: {who} is {measured}.{widened(result)}"
+        case Verdict.UNCONFIRMED:
+            return f"**The MPM does not confirm**: {who} is {measured}.{widened(result)}"
+        case Verdict.NOT_IDENTIFIABLE:
+            return f"**It fits, but is not identifiable**: {who} is {measured}. {unidentified(result)}"
+        case Verdict.UNREACHABLE:
+            return (
+                "**Nothing within the bounds reaches the target, not even in the MPM.** "
+                f"Below is the nearest that was found; there {who} is {measured}."
+            )
 
 
 def without_surrogate(why: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The law of `mpm.contact` as linear operators on nodal displacements, for the initial stress (`mpm.initial_stress`).
+"""The transfers and the law of `mpm.contact` as sparse operators on nodes, for the initial stress.
 
 With the M chosen particles that touch a solid, their foot operator F = W - sum_k d n_k S_k of weights W and slopes S:
 
@@ -14,10 +14,38 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import Scene
-from mpm.layout import Contact
+from mpm.layout import PADDING, Contact
 from mpm.obstacles import initial_contacts, obstacles_of
 
 Floats = NDArray[np.float64]
+
+
+def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArray[np.int64]]:
+    """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
+
+    Only the n nodes that particles reach; indices count from the first padding node, as the kernel's.
+    """
+    count, dimension = positions.shape
+    cell = scene.domain.cell
+    place = positions / cell + PADDING
+    low = np.floor(place - 0.5)
+    f = place - low
+    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
+    stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
+    weight = np.ones((count, len(stencil)))
+    for axis in range(dimension):
+        weight *= spline[:, axis, :][:, stencil[:, axis]]
+    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    index = low.astype(np.int64)[:, None, :] + stencil
+    reached, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
+    row = np.repeat(np.arange(count), len(stencil))
+
+    def matrix(values: Floats) -> Any:
+        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(reached)))
+
+    slopes = [matrix(4.0 / cell * weight * (stencil[:, axis] - f[:, axis, None])) for axis in range(dimension)]
+    nodes = np.stack(np.unravel_index(reached, shape), axis=1)
+    return matrix(weight), sparse.vstack(slopes).tocsr(), nodes
 
 
 class ContactOperator:
