@@ -154,6 +154,23 @@ def particle_count(scene: Scene) -> int:
     return sum(mass_counts(scene))
 
 
+def released_volume(scene: Scene) -> float:
+    """Volume of all masses of `scene` [m^D]."""
+    return float(sum(mass_volumes(scene).tolist()))
+
+
+def mass_centroids(scene: Scene) -> NDArray[np.float64]:
+    """Centroid of each mass [m], shape [masses, D]: exact for a box, else that of its particles before their jitter."""
+    found = []
+    for mass in scene.masses:
+        if mass.kind == "box":
+            found.append(np.array(mass.lower) + 0.5 * np.array(mass.size))
+        else:
+            filled = filling(scene, mass)
+            found.append(filled.volumes @ filled.raised(filled.lattice) / filled.volumes.sum())
+    return np.array(found)
+
+
 def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
     """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
 

@@ -109,7 +109,7 @@ class InitialStress(MpmKind):
 
 @dataclass(frozen=True)
 class Height(MpmKind):
-    """Extent of a mass along y, from its foot [m]: how much is released.
+    """Extent of a box along y, from its foot, or thickness of a layer [m]: how much is released.
 
     Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
     """
@@ -123,11 +123,18 @@ class Height(MpmKind):
 
     def check(self, scene: Scene) -> None:
         there("masses", self.mass, len(scene.masses))
+        mass = scene.masses[self.mass]
+        if mass.kind != "box" and not isinstance(mass.thickness, float | int):
+            raise InputError(f"expected a box, or a layer of one thickness, got a {mass.kind} without a single height")
 
     def read(self, scene: Scene) -> float:
-        return scene.masses[self.mass].size[UP]
+        mass = scene.masses[self.mass]
+        return mass.thickness if isinstance(mass.thickness, float | int) else mass.size[UP]
 
     def put(self, parts: Parts, value: float) -> None:
         mass = parts.masses[self.mass]
+        if mass.kind == "layer":
+            parts.masses[self.mass] = dataclasses.replace(mass, thickness=value)
+            return
         size = (*mass.size[:UP], value, *mass.size[UP + 1 :])
         parts.masses[self.mass] = dataclasses.replace(mass, size=size)

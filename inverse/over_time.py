@@ -14,7 +14,7 @@ from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.particles import particle_volumes
+from datasets.particles import mass_centroids, mass_volumes, particle_volumes, released_volume
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Observation, OfDeposit, Rollout, Values, harrell_davis
@@ -69,7 +69,7 @@ class Gauges(Observation):
         scene = trajectory.scene
         volumes = particle_volumes(scene, trajectory.positions.shape[1])
         # Of particles from elsewhere only the mean volume is known, as in a profile.
-        volumes = volumes * (sum(math.prod(mass.size) for mass in scene.masses) / volumes.sum())
+        volumes = volumes * (released_volume(scene) / volumes.sum())
 
         def heights(positions: NDArray[np.floating]) -> Values:
             with torch.no_grad():
@@ -165,9 +165,8 @@ class Outline(OfDeposit):
         """directions_deg: from +x towards +z, shape [M]."""
         turned = np.deg2rad(directions_deg)
         self.directions = np.stack([np.cos(turned), np.sin(turned)])
-        volumes = np.array([math.prod(mass.size) for mass in scene.masses])
-        middles = np.array([np.array(mass.lower) + 0.5 * np.array(mass.size) for mass in scene.masses])
-        self.centre = (volumes @ middles / volumes.sum())[[0, 2]]
+        volumes = mass_volumes(scene)
+        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         reached = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions

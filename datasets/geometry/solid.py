@@ -55,7 +55,7 @@ class Solid(Strict):
     spacing: Vector | None = None
     """Distance between its heights along x and z [m]."""
     heights: Rows | None = None
-    """Elevation y of a terrain in 3D [m], bilinear in triangles: rows along x of columns along z, shape [X, Z]."""
+    """Elevation y of a terrain in 3D [m], linear on triangles: rows along x of columns along z, shape [X, Z]."""
     corner: Vector | None = None
     """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
     crs: str | None = None

@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from datasets.errors import InputError
-from datasets.scene import Baffle, Scene
+from datasets.particles import released_volume
+from datasets.scene import Baffle, Mass, Scene
 from inverse.problem import read_problem
 from inverse.unknowns import kind, with_unknowns
 
@@ -58,6 +59,20 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
 def test_what_a_scene_has_not_is_refused(name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         kind(name).check(COLUMN)
+
+
+def test_the_height_of_a_layer_is_its_thickness() -> None:
+    layer = dataclasses.replace(COLUMN, masses=(Mass(kind="layer", thickness=0.1),))
+    height = kind("masses[0].height")
+    height.check(layer)
+    assert height.read(layer) == 0.1
+    changed = with_unknowns(layer, ["masses[0].height"], [0.2])
+    assert height.read(changed) == 0.2
+    assert changed.masses[0].size[1] == pytest.approx(0.2)
+    assert released_volume(changed) == pytest.approx(2.0 * released_volume(layer))
+    triangle = Mass(kind="polygon", vertices=((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)))
+    with pytest.raises(InputError, match="a layer of one thickness, got a polygon"):
+        height.check(dataclasses.replace(COLUMN, masses=(triangle,)))
 
 
 def test_values_that_cannot_be_are_refused_by_the_scene() -> None:

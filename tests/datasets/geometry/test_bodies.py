@@ -9,7 +9,14 @@ import shapely
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.particles import initial_particles, mass_volumes, particle_count, warn_if_unresolved
+from datasets.particles import (
+    initial_particles,
+    mass_centroids,
+    mass_volumes,
+    particle_count,
+    released_volume,
+    warn_if_unresolved,
+)
 from datasets.scene import Domain, Mass, Scene, heights_above_ground
 from tests.datasets.geometry.test_nearest import sphere
 
@@ -266,3 +273,11 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
 def test_a_thin_layer_is_said_to_be_one() -> None:
     with pytest.warns(UserWarning, match=r"masses\[0\]: 0.03 m thick in cells of 0.05 m"):
         warn_if_unresolved(scene_of(Mass(kind="layer", thickness=0.03), solids=(SLOPE,)))
+
+
+def test_centroids() -> None:
+    scene = scene_of(Mass(lower=(1.2, 0.0), size=(0.4, 0.2)), Mass(kind="polygon", vertices=TRIANGLE))
+    box, triangle = mass_centroids(scene)
+    np.testing.assert_allclose(box, (1.4, 0.1))
+    np.testing.assert_allclose(triangle, (0.5 + 0.5 / 3.0, 0.1 + 0.5 / 3.0), atol=0.01)
+    assert released_volume(scene) == pytest.approx(0.08 + 0.125, rel=1e-12)
