@@ -1,6 +1,5 @@
 """What `datasets.maps` writes of a deposit in 2D is a measured profile: `[target] csv` reads back the same heights."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ from datasets.particles import initial_particles
 from datasets.plan import maps_of, station_edges
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.measured import read_profile
-from inverse.settings import Heights, TargetSettings
+from inverse.measured import profile_of
+from inverse.settings import Heights, LengthUnit
 
 
 @pytest.mark.parametrize("heights", list(Heights))
@@ -37,7 +36,7 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
     )
     maps = maps_of(flow, station_edges(scene, spacing))
     write_profile(flow, maps, tmp_path, ("csv",))
-    settings = dataclasses.replace(TargetSettings(csv="profile.csv"), heights=heights)
-    profile = read_profile(tmp_path, settings, 1.0, 0.08)
+    path = tmp_path / "profile.csv"
+    profile = profile_of(path, unit=LengthUnit.METRE, datum=0.0, heights=heights, length=1.0, released=0.08)
     np.testing.assert_allclose(profile.at(maps.places[0]), maps.thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)
