@@ -37,8 +37,10 @@ WALLS = "walls"
 """Name of the floor and the walls of the box where these were recorded together."""
 ROUNDING = 1.0e-9
 """Relative difference up to which two times are the same."""
-MOST_PANELS = 8
+MOST_PANELS = 6
 """Solids in one plot; of more, those with the largest peaks are drawn."""
+FAINT = 0.005
+"""Peak over the largest one below which a solid is not drawn."""
 COLOURS = ("#1b6ca8", "#d95f02", "#4d9221")
 """Of the components along x, y and z."""
 INK = "#222222"
@@ -51,7 +53,7 @@ class Forces:
     """Mean forces on solids over the intervals of a trajectory's frames."""
 
     names: tuple[str, ...]
-    """Of the solids: baffles, other solids, then floor and walls of the box where recorded."""
+    """Of the solids: baffles, other solids, then the sides of the box where recorded, `y-` the floor."""
     time: Floats
     """Ends of the intervals [s], shape [T]; each begins where the one before ends, the first at 0."""
     force: Floats
@@ -117,8 +119,8 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
 def impulses(trajectory: Trajectory) -> dict[str, Floats]:
     """Momentum that each solid took up to each kept frame [N s or N s/m], shape [T, D], by its name; those recorded.
 
-    What the summary holds of the box has a value at every `frame_dt` of the scene: a series for floor and walls
-    together, or one for each of the names that it gives.
+    What the summary holds of the box has a value at every `frame_dt` of the scene: a series for each of its sides, `y-`
+    the floor, or of older files one for floor and walls together.
     """
     scene, taken = trajectory.scene, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
@@ -165,8 +167,9 @@ def draw(path: Path, forces: Forces) -> None:
     """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
     from matplotlib.figure import Figure
 
-    order = np.argsort(-forces.magnitude.max(axis=0), kind="stable")[:MOST_PANELS]
-    shown = [forces.names[index] for index in sorted(order)]
+    peaks = forces.magnitude.max(axis=0)
+    order = np.argsort(-peaks, kind="stable")[:MOST_PANELS]
+    shown = [forces.names[index] for index in sorted(order) if peaks[index] >= FAINT * peaks.max()]
     figure = Figure(figsize=(9.0, 1.2 + 2.4 * len(shown)), layout="constrained")
     panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
     for axis, name in zip(panels, shown, strict=True):
@@ -174,7 +177,9 @@ def draw(path: Path, forces: Forces) -> None:
     panels[0].legend(loc="upper right", ncols=4, frameon=False, fontsize=9)
     panels[-1].set_xlabel("time [s]")
     if len(shown) < len(forces.names):
-        figure.suptitle(f"{len(shown)} of {len(forces.names)} solids: the largest peaks", fontsize=10)
+        figure.suptitle(
+            f"the largest peaks: {len(shown)} of {len(forces.names)} solids and sides of the box", fontsize=10
+        )
     with replacing(path) as part:
         figure.savefig(part, dpi=110)
 

@@ -45,7 +45,7 @@ KINDS = (
     Kind(
         name="thickness", title="thickness of the deposit", unit="m", colours="YlOrBr", of=lambda maps: maps.thickness
     ),
-    Kind(name="depth", title="largest depth of the flow", unit="m", colours="PuBu", of=lambda maps: maps.depth),
+    Kind(name="depth", title="largest depth of the flow", unit="m", colours="YlGnBu", of=lambda maps: maps.depth),
     Kind(
         name="velocity",
         title="largest velocity of the flow",
@@ -138,8 +138,9 @@ def summary(trajectory: Trajectory, maps: PlanMaps, place: Georeference) -> dict
     else:
         found = dict(outlines(maps, place))
         said |= {f"area_{name}": area(polygons) for name, polygons in found.items()}
-        eastings = [x for polygon in found["deposit"] for x, _ in polygon[0]]
-        said["reach"] = max(eastings) - place.east if eastings else None
+        # Single particles that rolled on are islands of their own.
+        largest = max(found["deposit"], key=lambda polygon: area([polygon]), default=None)
+        said["reach"] = None if largest is None else max(x for x, _ in largest[0]) - place.east
         said |= {"east": place.east, "north": place.north, "crs": place.crs}
     for kind in KINDS:
         values = kind.of(maps)

@@ -229,7 +229,7 @@ def predicted_at_times(of: Callable[[Tensor], Tensor], rollout: Rollout, times: 
 
 def impulse_of(trajectory: Trajectory, solid: int, axis: int) -> Values:
     """Momentum that a solid has taken along an axis, shape [T]. Raises InputError where none was recorded."""
-    taken = trajectory.baffle_impulse
+    taken = trajectory.solid_impulse
     if taken is None or solid >= taken.shape[1]:
         raise InputError(f"expected a run that recorded the impulse on solid {solid}, it did not")
     return np.asarray(taken[:, solid, axis])

@@ -93,11 +93,11 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
 
 def test_named_sides_of_the_box_are_columns(tmp_path: Path, flow: Trajectory) -> None:
     walls = np.array(flow.summary["wall_impulse"])
-    sides = {"floor": (walls * [0, 1]).tolist(), "x+": (walls * [1, 0]).tolist()}
-    write_forces(dataclasses.replace(flow, summary={"wall_impulse": sides}), tmp_path)
+    sides = {"x+": (walls * [1, 0]).tolist(), "y-": (walls * [0, 1]).tolist()}
+    write_forces(dataclasses.replace(flow, summary=flow.summary | {"side_impulse": sides}), tmp_path)
     head, values = rows(tmp_path / "forces.csv")
-    assert head[5:] == ["floor_fx_N_per_m", "floor_fy_N_per_m", "x+_fx_N_per_m", "x+_fy_N_per_m"]
-    np.testing.assert_allclose(values[:, 5:], np.tile([0.0, -5.0, 3.0, 0.0], (5, 1)))
+    assert head[5:] == ["x+_fx_N_per_m", "x+_fy_N_per_m", "y-_fx_N_per_m", "y-_fy_N_per_m"]
+    np.testing.assert_allclose(values[:, 5:], np.tile([3.0, 0.0, 0.0, -5.0], (5, 1)))
 
 
 def test_the_table_holds_the_impulse(tmp_path: Path, flow: Trajectory) -> None:

@@ -15,7 +15,7 @@ from datasets.command_line import run
 from datasets.geometry.solid import Solid
 from datasets.library import read_scene
 from datasets.map_pictures import draw_map
-from datasets.maps import COLUMNS, command, write_maps, write_profile
+from datasets.maps import COLUMNS, command, summary, write_maps, write_profile
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.plan import map_edges, maps_of, station_edges
@@ -123,6 +123,16 @@ def test_an_outline_ends_at_the_walls() -> None:
     assert area(polygons) == pytest.approx(0.4, rel=1e-5)
     assert np.array(polygons[0][0]).min(axis=0) == pytest.approx([0.0, 0.0], abs=1e-6)
     assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05) == []
+
+
+def test_the_reach_is_that_of_the_largest_part(flow: Trajectory) -> None:
+    """A few particles that rolled on are no deposit."""
+    astray = flow.positions.copy()
+    astray[-1, :8] = np.float32([0.925, 0.2, 0.125])
+    lost = dataclasses.replace(flow, positions=astray)
+    maps = maps_of(lost, map_edges(flow.scene, 0.05), threshold=0.02)
+    assert len(outline(maps.thickness, 0.05, LOCAL, 0.02)) == 2
+    assert summary(lost, maps, LOCAL)["reach"] == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.parametrize("place", [LOCAL, PLACE])

@@ -85,7 +85,7 @@ def test_three_dimensions_with_a_baffle_as_a_series_for_paraview(tmp_path: Path)
     assert trajectory.pressure is not None
     assert (out / "vtk" / "trajectory.pvd").is_file()
     forces = np.genfromtxt(out / "forces.csv", delimiter=",", skip_header=1)
-    assert forces.shape == (4, 1 + 3 * 2)
+    assert forces.shape == (4, 1 + 3 * 7)
     np.testing.assert_allclose(0.005 * forces[:, 1:4].sum(axis=0), trajectory.solid_impulse[-1, 0], rtol=1e-6)
     assert (out / "forces.png").is_file()
 
