@@ -16,7 +16,7 @@ from scipy.special import betainc
 from torch import Tensor
 
 from datasets import measures
-from datasets.particles import particle_volumes
+from datasets.particles import mass_volumes, particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.problem import Observable, ObservationSettings
@@ -132,7 +132,7 @@ class Profile(OfDeposit):
 
     def __init__(self, scene: Scene, spacing: float) -> None:
         self.stations = measures.profile_stations(scene, spacing)
-        self.scene, self.volume = scene, sum(math.prod(mass.size) for mass in scene.masses)
+        self.scene, self.volume = scene, float(mass_volumes(scene).sum())
         self.width = math.prod(scene.domain.size[2:])
 
     def heights(self, positions: NDArray[np.floating]) -> Values:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.particles import particle_volumes
+from datasets.particles import mass_volumes, particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Observation, OfDeposit, Rollout, Values, harrell_davis
@@ -69,7 +69,7 @@ class Gauges(Observation):
         scene = trajectory.scene
         volumes = particle_volumes(scene, trajectory.positions.shape[1])
         # Of particles from elsewhere only the mean volume is known, as in a profile.
-        volumes = volumes * (sum(math.prod(mass.size) for mass in scene.masses) / volumes.sum())
+        volumes = volumes * (mass_volumes(scene).sum() / volumes.sum())
 
         def heights(positions: NDArray[np.floating]) -> Values:
             with torch.no_grad():
@@ -165,7 +165,7 @@ class Outline(OfDeposit):
         """directions_deg: from +x towards +z, shape [M]."""
         turned = np.deg2rad(directions_deg)
         self.directions = np.stack([np.cos(turned), np.sin(turned)])
-        volumes = np.array([math.prod(mass.size) for mass in scene.masses])
+        volumes = mass_volumes(scene)
         middles = np.array([np.array(mass.lower) + 0.5 * np.array(mass.size) for mass in scene.masses])
         self.centre = (volumes @ middles / volumes.sum())[[0, 2]]
 
@@ -230,7 +230,7 @@ def predicted_at_times(of: Callable[[Tensor], Tensor], rollout: Rollout, times: 
 
 def impulse_of(trajectory: Trajectory, solid: int, axis: int) -> Values:
     """Momentum that a solid has taken along an axis, shape [T]. Raises InputError where none was recorded."""
-    taken = trajectory.baffle_impulse
+    taken = trajectory.solid_impulse
     if taken is None or solid >= taken.shape[1]:
         raise InputError(f"expected a run that recorded the impulse on solid {solid}, it did not")
     return np.asarray(taken[:, solid, axis])

@@ -12,6 +12,7 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
+from datasets.particles import mass_volumes
 from datasets.scene import Scene
 from datasets.strict import Strict, fraction, from_mapping, read_toml
 from inverse import checks
@@ -115,7 +116,7 @@ class Problem:
     @property
     def released(self) -> float:
         """Volume of the scene's masses over its width [m^2]; in 2D their area."""
-        return sum(math.prod(mass.size) for mass in self.scene.masses) / math.prod(self.scene.domain.size[2:])
+        return float(mass_volumes(self.scene).sum()) / math.prod(self.scene.domain.size[2:])
 
     @property
     def changes_volume(self) -> bool:

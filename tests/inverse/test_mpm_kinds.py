@@ -5,7 +5,9 @@ import dataclasses
 import pytest
 
 from datasets.errors import InputError
-from datasets.scene import Baffle, Scene
+from datasets.geometry.solid import Solid
+from datasets.particles import mass_volumes
+from datasets.scene import Baffle, Mass, Scene
 from inverse.problem import read_problem
 from inverse.unknowns import kind, with_unknowns
 
@@ -58,6 +60,19 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
 def test_what_a_scene_has_not_is_refused(name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         kind(name).check(COLUMN)
+
+
+def test_a_solid_and_a_layer() -> None:
+    ground = Solid(name="slope", kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
+    layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
+    scene = dataclasses.replace(COLUMN, masses=(layer,), solids=(ground,))
+    changed = with_unknowns(scene, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
+    assert changed.solids[0].friction == 0.6
+    assert kind("masses[0].thickness").read(changed) == 0.15
+    assert mass_volumes(changed)[0] > 1.3 * mass_volumes(scene)[0]
+    for name, where in (("masses[0].thickness", COLUMN), ("masses[0].height", scene), ("solids[0].friction", COLUMN)):
+        with pytest.raises(InputError):
+            kind(name).check(where)
 
 
 def test_values_that_cannot_be_are_refused_by_the_scene() -> None:
