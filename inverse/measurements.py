@@ -175,6 +175,7 @@ def measurement(problem: Problem, settings: MeasurementSettings, *, given: bool)
                 heights=settings.heights,
                 length=length,
                 released=None if problem.changes_volume else problem.released,
+                ground=problem.ground,
             )
             seen = sampled(settings.heights)(scene, settings.spacing, profile.x)
             return made(seen, seen.of_heights(profile.at(seen.stations)), profile)

@@ -71,7 +71,9 @@ class Heights(StrEnum):
     EQUIVALENT = "equivalent"
     """Of the released volume at its initial density, over the length and the width."""
     SURFACE = "surface"
-    """Of the deposit's surface, which may be looser than what was released."""
+    """Of the deposit's surface above the ground, which may be looser than what was released."""
+    ELEVATION = "elevation"
+    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
 
 
 ONE_NUMBER = (Observable.FRONT, Observable.RUNOUT, Observable.PASSED)
