@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
 from inverse.launch import Launch
@@ -30,6 +31,7 @@ class Parts:
     material: Material
     masses: list[Mass]
     baffles: list[Baffle]
+    solids: list[Solid] = field(default_factory=list)
     constants: dict[str, float] = field(default_factory=dict)
     """Of the scene as a whole, by their names."""
 

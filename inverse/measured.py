@@ -7,7 +7,7 @@ What the rows leave open at their ends is extrapolated linearly over at most two
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +32,7 @@ RARE = 0.05
 """A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
 LEAST_FREEDOM = 4
 """Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
-AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25)}
+AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
 """Area of a profile over the released one: what a measurement may miss, and of a surface also what loosening adds.
 
 Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
@@ -85,13 +85,21 @@ class MeasuredProfile:
 
 
 def profile_of(
-    path: Path, *, unit: LengthUnit, datum: float, heights: Heights, length: float, released: float | None
+    path: Path,
+    *,
+    unit: LengthUnit,
+    datum: float,
+    heights: Heights,
+    length: float,
+    released: float | None,
+    ground: Callable[[Floats], Floats],
 ) -> MeasuredProfile:
     """The profile in the CSV `path`, in a box of `length` [m], of a body of the area `released` [m^2].
 
     unit: of both columns; datum: height of the floor in the file [unit]. Where nothing is known of what was released
-    its area is not looked at. Raises InputError, which names the file, for rows that are no profile, lie outside of the
-    box, end in the middle of the deposit, or hold another area than was released.
+    its area is not looked at. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises
+    InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of the
+    deposit, or hold another area than was released.
     """
     x, height = read_columns(path, ("x", "height"))
     try:
@@ -99,6 +107,8 @@ def profile_of(
             raise InputError("expected x in ascending order")
         x, height = x * unit.metres, (height - datum) * unit.metres
         check_box(x, length)
+        if heights is Heights.ELEVATION:
+            height = height - ground(x)
         check_heights(height)
         profile = closed(x, np.maximum(height, 0.0), length)
         if released is not None:

@@ -11,7 +11,7 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.strict import fraction
-from datasets.trajectory import Trajectory
+from datasets.trajectory import Trajectory, solid_names
 from inverse.combined import Combined, Part, observed
 from inverse.measured import MeasuredProfile, check_box, profile_of, read_columns
 from inverse.observations import Front, Observation, Passed, Runout, Toe, Values
@@ -175,6 +175,7 @@ def measurement(problem: Problem, settings: MeasurementSettings, *, given: bool)
                 heights=settings.heights,
                 length=length,
                 released=None if problem.changes_volume else problem.released,
+                ground=problem.ground,
             )
             seen = sampled(settings.heights)(scene, settings.spacing, profile.x)
             return made(seen, seen.of_heights(profile.at(seen.stations)), profile)
@@ -189,19 +190,19 @@ def measurement(problem: Problem, settings: MeasurementSettings, *, given: bool)
         case Measurable.HEIGHT:
             return made(*gauges(problem, settings, numbers, times))
         case Measurable.IMPULSE:
-            solid(scene, settings)
+            taker = solid(scene, settings)
             if settings.csv is not None:
                 path = problem.folder / settings.csv
                 when, taken = read_columns(path, ("time", "impulse"))
-                return made(Impulse(settings.solid, settings.axis, moments(when, scene, path)), taken)
+                return made(Impulse(taker, settings.axis, moments(when, scene, path)), taken)
             if times is not None:
-                return made(Impulse(settings.solid, settings.axis, times), sized(numbers, len(times)))
-            return made(Impulse(settings.solid, settings.axis), number)
+                return made(Impulse(taker, settings.axis, times), sized(numbers, len(times)))
+            return made(Impulse(taker, settings.axis), number)
         case Measurable.PEAK_FORCE:
-            solid(scene, settings)
+            taker = solid(scene, settings)
             if not 0.0 < settings.window <= scene.duration:
                 raise InputError(f"expected a time in (0, {scene.duration:g}] s, got {settings.window}", key="window")
-            return made(PeakForce(settings.solid, settings.axis, settings.window), number)
+            return made(PeakForce(taker, settings.axis, settings.window), number)
         case Measurable.OUTLINE:
             if scene.dimension != 3:
                 raise InputError("expected a scene in 3D for an outline", key="kind")
@@ -278,13 +279,16 @@ def moments(times: Values, scene: Scene, path: Path | None = None) -> Values:
     return times
 
 
-def solid(scene: Scene, settings: MeasurementSettings) -> None:
-    """Raise InputError for a solid or an axis that the scene has not."""
-    count = len(scene.baffles)
-    if not 0 <= settings.solid < count:
-        raise InputError(f"expected an index below {count}, the number of solids, got {settings.solid}", key="solid")
+def solid(scene: Scene, settings: MeasurementSettings) -> int:
+    """The number of the solid that took an impulse along an axis of the scene. Raises InputError."""
+    names, asked = solid_names(scene), settings.solid
+    number = names.index(asked) if isinstance(asked, str) and asked in names else asked
+    if isinstance(number, str) or not 0 <= number < len(names):
+        known = ", ".join(names) or "none, the scene has no solids"
+        raise InputError(f"expected one of {known}, or its number from 0, got {asked!r}", key="solid")
     if not 0 <= settings.axis < scene.dimension:
         raise InputError(f"expected an index below {scene.dimension}, got {settings.axis}", key="axis")
+    return number
 
 
 def noise_of(settings: MeasurementSettings) -> tuple[float, float]:

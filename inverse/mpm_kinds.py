@@ -85,6 +85,60 @@ class MaterialConstant(MpmKind, Strength):
 
 
 @dataclass(frozen=True)
+class SolidFriction(MpmKind):
+    """Coulomb coefficient of a solid, the same all over it [-]."""
+
+    solid: int
+
+    unit = "-"
+    digits = 3
+    step = 0.02
+    positive = True
+
+    def check(self, scene: Scene) -> None:
+        there("solids", self.solid, len(scene.solids))
+        if not isinstance(scene.solids[self.solid].friction, float | int):
+            raise InputError("expected a solid whose friction is a number in the scene, its own is a map")
+
+    def read(self, scene: Scene) -> float:
+        friction = scene.solids[self.solid].friction
+        assert isinstance(friction, float | int), "`check` has been called"
+        return float(friction)
+
+    def put(self, parts: Parts, value: float) -> None:
+        parts.solids[self.solid] = dataclasses.replace(parts.solids[self.solid], friction=value)
+
+
+@dataclass(frozen=True)
+class LayerThickness(MpmKind):
+    """Thickness of a mass of kind layer, the same all over it [m]: the release depth."""
+
+    mass: int
+
+    unit = "m"
+    digits = 4
+    step = 0.01
+    positive = True
+    changes_volume = True
+
+    def check(self, scene: Scene) -> None:
+        there("masses", self.mass, len(scene.masses))
+        mass = scene.masses[self.mass]
+        if mass.kind != "layer" or not isinstance(mass.thickness, float | int):
+            raise InputError("expected a mass of kind layer whose thickness is a number")
+
+    def read(self, scene: Scene) -> float:
+        thickness = scene.masses[self.mass].thickness
+        assert isinstance(thickness, float | int), "`check` has been called"
+        return float(thickness)
+
+    def put(self, parts: Parts, value: float) -> None:
+        # Its box follows from its thickness: the scene works it out anew.
+        mass = dataclasses.replace(parts.masses[self.mass], thickness=value, lower=(), size=())
+        parts.masses[self.mass] = mass
+
+
+@dataclass(frozen=True)
 class InitialStress(MpmKind):
     """K0 of a mass, its horizontal over its vertical initial stress [-]."""
 

@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.ground import elevation
+from datasets.geometry.margins import Box
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.scene import Scene
@@ -117,6 +120,13 @@ class Problem:
     def released(self) -> float:
         """Volume of the scene's masses over its width [m^2]; in 2D their area."""
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
+
+    def ground(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Elevation of the highest terrain, or of the floor, at `x` [m], both of shape [R]. Raises InputError in 3D."""
+        if self.scene.dimension != 2:
+            raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
+        box = Box(size=self.scene.domain.size, cell=self.scene.domain.cell)
+        return elevation(self.scene.solids, box, x[:, None])
 
     @property
     def changes_volume(self) -> bool:

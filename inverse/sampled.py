@@ -17,6 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.geometry.ground import elevation
+from datasets.geometry.margins import Box
 from datasets.scene import Scene
 from inverse.measured import MeasuredProfile
 from inverse.observations import SHARES, Profile, Values
@@ -73,7 +75,7 @@ class SampledProfile(Profile):
 
 
 class SurfaceProfile(SampledProfile):
-    """`SampledProfile` of the deposit's surface: how high its particles lie, loosened or not.
+    """`SampledProfile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
 
     At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
     of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
@@ -91,14 +93,16 @@ class SurfaceProfile(SampledProfile):
         for axis, count in enumerate(widths, 2):
             across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
             place = place * count + across
+        plan = np.delete(positions.astype(np.float64), 1, axis=1)
+        ground = elevation(scene.solids, Box(size=scene.domain.size, cell=scene.domain.cell), plan)
         top = np.zeros(rows * math.prod(widths))
-        np.maximum.at(top, place, positions[:, 1].astype(np.float64))
+        np.maximum.at(top, place, positions[:, 1] - ground)
         return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
 
 
 def sampled(heights: Heights) -> type[SampledProfile]:
     """What a measured profile of such heights is compared with."""
-    return SurfaceProfile if heights is Heights.SURFACE else SampledProfile
+    return SampledProfile if heights is Heights.EQUIVALENT else SurfaceProfile
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:

@@ -71,7 +71,9 @@ class Heights(StrEnum):
     EQUIVALENT = "equivalent"
     """Of the released volume at its initial density, over the length and the width."""
     SURFACE = "surface"
-    """Of the deposit's surface, which may be looser than what was released."""
+    """Of the deposit's surface above the ground, which may be looser than what was released."""
+    ELEVATION = "elevation"
+    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
 
 
 ONE_NUMBER = (Observable.FRONT, Observable.RUNOUT, Observable.PASSED)
@@ -166,8 +168,8 @@ class MeasurementSettings(Strict):
     """Of gauges in 3D [m]; where absent they take the mean across the flow."""
     times: tuple[float, ...] | None = None
     """When [s] after the start, where that is not in a `csv`; where absent, in the end."""
-    solid: int = 0
-    """Which took the impulse: the baffles, counted from 0, then the other solids in their order."""
+    solid: int | str = 0
+    """Which took the impulse, by its name or its number: the baffles, from 0, then the other solids in their order."""
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
     window: float = 0.02

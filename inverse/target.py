@@ -159,4 +159,5 @@ def measured_profile(problem: Problem) -> MeasuredProfile:
         heights=settings.heights,
         length=problem.scene.domain.size[0],
         released=None if problem.changes_volume else problem.released,
+        ground=problem.ground,
     )

@@ -11,9 +11,10 @@
 | `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
 | `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
 | `masses[I].k0` | - | ratio of the initial stresses of mass I |
-| `masses[I].height` | m | extent of mass I along y, from its foot: how much is released |
+| `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
+| `solids[I].friction` | - | Coulomb coefficient of solid I |
 
-The last four rows are the MPM's alone: no surrogate is told of them, the loop then runs without one.
+The last five rows are the MPM's alone: no surrogate is told of them, the loop then runs without one.
 A cohesion takes the tension cutoff along: their ratio stays what it is in the scene, the default where it names none.
 """
 
@@ -34,7 +35,14 @@ from datasets.scene import Baffle, Scene
 from datasets.scene import Vector as Lengths
 from inverse.kind import AXES, UP, Kind, Parts, Strength, T, Vector, there
 from inverse.launch import Launch
-from inverse.mpm_kinds import Height, InitialStress, MaterialConstant, SceneConstant
+from inverse.mpm_kinds import (
+    Height,
+    InitialStress,
+    LayerThickness,
+    MaterialConstant,
+    SceneConstant,
+    SolidFriction,
+)
 
 __all__ = ["Vector", "kind", "launched", "swept", "with_unknowns"]
 
@@ -205,6 +213,8 @@ _FORMS: dict[str, Callable[[int], Kind]] = {
     "masses[].residual_cohesion": lambda mass: MaterialConstant(mass, "residual_cohesion"),
     "masses[].k0": InitialStress,
     "masses[].height": Height,
+    "masses[].thickness": LayerThickness,
+    "solids[].friction": SolidFriction,
 }
 
 
@@ -221,7 +231,9 @@ def kind(name: str) -> Kind:
 
 def with_unknowns(scene: Scene, names: Sequence[str], values: Sequence[float] | Vector) -> Scene:
     """`scene` with the unknowns `names` set to `values`. Raises InputError for a scene that cannot be."""
-    parts = Parts(material=scene.material, masses=list(scene.masses), baffles=list(scene.baffles))
+    parts = Parts(
+        material=scene.material, masses=list(scene.masses), baffles=list(scene.baffles), solids=list(scene.solids)
+    )
     for place in _shared_first(names):
         kind(names[place]).put(parts, float(values[place]))
     return dataclasses.replace(
@@ -229,6 +241,7 @@ def with_unknowns(scene: Scene, names: Sequence[str], values: Sequence[float] | 
         material=parts.material,
         masses=tuple(parts.masses),
         baffles=tuple(parts.baffles),
+        solids=tuple(parts.solids),
         **parts.constants,  # type: ignore[arg-type]
     )
 

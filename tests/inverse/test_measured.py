@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from inverse.measured import closed
 from inverse.observations import Profile
 from inverse.problem import Observable, Problem, read_problem
@@ -182,3 +183,22 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     exact = observation.exact(deposit)
     np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
     assert np.abs(SampledProfile(observation.scene, 0.02, rows).exact(deposit) - exact).max() > 0.02
+
+
+def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
+    plain = told(tmp_path, heights=Heights.SURFACE)
+    line = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)), friction=0.4)
+    (mass,) = plain.scene.masses
+    scene = dataclasses.replace(
+        plain.scene, solids=(line,), masses=(dataclasses.replace(mass, lower=(0.0, 0.32), size=(0.2, 0.4)),)
+    )
+    expected = target_of(plain)
+    (tmp_path / "slope").mkdir()
+    over = told(tmp_path / "slope", X, HEIGHT + 0.3 - 0.2 * X + 5.0, heights=Heights.ELEVATION, datum=5.0)
+    over = dataclasses.replace(over, scene=scene)
+    np.testing.assert_allclose(target_of(over).values, expected.values, atol=1e-6)
+    rng = np.random.default_rng(8)
+    deposit = np.stack([0.4 * rng.random(20_000), 0.05 * rng.random(20_000)], axis=1)
+    moved = deposit + np.stack([np.zeros(20_000), 0.3 - 0.2 * deposit[:, 0]], axis=1)
+    seen = observation_of(over).exact(moved)
+    np.testing.assert_allclose(seen, observation_of(plain).exact(deposit), atol=1e-6)

@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from datasets.errors import InputError
-from datasets.particles import released_volume
+from datasets.geometry.solid import Solid
+from datasets.particles import mass_volumes, released_volume
 from datasets.scene import Baffle, Mass, Scene
 from inverse.problem import read_problem
 from inverse.unknowns import kind, with_unknowns
@@ -73,6 +74,19 @@ def test_the_height_of_a_layer_is_its_thickness() -> None:
     triangle = Mass(kind="polygon", vertices=((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)))
     with pytest.raises(InputError, match="a layer of one thickness, got a polygon"):
         height.check(dataclasses.replace(COLUMN, masses=(triangle,)))
+
+
+def test_a_solid_and_a_layer() -> None:
+    ground = Solid(name="slope", kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
+    layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
+    scene = dataclasses.replace(COLUMN, masses=(layer,), solids=(ground,))
+    changed = with_unknowns(scene, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
+    assert changed.solids[0].friction == 0.6
+    assert kind("masses[0].thickness").read(changed) == 0.15
+    assert mass_volumes(changed)[0] > 1.3 * mass_volumes(scene)[0]
+    for name, where in (("masses[0].thickness", COLUMN), ("solids[0].friction", COLUMN)):
+        with pytest.raises(InputError):
+            kind(name).check(where)
 
 
 def test_values_that_cannot_be_are_refused_by_the_scene() -> None:

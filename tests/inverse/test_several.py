@@ -44,15 +44,15 @@ def flow(scene: Scene, frames: int = 11) -> Trajectory:
     place = rng.random((400, scene.dimension)) * 0.2
     time = np.linspace(0.0, scene.duration, frames)
     positions = np.stack([place * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
-    impulse = np.zeros((frames, max(1, len(scene.baffles)), scene.dimension))
-    impulse[:, 0, 0] = 2.0 * (time / scene.duration) ** 2
+    impulse = np.zeros((frames, len(scene.baffles), scene.dimension))
+    impulse[:, :1, 0] = 2.0 * (time[:, None] / scene.duration) ** 2
     return Trajectory(
         positions=positions.astype(np.float32),
         time=time,
         velocity0=np.zeros_like(positions[0], np.float32),
         friction=np.full(400, 0.5, np.float32),
         scene=scene,
-        baffle_impulse=impulse,
+        solid_impulse=impulse,
     )
 
 
@@ -121,7 +121,7 @@ def test_a_hidden_flow_makes_all_of_them(tmp_path: Path) -> None:
         ('[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = -1.0\n', "observations[0].noise", "at least 0"),
         ('[[observations]]\nkind = "passed"\nvalue = 0.1\n', "observations[0].line", "a length in"),
         ('[[observations]]\nkind = "toe"\nvalues = [0.1]\n', "observations[0].values", "expected 2 numbers, got 1"),
-        ('[[observations]]\nkind = "impulse"\nvalue = 1.0\n', "observations[0].solid", "index below 0"),
+        ('[[observations]]\nkind = "impulse"\nvalue = 1.0\n', "observations[0].solid", "the scene has no solids"),
         ('[[observations]]\nkind = "outline"\nvalues = [1.0]\n', "observations[0].kind", "in 3D"),
         ('[[observations]]\nkind = "height"\nvalues = [1.0]\n', "observations[0].x", "the x [m] of the gauges"),
         (
