@@ -15,7 +15,7 @@ from datasets.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """A page that can be measured: `module` has `bench(out, *, quick)`, which returns the tables to print."""
+    """A page that can be measured: `module` has `bench(out, *, quick, keep)`, which returns the tables to print."""
 
     says: str
     module: str
@@ -43,6 +43,7 @@ def command(
     *,
     out: Path | None = None,
     quick: bool = False,
+    keep: Path | None = None,
     show: Annotated[bool, Parameter(name="--list", negative=())] = False,
 ) -> None:
     """Measure a page by its name, print its tables and write it into a folder.
@@ -55,6 +56,9 @@ def command(
         Folder for NAME.md and its pictures; without it the tables are printed alone.
     quick
         On coarse cells, to try the command; the figures mean little.
+    keep
+        Folder where finished runs stay, so that work that was cut short goes on; it must not hold runs of another
+        version. Without it they go at the end.
     show
         List the names and end.
     """
@@ -64,7 +68,7 @@ def command(
     if name not in BENCHES:
         raise InputError(f"expected the name of a page, one of {', '.join(BENCHES)}", where=name or "bench")
     began = time.perf_counter()
-    print(importlib.import_module(BENCHES[name].module).bench(out, quick=quick))
+    print(importlib.import_module(BENCHES[name].module).bench(out, quick=quick, keep=keep))
     print(f"{time.perf_counter() - began:.0f} s")
 
 

@@ -1,7 +1,8 @@
 """`python -m validation.bench experiments`: every experiment forward and backward, a score table, a page, a figure."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from datasets.files import write_text
@@ -18,11 +19,18 @@ QUICK_FACTOR = 2.0
 QUICK_ROUNDS = 2
 
 
-def bench(out: Path | None, *, quick: bool = False, folder: Path = FOLDER, simulate: Simulate | None = None) -> str:
+def bench(
+    out: Path | None,
+    *,
+    quick: bool = False,
+    keep: Path | None = None,
+    folder: Path = FOLDER,
+    simulate: Simulate | None = None,
+) -> str:
     """Run all experiments of `folder` and return the score tables; with `out`, experiments.md and its picture there.
 
-    quick: on cells twice as large, in 2D alone, with fewer runs for an angle: to try the command. simulate: in place of
-    the MPM. Raises InputError for an experiment that cannot be read.
+    quick: on cells twice as large, in 2D alone, with fewer runs for an angle: to try the command. keep: where
+    finished runs stay. simulate: in place of the MPM. Raises InputError for an experiment that cannot be read.
     """
     shipped = read_experiments(folder)
     if quick:
@@ -32,13 +40,23 @@ def bench(out: Path | None, *, quick: bool = False, folder: Path = FOLDER, simul
             if each.scene(each.experiment.cases[0].scene, each.experiment.cells[0], 25.0).dimension == 2
         ]
         shipped = [with_cells(each, QUICK_FACTOR) for each in flat]
-    with tempfile.TemporaryDirectory() as keep:
-        run = simulate or (lambda scenes: deposits_of(scenes, Path(keep)))
+    with runs_in(keep) as folder_of_runs:
+        run = simulate or (lambda scenes: deposits_of(scenes, folder_of_runs))
         findings = compute(shipped, run, rounds=QUICK_ROUNDS) if quick else compute(shipped, run)
     if out is not None:
         draw(out / "experiments.png", findings)
         write_text(out / "experiments.md", page(findings, quick=quick))
     return tables(findings)
+
+
+@contextmanager
+def runs_in(keep: Path | None) -> Iterator[Path]:
+    """The folder of finished runs: `keep`, or one that goes at the end."""
+    if keep is not None:
+        yield keep
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
 
 
 def deposits_of(scenes: Sequence[Scene], keep: Path) -> list[Positions]:
