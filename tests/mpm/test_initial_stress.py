@@ -86,7 +86,7 @@ def test_every_level_carries_what_lies_above(scene: Scene) -> None:
     particles = initial_particles(scene)
     chosen = np.arange(len(particles.positions))
     problem = Equilibrium(scene, particles, particles.positions, chosen)
-    force = problem.unbalanced(tensor(stress_of(scene))) - problem.gravity
+    force = problem.unbalanced(tensor(stress_of(scene)), problem.contact.traction) - problem.gravity
     level = problem.nodes[:, 1]
     for number in range(PADDING + 1, level.max() + 1):
         above = level >= number
