@@ -102,11 +102,12 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     if surface is None:
         return found
     width = CONTACT_WIDTH * scene.domain.cell
-    places = nearest(surface, positions)
+    reach = search_distance(scene) + scene.domain.cell
+    places = nearest(surface, positions, reach)
     q = np.clip(places.distance / width, 0.0, 1.0)
     _, _, weights = feet(surface.corners[places.face], positions)
     found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
-    found[:, Contact.DISTANCE] = np.maximum(places.distance, 0.0)
+    found[:, Contact.DISTANCE] = np.clip(places.distance, 0.0, reach)
     found[:, Contact.ADHESION] = surface.adhesion[places.face]
     found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, NO_SLIP)[places.face]).sum(axis=1)
     found[:, Contact.FACE] = places.face
