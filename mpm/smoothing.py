@@ -17,10 +17,10 @@ Density compares the mass at a node with the space that the material takes up ar
     rho_p = sum_i w_ip m_i / sum_i w_ip V_i
 
 The sum over c is over those little boxes, as large as a particle's share of a cell, that the deposit fills: that hold
-a particle, or lie in a gap no wider than two boxes between such ones (a morphological closing), inside the walls and
-outside the solids. So a box beyond a wall or above the surface is missing from V_i as its particles are from m_i, and
-both the floor and the surface have the density of the inside. What jitter leaves of scatter goes through the grid once
-more, as above.
+a particle, or lie in a gap no wider than two boxes between such ones (a morphological closing), inside the walls; of
+one that a solid cuts the part outside. So a box beyond a wall or above the surface is missing from V_i as its particles
+are from m_i, and both the floor and the surface have the density of the inside. What jitter leaves of scatter goes
+through the grid once more, as above.
 """
 
 import math
@@ -29,12 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from datasets.geometry.nearest import inside
+from datasets.geometry.nearest import nearest
 from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
 
 PASSES = 2
 """How often stress and pressure go through the grid."""
+HELD = 0.5
+"""Least share that counts as free of a box with a particle in it: its mass is there."""
 MARGIN = 2
 """Nodes beyond the walls that a quadratic spline reaches."""
 
@@ -88,16 +90,20 @@ def density(positions: Floats, mass: Floats, scene: Scene) -> NDArray[np.float32
     """
     found = np.empty(positions.shape[:2], np.float32)
     for frame, places in enumerate(positions):
-        boxes, volume = filled(places, scene)
+        boxes, volumes = filled(places, scene)
         to_particles = weights(places, scene)
         at_nodes = to_particles.T @ mass.astype(np.float64)
-        space = np.asarray(weights(boxes, scene).sum(axis=0)).ravel() * volume
+        space = weights(boxes, scene).T @ volumes
         found[frame] = (to_particles @ at_nodes) / (to_particles @ space)
     return smoothed(found, positions, mass, scene, passes=1)
 
 
-def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], float]:
-    """Centres [m], shape [M, D], and volume [m^D] of the little boxes that particles at `positions` [m] fill."""
+def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres [m], shape [M, D], and volumes [m^D], shape [M], of the little boxes that particles at `positions` fill.
+
+    Of a box that a solid cuts at the distance d of its centre the share 1 / 2 + d / edge is free, and of one that holds
+    a particle at least HELD.
+    """
     edge, size = scene.domain.cell / scene.particles_per_axis, np.array(scene.domain.size)
     counts = np.round(size / edge).astype(int)
     at = np.clip((positions.astype(np.float64) / edge).astype(int), 0, counts - 1)
@@ -107,9 +113,12 @@ def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], float]
     full[tuple((at - low).T)] = True
     around = np.ones((3,) * scene.dimension, bool)
     # Beyond a wall all is solid: the boxes along it are not eroded.
+    held = full.copy()
     full = ndimage.binary_erosion(ndimage.binary_dilation(full, around), around, border_value=True)
     centres = (np.argwhere(full) + low + 0.5) * edge
+    volumes = np.full(len(centres), edge**scene.dimension)
     surface = surface_of(scene)
     if surface is not None:
-        centres = centres[~inside(surface, centres)]
-    return centres, edge**scene.dimension
+        distance = nearest(surface, centres).distance
+        volumes *= np.clip(0.5 + distance / edge, np.where(held[full], HELD, 0.0), 1.0)
+    return centres, volumes

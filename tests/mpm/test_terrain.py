@@ -7,10 +7,12 @@ from datasets.geometry.nearest import nearest
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
 from datasets.material import Material
+from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.recording import Recording
 from mpm.simulate import simulate
+from mpm.smoothing import density
 
 SAND = Material(friction_deg=32.0, density=1600.0, young=1.0e6, poisson=0.3)
 CELL = 0.04
@@ -68,6 +70,25 @@ def test_a_kink_and_a_funnel_do_not_leak() -> None:
     body = Mass(lower=(0.12, 0.4, 0.12), size=(0.24, 0.2, 0.24))
     flow = flow_over(heightfield(pit, 0.03, 0.1), body, (0.48, 0.8, 0.48), 0.6)
     assert_outside(flow)
+
+
+def test_a_layer_on_a_slope_has_its_own_density() -> None:
+    """Beside a ground that cuts the cells, as in the middle."""
+    scene = Scene(
+        domain=Domain(size=(1.2, 1.2), cell=CELL),
+        material=SAND,
+        masses=(Mass(kind="layer", thickness=0.3, outline=((0.2,), (1.0,))),),
+        solids=(Solid(kind="terrain", points=((0.0, 0.7), (1.2, 0.1)), friction=0.5),),
+    )
+    particles = initial_particles(scene)
+    mass = particles.density * particles.volume
+    found = density(particles.positions[None].astype(np.float32), mass, scene)[0]
+    assert np.median(found) == pytest.approx(SAND.density, rel=0.03)
+    surface = surface_of(scene)
+    assert surface is not None
+    beside = nearest(surface, particles.positions).distance < 0.5 * CELL
+    assert found[beside].mean() == pytest.approx(SAND.density, rel=0.1)
+    assert found.max() < 2.0 * SAND.density
 
 
 @pytest.mark.slow
