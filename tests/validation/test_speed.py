@@ -139,7 +139,7 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
         {"cohesive"},
         {"dilates"},
         {"heterogeneous"},
-        {"baffles"},
+        {"contact"},
         {"velocity_recorded", "pressure_recorded", "strain_recorded", "walls_recorded"},
     ]
     counts = {particle_count(run.scenes[0]) for run in runs.values()}
