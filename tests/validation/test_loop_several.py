@@ -330,7 +330,9 @@ def test_the_problems_own_optimiser_comes_first(tmp_path: Path, method: Method) 
         optimiser=OptimiserSettings(method=method, max_iterations=25),
     )
     result = asked.solved(tmp_path).result
-    assert result.verdict is Verdict.CONFIRMED
+    # A toe of two layers is the faster one's alone.
+    told = method is not Method.GAUSS_NEWTON
+    assert result.verdict is (Verdict.CONFIRMED if told else Verdict.NOT_IDENTIFIABLE)
     assert len(result.rounds[0].evaluations) <= 25
 
 
