@@ -165,8 +165,11 @@ def thrusts(offsets: tuple[float, ...]) -> list[float]:
     return found
 
 
-def bench(out: Path | None, *, quick: bool = False) -> str:
-    """Measure contact, and return the tables; with `out`, contact.md there. quick: fewer offsets, shorter."""
+def bench(out: Path | None, *, quick: bool = False, keep: Path | None = None) -> str:
+    """Measure contact, and return the tables; with `out`, contact.md there. quick: fewer offsets, shorter.
+
+    keep: nothing is kept; the whole takes minutes.
+    """
     offsets = (0.3,) if quick else OFFSETS
     duration = 0.4 if quick else 5.0
     rests = [

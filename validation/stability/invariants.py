@@ -114,10 +114,11 @@ def energy(flow: Trajectory) -> Finding:
 def half_step_work(flow: Trajectory) -> float:
     """dt F v / 2 [J, per metre of width in 2D]: F the largest mean force of a frame on the solids, v of the throw."""
     thrown = max((float(np.linalg.norm(mass.velocity)) for mass in flow.scene.masses if mass.velocity), default=0.0)
-    if flow.solid_impulse is None or len(flow.time) < 2:
+    steps = flow.summary.get("steps", 0)
+    if flow.solid_impulse is None or len(flow.time) < 2 or not (thrown and steps):
         return 0.0
     force = np.linalg.norm(np.diff(flow.solid_impulse.sum(axis=1), axis=0), axis=1) / np.diff(flow.time)
-    return float(0.5 * flow.summary["end_time"] / flow.summary["steps"] * force.max() * thrown)
+    return float(0.5 * flow.time[-1] / steps * force.max() * thrown)
 
 
 INVARIANTS = (finite, inside_box, outside_baffles, mass, momentum, energy)
