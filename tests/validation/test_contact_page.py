@@ -7,6 +7,7 @@ import pytest
 from validation.contact import bench as contact
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
 def test_the_page_has_its_tables_and_a_conclusion_from_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact, "PLATES", ((0.5, 20.0),))
