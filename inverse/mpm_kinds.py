@@ -1,24 +1,25 @@
-"""Kinds of unknowns that the MPM alone knows: no surrogate is told of them."""
+"""Kinds of unknowns that the MPM alone knows: no surrogate has them among its inputs."""
 
 import dataclasses
+from abc import abstractmethod
 from dataclasses import dataclass
 
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 from inverse.kind import UP, Kind, Parts, Strength, there
 from inverse.launch import Launch
 
 
 class MpmKind(Kind):
-    """A kind of unknown that no surrogate is told of."""
+    """A kind of unknown that is no input of a surrogate."""
 
     by_surrogate = False
 
     def enter(self, launch: Launch, value: Tensor) -> Launch:
-        raise NotImplementedError("no surrogate is told of it; `by_surrogate` says so")
+        raise NotImplementedError("no surrogate has it as an input; `by_surrogate` says so")
 
 
 @dataclass(frozen=True)
@@ -110,19 +111,79 @@ class SolidFriction(MpmKind):
 
 
 @dataclass(frozen=True)
-class LayerThickness(MpmKind):
-    """Thickness of a mass of kind layer, the same all over it [m]: the release depth."""
+class OfMass(MpmKind):
+    """What one mass has of its own."""
 
     mass: int
+
+    positive = True
+
+    def check(self, scene: Scene) -> None:
+        there("masses", self.mass, len(scene.masses))
+
+    def put(self, parts: Parts, value: float) -> None:
+        parts.masses[self.mass] = self.changed(parts.masses[self.mass], value)
+
+    @abstractmethod
+    def changed(self, mass: Mass, value: float) -> Mass:
+        """The mass with this value."""
+
+
+@dataclass(frozen=True)
+class InitialStress(OfMass):
+    """K0 of a mass, its horizontal over its vertical initial stress [-]."""
+
+    unit = "-"
+    digits = 3
+    step = 0.05
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
+        if not isinstance(scene.masses[self.mass].k0, float | int):
+            raise InputError("expected a mass whose k0 is a number in the scene, its own is none")
+
+    def read(self, scene: Scene) -> float:
+        return float(scene.masses[self.mass].k0 or 0.0)
+
+    def changed(self, mass: Mass, value: float) -> Mass:
+        return dataclasses.replace(mass, k0=value)
+
+
+@dataclass(frozen=True)
+class Height(OfMass):
+    """Extent of a box along y, from its foot [m]: how much is released.
+
+    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
+    """
 
     unit = "m"
     digits = 4
     step = 0.01
-    positive = True
     changes_volume = True
 
     def check(self, scene: Scene) -> None:
-        there("masses", self.mass, len(scene.masses))
+        super().check(scene)
+        if (kind := scene.masses[self.mass].kind) != "box":
+            raise InputError(f"expected a mass of kind box, got a {kind}")
+
+    def read(self, scene: Scene) -> float:
+        return scene.masses[self.mass].size[UP]
+
+    def changed(self, mass: Mass, value: float) -> Mass:
+        return dataclasses.replace(mass, size=(*mass.size[:UP], value, *mass.size[UP + 1 :]))
+
+
+@dataclass(frozen=True)
+class Thickness(OfMass):
+    """Thickness of a layer, the same all over it [m]: the release depth."""
+
+    unit = "m"
+    digits = 4
+    step = 0.01
+    changes_volume = True
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
         mass = scene.masses[self.mass]
         if mass.kind != "layer" or not isinstance(mass.thickness, float | int):
             raise InputError("expected a mass of kind layer whose thickness is a number")
@@ -132,63 +193,5 @@ class LayerThickness(MpmKind):
         assert isinstance(thickness, float | int), "`check` has been called"
         return float(thickness)
 
-    def put(self, parts: Parts, value: float) -> None:
-        # Its box follows from its thickness: the scene works it out anew.
-        mass = dataclasses.replace(parts.masses[self.mass], thickness=value, lower=(), size=())
-        parts.masses[self.mass] = mass
-
-
-@dataclass(frozen=True)
-class InitialStress(MpmKind):
-    """K0 of a mass, its horizontal over its vertical initial stress [-]."""
-
-    mass: int
-
-    unit = "-"
-    digits = 3
-    step = 0.05
-    positive = True
-
-    def check(self, scene: Scene) -> None:
-        there("masses", self.mass, len(scene.masses))
-        if not isinstance(scene.masses[self.mass].k0, float | int):
-            raise InputError("expected a mass whose k0 is a number in the scene, its own is none")
-
-    def read(self, scene: Scene) -> float:
-        return float(scene.masses[self.mass].k0 or 0.0)
-
-    def put(self, parts: Parts, value: float) -> None:
-        parts.masses[self.mass] = dataclasses.replace(parts.masses[self.mass], k0=value)
-
-
-@dataclass(frozen=True)
-class Height(MpmKind):
-    """Extent of a box along y, from its foot, or thickness of a layer [m]: how much is released.
-
-    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
-    """
-
-    mass: int
-
-    unit = "m"
-    digits = 4
-    step = 0.01
-    changes_volume = True
-
-    def check(self, scene: Scene) -> None:
-        there("masses", self.mass, len(scene.masses))
-        mass = scene.masses[self.mass]
-        if mass.kind != "box" and not isinstance(mass.thickness, float | int):
-            raise InputError(f"expected a box, or a layer of one thickness, got a {mass.kind} without a single height")
-
-    def read(self, scene: Scene) -> float:
-        mass = scene.masses[self.mass]
-        return mass.thickness if isinstance(mass.thickness, float | int) else mass.size[UP]
-
-    def put(self, parts: Parts, value: float) -> None:
-        mass = parts.masses[self.mass]
-        if mass.kind == "layer":
-            parts.masses[self.mass] = dataclasses.replace(mass, thickness=value)
-            return
-        size = (*mass.size[:UP], value, *mass.size[UP + 1 :])
-        parts.masses[self.mass] = dataclasses.replace(mass, size=size)
+    def changed(self, mass: Mass, value: float) -> Mass:
+        return dataclasses.replace(mass, thickness=value)

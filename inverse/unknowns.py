@@ -38,10 +38,10 @@ from inverse.launch import Launch
 from inverse.mpm_kinds import (
     Height,
     InitialStress,
-    LayerThickness,
     MaterialConstant,
     SceneConstant,
     SolidFriction,
+    Thickness,
 )
 
 __all__ = ["Vector", "kind", "launched", "swept", "with_unknowns"]
@@ -213,7 +213,7 @@ _FORMS: dict[str, Callable[[int], Kind]] = {
     "masses[].residual_cohesion": lambda mass: MaterialConstant(mass, "residual_cohesion"),
     "masses[].k0": InitialStress,
     "masses[].height": Height,
-    "masses[].thickness": LayerThickness,
+    "masses[].thickness": Thickness,
     "solids[].friction": SolidFriction,
 }
 

@@ -125,28 +125,18 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        tables = [obstacles_of(scene) for scene in self.scenes] if self.features.contact else []
-        geometry = face = near = held = 0
-        cell_faces, near_faces, held_nodes = [], [], []
-        self.first_faces: list[int] = []
-        for offset, table in zip(self.offsets, tables, strict=False):
-            offset[Offset.GEOMETRY] = geometry
-            cell_faces.append(table.cell_faces + near)
-            near_faces.append(table.near_faces + face)
-            self.first_faces.append(face)
-            held_nodes.append(np.where(table.held_nodes > 0, table.held_nodes + held, 0))
-            geometry += len(table.cell_faces)
-            face, near, held = face + len(table.faces), near + len(table.near_faces), held + len(table.node_contacts)
+        scenes = self.scenes if self.features.contact else []
+        obstacles, self.first_obstacles = obstacles_of(scenes, self.features.dimension)
+        for offset, first in zip(self.offsets, self.first_obstacles, strict=bool(scenes)):
+            offset[Offset.GEOMETRY] = first.cell
 
-        def joined(parts: list[Array], kind: np.dtype[Any] | type, width: int = 0) -> Array:
-            """One array of all parts, never empty."""
-            filled = [part for part in parts if len(part)] or [np.zeros((1, width) if width else 1)]
-            return np.concatenate(filled).astype(kind)
+        def table(values: Array, kind: np.dtype[Any] | type) -> Array:
+            """`values` as the kernel takes them: never empty."""
+            return values.astype(kind) if len(values) else np.zeros((1, *values.shape[1:]), kind)
 
-        self.faces = joined([table.faces for table in tables], real, 1)
-        self.node_contacts = joined([table.node_contacts for table in tables], real, 1)
-        self.cell_faces, self.near_faces = joined(cell_faces, np.int32), joined(near_faces, np.int32)
-        self.held_nodes = joined(held_nodes, np.int32)
+        self.faces, self.node_contacts = table(obstacles.faces, real), table(obstacles.node_contacts, real)
+        self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
+        self.held_nodes = table(obstacles.held_nodes, np.int32)
 
     def add_gates(self) -> None:
         """The lines of `gates`, `held` and `holding` of all scenes."""
@@ -183,7 +173,7 @@ class Batch:
         put(features.velocity, particles.velocities)
         if features.contact:
             contacts = initial_contacts(scene, particles.positions)
-            contacts[:, Contact.FACE] += self.first_faces[index]
+            contacts[:, Contact.FACE] += self.first_obstacles[index].face
             put(features.contacts, contacts)
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):

@@ -12,15 +12,19 @@ from mpm.layout import PADDING, Offset, Setting, Worker
 
 
 @ti.func
+def slowed(v, by):
+    """Velocity `v` along a surface after friction has taken at most `by` [m/s] of it."""
+    speed, keep = v.norm(), 0.0
+    if speed > by:
+        keep = 1.0 - by / speed
+    return keep * v
+
+
+@ti.func
 def stopped_by(v, normal, friction):
     """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
     into = v.dot(normal)
-    along = v - into * normal
-    speed, grip = along.norm(), 0.0 - friction * into
-    keep = 0.0
-    if speed > grip:
-        keep = 1.0 - grip / speed
-    return keep * along
+    return slowed(v - into * normal, 0.0 - friction * into)
 
 
 @ti.func
@@ -28,11 +32,7 @@ def stopped(v, axis: ti.template(), friction):
     """Velocity `v` after a wall across `axis` has stopped it: the normal part goes, friction takes of the rest."""
     grip = friction * ti.abs(v[axis])
     v[axis] = 0.0
-    speed = v.norm()
-    keep = 0.0
-    if speed > grip:
-        keep = 1.0 - grip / speed
-    return keep * v
+    return slowed(v, grip)
 
 
 @ti.func

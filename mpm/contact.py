@@ -26,7 +26,7 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 **Deep nodes.** A node deep in a solid (`mpm.obstacles.HELD_DEPTH`) is reached by the first row alone, which could not
 keep it in balance; it is held like a node behind a wall of the box (`mpm.boundary`).
 
-**Position.** No particle passes a face: a way that crosses one ends there and goes on along it.
+**Position.** No particle passes a face: a displacement that crosses one ends there and goes on along it.
 """
 
 import taichi as ti
@@ -37,7 +37,7 @@ from mpm.lanes import add, lane_maximum, lane_minimum, larger, smaller
 from mpm.layout import Contact, Setting, Worker, component
 
 TURNS = 3
-"""Faces along which a particle's way of one step is led; then it stays where it was."""
+"""Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
 TINY = 1.0e-20
 """Keeps quotients finite."""
 
@@ -119,31 +119,31 @@ def foot_velocity(block, scratch, i: ti.template(), n: ti.template(), arrays: ti
 def strain_at_contact(block, scratch, dt, arrays: ti.template()):
     """Leave in `scratch` what contact adds along n to the strain increment of each particle, dt delta n . v_f [-].
 
-    A surface that has nothing to push is free to be left.
+    Sand without pressure leaves a surface without strain.
     """
     jump = scratch + arrays.features.push
     delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
     arrays.scratch[jump] = 0.0 * delta
     if touches(block, arrays):
         n = normals(block, arrays)
-        leaving = 0.0 * delta
+        opening = 0.0 * delta
         for k in ti.static(range(arrays.features.dimension)):
-            leaving = leaving + n[k] * foot_velocity(block, scratch, k, n, arrays)
+            opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
         adhesion = arrays.state[contact_at(block, Contact.ADHESION, arrays)]
-        loose = (normal_stress(block, n, arrays) >= adhesion) & (leaving > 0.0)
-        arrays.scratch[jump] = ti.select(loose, 0.0, dt * delta * leaving)
+        separated = (normal_stress(block, n, arrays) >= adhesion) & (opening > 0.0)
+        arrays.scratch[jump] = ti.select(separated, 0.0, dt * delta * opening)
 
 
 @ti.func
 def shear_traction_step(block, scratch, dt, shear, n: ti.template(), arrays: ti.template()):
     """Bring the shear tractions q of a block forward by a step, within Coulomb's bound for its new stress."""
     features = arrays.features
-    leaving, square = 0.0 * n[0], TINY + 0.0 * n[0]
+    opening, square = 0.0 * n[0], TINY + 0.0 * n[0]
     for k in ti.static(range(features.dimension)):
-        leaving = leaving + n[k] * foot_velocity(block, scratch, k, n, arrays)
+        opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
     stiffness = dt * shear * arrays.state[contact_at(block, Contact.DELTA, arrays)]
     for k in ti.static(range(features.dimension)):
-        slip = foot_velocity(block, scratch, k, n, arrays) - leaving * n[k]
+        slip = foot_velocity(block, scratch, k, n, arrays) - opening * n[k]
         q = arrays.state[shear_at(block, k, arrays)] - stiffness * slip
         arrays.state[shear_at(block, k, arrays)] = q
         square = square + q * q
@@ -166,7 +166,7 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
             arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
             for lane in range(lanes):
                 solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
-                give(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
+                add_impulse(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
 
 
 @ti.func
@@ -176,7 +176,7 @@ def present(block, arrays: ti.template()):
 
 
 @ti.func
-def give(solid, k: ti.template(), value, lane, worker, arrays: ti.template()):
+def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.template()):
     """Add `value` [N s] to component k of the impulse of a solid."""
     features = arrays.features
     at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension + k
@@ -194,7 +194,7 @@ def against_solids(v, mass, n, worker, arrays: ti.template()):
             stopped = stopped_by(v, normal, arrays.node_contacts[line, features.dimension])
             solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
             for k in ti.static(range(features.dimension)):
-                give(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
+                add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
             v = stopped
     return v
 
@@ -203,15 +203,15 @@ def against_solids(v, mass, n, worker, arrays: ti.template()):
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
 
-    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s is at least d - s away now: as
-    long as that is beyond the contact nobody looks for a face.
+    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
+    long as that is beyond the contact no face is searched.
     """
     features, lanes = arrays.features, arrays.features.lanes
     x, distance = block * features.block, contact_at(block, Contact.DISTANCE, arrays)
     square = 0.0 * arrays.state[x]
     for k in ti.static(range(features.dimension)):
-        way = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
-        square = square + way * way
+        moved = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
+        square = square + moved * moved
     least = arrays.state[distance] - 1.001 * ti.sqrt(square)
     nearby = arrays.settings[scene, Setting.SEARCH]
     if lane_minimum(least, arrays) >= nearby:
@@ -231,7 +231,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
 
 @ti.func
 def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block: where its way of this step ends, and the face nearest to that.
+    """Contact of the particle in `lane` of a block: where its displacement ends, and the face nearest to that.
 
     bound: its distance is no less [m]; if that is positive it has met no face.
     """
@@ -240,15 +240,15 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     first = block * features.block * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
     x, v = lane_vector(first, arrays), lane_vector(first + features.velocity * lanes, arrays)
-    swift, solid, moved = v, -1, False
+    velocity, solid, moved = v, -1, False
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:
         start = ti.Vector(
             [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
         )
-        came = cell_of(start, scene, arrays)
+        start_cell = cell_of(start, scene, arrays)
         for turn in range(TURNS):
-            face = first_crossed(start, x, came, cell, arrays)
+            face = first_crossed(start, x, start_cell, cell, arrays)
             if face < 0:
                 break
             normal = face_vector(face, features.face_normal, arrays)
@@ -261,10 +261,10 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
                 solid = solid_of(face, arrays)
     # Beyond the cells that have faces there are none within the reach of their search.
     delta, distance = 0.0 * cell, arrays.settings[scene, Setting.REACH]
-    here = cell_of(x, scene, arrays)
-    if arrays.cell_faces[here] < arrays.cell_faces[here + 1]:
+    cell_index = cell_of(x, scene, arrays)
+    if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
         last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
-        face, weights, normal, d = nearest_face(x, last, here, arrays)
+        face, weights, normal, d = nearest_face(x, last, cell_index, arrays)
         friction = 0.0 * d
         for k in ti.static(range(dimension)):
             friction += weights[k] * arrays.faces[face, features.face_friction + k]
@@ -293,7 +293,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         if solid >= 0:
             mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
             for k in ti.static(range(dimension)):
-                give(solid, k, mass * (swift[k] - v[k]), lane, worker, arrays)
+                add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
 

@@ -1,4 +1,4 @@
-"""Of the faces that are listed for a cell, the one that a particle is nearest to, and the first that its way crosses.
+"""Of the faces listed for a cell, the one nearest to a particle, and the first that its displacement crosses.
 
 Lists and lines: `mpm.obstacles`. What it finds is what `datasets.geometry.nearest` finds for all faces.
 """
@@ -35,7 +35,7 @@ def cell_of(x, scene, arrays: ti.template()):
 
 @ti.func
 def first_crossed(start, end, cell_index, cell, arrays: ti.template()):
-    """The face that the way from `start` to `end` [m] first passes into a solid through; -1 where it passes none."""
+    """The first face through which the segment from `start` to `end` [m] enters a solid; -1 where it enters none."""
     features = arrays.features
     nearest, found = 0.0 * cell + 2.0, -1
     for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
@@ -97,12 +97,12 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
                 w, part = foot_on_segment(x, candidate, arrays)
             else:
                 w, part = foot_on_triangle(x, candidate, arrays)
-            away = x
+            from_foot = x
             for k in ti.static(range(dimension)):
-                away = away - w[k] * face_vector(candidate, k * dimension, arrays)
-            square = away.dot(away)
+                from_foot = from_foot - w[k] * face_vector(candidate, k * dimension, arrays)
+            square = from_foot.dot(from_foot)
             if square < least:
-                least, face, feature, weights, offset = square, candidate, part, w, away
+                least, face, feature, weights, offset = square, candidate, part, w, from_foot
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     column = features.face_normal + feature * dimension
     normal = face_vector(face, column, arrays)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, sign_and_normal
 from datasets.geometry.surface import Surface
-from datasets.scene import Scene
+from datasets.scene import Domain
 from mpm.face_search import nearest_listed, pairs_within
 from mpm.layout import PADDING
 
@@ -49,36 +49,27 @@ class Faces:
     friction: Floats
     """Coulomb coefficient at the place nearest to each [-], shape [K]."""
 
-    def everywhere(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-        """Distance [nodes], inf where far, normal [nodes, D], 0 where far, and solid [nodes], -1 where far."""
-        count = len(self.first) - 1
-        distance = np.full(count, np.inf, np.float32)
-        normal = np.zeros((count, self.normal.shape[1]), np.float32)
-        solid = np.full(count, -1, np.int32)
-        distance[self.nodes], normal[self.nodes], solid[self.nodes] = self.distance, self.normal, self.solid
-        return distance, normal, solid
 
-
-def node_shape(scene: Scene) -> tuple[int, ...]:
+def node_shape(domain: Domain) -> tuple[int, ...]:
     """Nodes of the background grid along each axis, PADDING cells beyond every wall."""
-    return tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    return tuple(round(length / domain.cell) + 2 * PADDING + 1 for length in domain.size)
 
 
-def node_positions(scene: Scene, nodes: Integers) -> Floats:
+def node_positions(domain: Domain, nodes: Integers) -> Floats:
     """Positions of nodes by their numbers [m], shape [N, D]."""
-    index = np.stack(np.unravel_index(nodes, node_shape(scene)), axis=-1)
-    return np.asarray((index - PADDING) * scene.domain.cell)
+    index = np.stack(np.unravel_index(nodes, node_shape(domain)), axis=-1)
+    return np.asarray((index - PADDING) * domain.cell)
 
 
-def faces_near(scene: Scene, surface: Surface, *, reach: float = 2.0, travel: float = 1.0) -> Faces:
-    """The faces of `surface` near the cells of `scene` and the surface at the nodes near it.
+def faces_near(domain: Domain, surface: Surface, *, reach: float = 2.0, travel: float = 1.0) -> Faces:
+    """The faces of `surface` near the cells of `domain` and the surface at the nodes near it.
 
     reach: of what is wanted, the largest distance from the surface [cells]; travel: longest way of a particle that is
     looked at [cells].
     """
-    cell, shape = scene.domain.cell, node_shape(scene)
-    half = 0.5 * cell * np.sqrt(scene.dimension)
-    cells, faces, distance = near_pairs(scene, surface, max(reach * cell + half, travel * cell + half))
+    cell, shape = domain.cell, node_shape(domain)
+    half = 0.5 * cell * np.sqrt(len(domain.size))
+    cells, faces, distance = near_pairs(domain, surface, max(reach * cell + half, travel * cell + half))
     order = np.lexsort((faces, cells))
     cells, faces, distance = cells[order], faces[order], distance[order]
     # Pieces of a face meet the same cell: the nearest of them counts.
@@ -98,15 +89,15 @@ def faces_near(scene: Scene, surface: Surface, *, reach: float = 2.0, travel: fl
     return Faces(
         first=np.cumsum(first).astype(np.int32),
         faces=faces.astype(np.int32),
-        **nodes_near(scene, surface, cells, faces, reach * cell),
+        **nodes_near(domain, surface, cells, faces, reach * cell),
     )
 
 
-def nodes_near(scene: Scene, surface: Surface, cells: Integers, faces: Integers, reach: float) -> dict[str, Any]:
+def nodes_near(domain: Domain, surface: Surface, cells: Integers, faces: Integers, reach: float) -> dict[str, Any]:
     """What the nodes within `reach` [m] see, by the names of `Faces`; their cells' faces hold their nearest one."""
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     nodes: Integers = cells[groups]
-    points = node_positions(scene, nodes)
+    points = node_positions(domain, nodes)
     points_in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     ends = np.append(groups, len(cells))
     nearest, square = nearest_listed(in_space(surface.corners), points_in_space, ends, faces)
@@ -126,9 +117,9 @@ def nodes_near(scene: Scene, surface: Surface, cells: Integers, faces: Integers,
     }
 
 
-def near_pairs(scene: Scene, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
+def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
     """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P]."""
-    cell, shape = scene.domain.cell, np.array(node_shape(scene))
+    cell, shape = domain.cell, np.array(node_shape(domain))
     corners, face = pieces(surface.corners, PIECE * cell)
     low = np.floor((corners.min(axis=1) - limit) / cell - 0.5).astype(np.int64) + PADDING
     high = np.ceil((corners.max(axis=1) + limit) / cell - 0.5).astype(np.int64) + PADDING + 1

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm.layout import PADDING, Contact
-from mpm.obstacles import initial_contacts, obstacles_of
+from mpm.obstacles import initial_contacts, obstacles_in
 
 Floats = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ class ContactOperator:
         that component; else all, for such a node lies deep and only the first row of particles reaches it.
         """
         size = scene.dimension
-        solids = obstacles_of(scene)
+        solids = obstacles_in(scene)
         shape = tuple(round(length / scene.domain.cell) + 7 for length in scene.domain.size)
         line = solids.held_nodes[np.ravel_multi_index(tuple(nodes.T), shape)]
         held = np.zeros(nodes.shape, bool)

@@ -1,7 +1,9 @@
 """What the kernel knows of the solids in the box: faces, which of them are near a cell, nodes deep inside, and where
 each particle touches at the start (`mpm.contact`)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, nearest
 from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Scene
+from datasets.scene import Domain, Scene
 from mpm.faces import faces_near, node_shape
 from mpm.layout import Contact
 from mpm.properties import CONTACT_WIDTH, search_distance
@@ -24,7 +26,7 @@ NO_SLIP = 1.0e9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacles:
-    """The solids of one scene for the kernel: F faces, C cells, K nodes that are held."""
+    """Solids for the kernel: F faces, C cells, K nodes that are held."""
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], adhesion [Pa],
@@ -39,13 +41,51 @@ class Obstacles:
     """Of each held node the normal, friction and the number of its solid, shape [K, D + 2]."""
 
 
-def obstacles_of(scene: Scene) -> Obstacles:
-    """The solids of `scene`, none where it has none. Raises InputError as `datasets.geometry.surface.surface_of`."""
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Where those of one scene begin among the obstacles of several."""
+
+    cell: int
+    """In `cell_faces` and `held_nodes`."""
+    face: int
+    """In `faces`."""
+
+
+def obstacles_of(scenes: Sequence[Scene], dimension: int) -> tuple[Obstacles, list[Starts]]:
+    """The solids of several scenes in `dimension` dimensions in one, and where each scene's begin.
+
+    Raises InputError as `datasets.geometry.surface.surface_of`.
+    """
+    parts = [obstacles_in(scene) for scene in scenes]
+    starts = [Starts(cell=0, face=0)]
+    near = held = 0
+    none = np.zeros(0, np.int32)
+    cell_faces, near_faces, held_nodes = [none], [none], [none]
+    for part in parts:
+        first = starts[-1]
+        cell_faces.append(part.cell_faces + near)
+        near_faces.append(part.near_faces + first.face)
+        held_nodes.append(np.where(part.held_nodes > 0, part.held_nodes + held, 0))
+        near, held = near + len(part.near_faces), held + len(part.node_contacts)
+        starts.append(Starts(cell=first.cell + len(part.cell_faces), face=first.face + len(part.faces)))
+    together = Obstacles(
+        faces=np.concatenate([np.zeros((0, face_columns(dimension))), *(part.faces for part in parts)]),
+        cell_faces=np.concatenate(cell_faces),
+        near_faces=np.concatenate(near_faces),
+        held_nodes=np.concatenate(held_nodes),
+        node_contacts=np.concatenate([np.zeros((0, dimension + 2)), *(part.node_contacts for part in parts)]),
+    )
+    return together, starts[:-1]
+
+
+def obstacles_in(scene: Scene) -> Obstacles:
+    """The solids of one scene, with a cell beyond the distance that has to be known: who comes from there needs more
+
+    than a step. None of anything where it has none.
+    """
     surface = surface_of(scene)
     if surface is None:
-        nodes = int(np.prod(node_shape(scene)))
-        columns = face_columns(scene.dimension)
-        none = np.zeros(nodes + 1, np.int32)
+        columns, none = face_columns(scene.dimension), np.zeros(int(np.prod(node_shape(scene.domain))) + 1, np.int32)
         return Obstacles(
             faces=np.zeros((0, columns)),
             cell_faces=none,
@@ -53,15 +93,14 @@ def obstacles_of(scene: Scene) -> Obstacles:
             held_nodes=none,
             node_contacts=np.zeros((0, scene.dimension + 2)),
         )
-    return obstacles_with(surface, scene)
+    return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell)
 
 
-def obstacles_with(surface: Surface, scene: Scene) -> Obstacles:
-    """The solids with `surface` in the box of `scene`."""
-    cell = scene.domain.cell
-    # A cell beyond what has to be known: who comes from there does so in more than a step.
-    near = faces_near(scene, surface, reach=1.0 + search_distance(scene) / cell)
-    deep = np.flatnonzero(near.distance <= -HELD_DEPTH * cell * (1.0 - 1.0e-9))
+@lru_cache(maxsize=32)
+def obstacles_with(surface: Surface, domain: Domain, reach: float) -> Obstacles:
+    """The solids with `surface` in a box, known up to `reach` cells from it; runs of one geometry share them."""
+    near = faces_near(domain, surface, reach=reach)
+    deep = np.flatnonzero(near.distance <= -HELD_DEPTH * domain.cell * (1.0 - 1.0e-9))
     held = np.zeros(len(near.first), np.int32)
     held[near.nodes[deep]] = np.arange(1, len(deep) + 1)
     count = len(surface.corners)

@@ -48,7 +48,7 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
     step_particles(worker, scene, block, scratch, dt, kept, arrays)
     update_stress(scene, block, scratch, dt, arrays)
     if ti.static(features.open):
-        leave(block, scene, arrays)
+        remove_outflow(block, scene, arrays)
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
         find_contacts(block, scratch, mass, worker, scene, arrays)
@@ -80,7 +80,7 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
         held = between(free, 0.0, length)
         if ti.static(features.open):
-            held = let_out(free, held, 2 * k, scene, arrays)
+            held = beyond_open_sides(free, held, 2 * k, scene, arrays)
         arrays.state[x + k] = held
         put_back = lane_sum(
             ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
@@ -90,15 +90,15 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
 
 
 @ti.func
-def let_out(free, held, side: ti.template(), scene, arrays: ti.template()):
+def beyond_open_sides(free, held, side: ti.template(), scene, arrays: ti.template()):
     """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `held`."""
     below, above = closed(side, scene, arrays), closed(side + 1, scene, arrays)
     return ti.select(((free < held) & (below == 0)) | ((free > held) & (above == 0)), free, held)
 
 
 @ti.func
-def leave(block, scene, arrays: ti.template()):
-    """Take the particles of a block that lie beyond an open side out of the flow: without mass, at rest, for good."""
+def remove_outflow(block, scene, arrays: ti.template()):
+    """Particles of a block beyond an open side are no part of the flow any more: without mass, stress and velocity."""
     features = arrays.features
     x = block * features.block
     here = arrays.state[x + features.present]

@@ -6,7 +6,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
-from datasets.particles import mass_volumes, released_volume
+from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
 from inverse.problem import read_problem
 from inverse.unknowns import kind, with_unknowns
@@ -62,20 +62,6 @@ def test_what_a_scene_has_not_is_refused(name: str, message: str) -> None:
         kind(name).check(COLUMN)
 
 
-def test_the_height_of_a_layer_is_its_thickness() -> None:
-    layer = dataclasses.replace(COLUMN, masses=(Mass(kind="layer", thickness=0.1),))
-    height = kind("masses[0].height")
-    height.check(layer)
-    assert height.read(layer) == 0.1
-    changed = with_unknowns(layer, ["masses[0].height"], [0.2])
-    assert height.read(changed) == 0.2
-    assert changed.masses[0].size[1] == pytest.approx(0.2)
-    assert released_volume(changed) == pytest.approx(2.0 * released_volume(layer))
-    triangle = Mass(kind="polygon", vertices=((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)))
-    with pytest.raises(InputError, match="a layer of one thickness, got a polygon"):
-        height.check(dataclasses.replace(COLUMN, masses=(triangle,)))
-
-
 def test_a_solid_and_a_layer() -> None:
     ground = Solid(name="slope", kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
     layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
@@ -83,9 +69,13 @@ def test_a_solid_and_a_layer() -> None:
     changed = with_unknowns(scene, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
     assert changed.solids[0].friction == 0.6
     assert kind("masses[0].thickness").read(changed) == 0.15
-    assert mass_volumes(changed)[0] > 1.3 * mass_volumes(scene)[0]
-    for name, where in (("masses[0].thickness", COLUMN), ("solids[0].friction", COLUMN)):
-        with pytest.raises(InputError):
+    assert released_volume(changed) == pytest.approx(1.5 * released_volume(scene))
+    for name, where, message in (
+        ("masses[0].thickness", COLUMN, "kind layer"),
+        ("masses[0].height", scene, "kind box, got a layer"),
+        ("solids[0].friction", COLUMN, "index below 0"),
+    ):
+        with pytest.raises(InputError, match=message):
             kind(name).check(where)
 
 
