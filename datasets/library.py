@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
+from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
-from datasets.strict import from_mapping, read_toml
 
 SCENES = Path(__file__).parent / "scenes"
 

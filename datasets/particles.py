@@ -119,7 +119,7 @@ def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
 
     Spacings of a mass differ by a factor of two at most where every side is at least a cell.
     """
-    share = scene.domain.cell / scene.particles_per_axis
+    share = scene.particle_spacing
     return [max(1, round(length / share)) for length in mass.size]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.solid import Rows, Solid, Triangles, check_solid
 from datasets.material import Material
-from datasets.strict import Strict, from_mapping
+from datasets.records import Strict, from_mapping
 
 Vector = tuple[float, ...]
 
@@ -127,12 +127,12 @@ class Scene(Strict):
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays (`mpm.transfer`).
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays (`mpm.physics.transfer`).
 
     Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
     """
     volume_correction: bool | None = None
-    """Whether sand that has come apart closes its gaps before it bears anything again (`mpm.gaps`).
+    """Whether sand that has come apart closes its gaps before it bears anything again (`mpm.physics.volume_correction`).
 
     Where absent, if a body is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
     Sand that has bounced would else stay as loose as it flew (docs/stability.md).
@@ -182,9 +182,14 @@ class Scene(Strict):
         return round(self.duration / self.frame_dt) + 1
 
     @property
+    def particle_spacing(self) -> float:
+        """Nominal distance between neighbouring particles at the start [m]."""
+        return self.domain.cell / self.particles_per_axis
+
+    @property
     def particle_volume(self) -> float:
         """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
-        return (self.domain.cell / self.particles_per_axis) ** self.dimension
+        return self.particle_spacing**self.dimension
 
     @property
     def gravity_vector(self) -> Vector:

@@ -13,7 +13,7 @@ import torch
 
 from datasets import command_line
 from datasets.errors import InputError
-from gns import checkpoint
+from gns.model import checkpoint
 
 
 def average(*models: Path, out: Path) -> None:

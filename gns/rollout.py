@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from datasets import command_line, files, measures
 from datasets.errors import InputError
+from datasets.exchange.vtk import write_vtk
 from datasets.library import read_scene
 from datasets.trajectory import Floats, Trajectory
-from datasets.vtk import write_vtk
-from gns import card, checkpoint
-from gns.grid import UP
+from gns.model import card, checkpoint
+from gns.model.grid import UP
 from gns.start import after_frames, at_rest
 from gns.unroll import unroll
 

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 
 from datasets import command_line, files, measures
-from datasets.samples import Flow, Sample, cut, load_flows
+from datasets.training.samples import Flow, Sample, cut, load_flows
 from datasets.trajectory import Floats
-from gns import checkpoint
-from gns.batch import batched
-from gns.simulator import Simulator
+from gns.model import checkpoint
+from gns.model.batch import batched
+from gns.model.simulator import Simulator
 from gns.unroll import unroll
 
 START = 0.05

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.plain import check_plain
 from datasets.particles import initial_particles, particle_volumes
-from datasets.samples import corners, frames_per_step, point_cohesion
 from datasets.scene import Scene
-from datasets.thinning import thin
+from datasets.training.samples import corners, frames_per_step, point_cohesion
+from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
-from gns.settings import ModelSettings
-from gns.state import Conditions, State
+from gns.model.settings import ModelSettings
+from gns.model.state import Conditions, State
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,18 +15,18 @@ from tqdm import tqdm
 
 from datasets import command_line, files
 from datasets.errors import InputError
-from datasets.samples import Flow, Flows, load_flows
-from gns import checkpoint
-from gns.budget import Budget, Clock
-from gns.distributed import joined
-from gns.log import Log
-from gns.objective import Curriculum, statistics, unrolled_steps
-from gns.progress import Bar
+from datasets.training.samples import Flow, Flows, load_flows
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
 from gns.score import badness, evaluate, table
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from gns.stopping import Stop
-from gns.training import Run, TrainingSettings
+from gns.training.budget import Budget, Clock
+from gns.training.distributed import joined
+from gns.training.log import Log
+from gns.training.objective import Curriculum, statistics, unrolled_steps
+from gns.training.progress import Bar
+from gns.training.stopping import Stop
+from gns.training.update import Run, TrainingSettings
 
 MODEL = ModelSettings()
 TRAINING = TrainingSettings()

@@ -5,10 +5,10 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
-from gns.heap import trimming
-from gns.neighbours import NeighbourList
-from gns.simulator import Simulator
-from gns.state import Conditions, State
+from gns.kernels.memory_trim import trimming
+from gns.kernels.neighbours import NeighbourList
+from gns.model.simulator import Simulator
+from gns.model.state import Conditions, State
 
 
 def unroll(

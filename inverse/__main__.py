@@ -9,21 +9,21 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from gns import card, checkpoint
+from gns.model import card, checkpoint
 from gns.rollout import shipped
-from inverse import report
 from inverse.finite_difference import central
-from inverse.gns_forward import MEMORY_GIB, GnsForward, GnsSource
+from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
+from inverse.forward.mpm import MpmForward
 from inverse.gradient import automatic
 from inverse.gradient_free import explore
 from inverse.inversion import invert, unconfirmed
-from inverse.measurements import prepare
-from inverse.mpm_forward import MpmForward
-from inverse.observations import Observation, Values
+from inverse.observations.deposit import Observation, Values
+from inverse.observations.measurements import prepare
+from inverse.observations.target import Target
+from inverse.parameters.parameters import kind, with_unknowns
 from inverse.problem import Method, Problem, Surrogate, read_problem
+from inverse.report import markdown as report
 from inverse.result import Result
-from inverse.target import Target
-from inverse.unknowns import kind, with_unknowns
 from mpm.simulate import simulate, simulate_many
 
 

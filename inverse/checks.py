@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
-from inverse.launch import Start
+from inverse.parameters.initial_state import Start
+from inverse.parameters.parameters import kind, swept, with_unknowns
 from inverse.settings import (
     ONE_NUMBER,
     Heights,
@@ -18,7 +19,6 @@ from inverse.settings import (
     TargetSettings,
     Unknown,
 )
-from inverse.unknowns import kind, swept, with_unknowns
 
 
 def require(ok: bool, key: str, expected: str, got: object) -> None:
@@ -81,7 +81,7 @@ def check_observation(scene: Scene, observation: ObservationSettings) -> None:
     length = scene.domain.size[0]
     spacing, line, width = observation.spacing, observation.line, observation.width
     if observation.kind is Observable.SEVERAL:
-        return  # Each is checked where it is read (`inverse.measurements`).
+        return  # Each is checked where it is read (`inverse.observations.measurements`).
     require(0.0 < spacing <= length / 2, "observation.spacing", f"a length in (0, {length / 2:g}] m", spacing)
     if observation.kind is Observable.PASSED:
         require(line is not None, "observation.line", "the x [m] of a line that the flow may pass", "none")

@@ -5,11 +5,11 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from inverse.forward import Evaluation, Forward
+from inverse.forward.interface import Evaluation, Forward
 from inverse.gradient import Evaluate
-from inverse.observations import Values, loss
+from inverse.observations.deposit import Values, loss
+from inverse.parameters.parameters import Vector
 from inverse.problem import Problem
-from inverse.unknowns import Vector
 
 
 def central(
@@ -23,7 +23,7 @@ def central(
 ) -> Evaluate:
     """Loss and gradient of `forward` against `target`, shape [M]; each unknown moves by its own step.
 
-    components: of the observation, see `inverse.observations.loss`. with_jacobian: keep it, for a Gauss-Newton search.
+    components: of the observation, see `inverse.observations.deposit.loss`. with_jacobian: keep it, for a Gauss-Newton search.
     steps: other steps than the problem's, shape [U].
     """
     moves = problem.steps if steps is None else steps

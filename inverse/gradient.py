@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inverse.forward import Differentiable, Evaluation
-from inverse.observations import Values, loss
-from inverse.unknowns import Vector
+from inverse.forward.interface import Differentiable, Evaluation
+from inverse.observations.deposit import Values, loss
+from inverse.parameters.parameters import Vector
 
 Evaluate = Callable[[Vector], Evaluation]
 
@@ -18,7 +18,7 @@ Evaluate = Callable[[Vector], Evaluation]
 def automatic(forward: Differentiable, target: Values, *, components: int = 1, with_jacobian: bool = False) -> Evaluate:
     """Loss and gradient of `forward` against `target`, shape [M]; memory is the forward's affair.
 
-    components: of the observation, see `inverse.observations.loss`. with_jacobian: one backward pass for each of the M
+    components: of the observation, see `inverse.observations.deposit.loss`. with_jacobian: one backward pass for each of the M
     numbers instead of one for all, which a Gauss-Newton search wants.
     """
     wanted = torch.from_numpy(target)

@@ -12,8 +12,8 @@ from optuna.trial import TrialState
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from inverse.forward import Evaluation, Forward
-from inverse.observations import Values, loss
+from inverse.forward.interface import Evaluation, Forward
+from inverse.observations.deposit import Values, loss
 from inverse.problem import OptimiserSettings, Problem, Sampler
 
 
@@ -23,7 +23,7 @@ def explore(
     """Every prediction, in order, beginning at the problem's start; the answer is the one of least loss.
 
     It ends below the optimiser's `stop_below` or after `max_trials` predictions, `at_once` of which are asked for
-    together. components: of the observation, see `inverse.observations.loss`.
+    together. components: of the observation, see `inverse.observations.deposit.loss`.
     """
     settings = problem.optimiser
     optuna.logging.set_verbosity(optuna.logging.WARNING)

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inverse.forward import Evaluation
+from inverse.forward.interface import Evaluation
 from inverse.gradient import Evaluate
+from inverse.observations.target import Target
 from inverse.optimise import Bounds, best, minimise
 from inverse.problem import Problem
 from inverse.result import Result, Round, Verdict
-from inverse.target import Target
 
 
 def invert(problem: Problem, target: Target, evaluate: Evaluate) -> Result:

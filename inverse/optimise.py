@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from inverse.forward import Evaluation
+from inverse.forward.interface import Evaluation
 from inverse.gradient import Evaluate
+from inverse.parameters.parameters import Vector
 from inverse.problem import Method, OptimiserSettings
-from inverse.unknowns import Vector
 
 RESOLUTION = 5.0e-4
 """A step shorter than this fraction of every unknown's range is not worth a simulation."""

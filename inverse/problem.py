@@ -16,10 +16,11 @@ from datasets.geometry.ground import elevation
 from datasets.geometry.margins import Box
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
+from datasets.records import Strict, fraction, from_mapping, read_toml
 from datasets.scene import Scene
-from datasets.strict import Strict, fraction, from_mapping, read_toml
 from inverse import checks
-from inverse.launch import Start, untouched
+from inverse.parameters.initial_state import Start, untouched
+from inverse.parameters.parameters import Vector, kind, swept
 from inverse.settings import (
     LoopSettings,
     MeasurementSettings,
@@ -32,7 +33,6 @@ from inverse.settings import (
     TargetSettings,
     Unknown,
 )
-from inverse.unknowns import Vector, kind, swept
 
 __all__ = [
     "LoopSettings",

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from datasets.files import write_json
-from inverse.forward import Evaluation
-from inverse.observations import Values
+from inverse.forward.interface import Evaluation
+from inverse.observations.deposit import Values
+from inverse.observations.target import Target
+from inverse.parameters.parameters import Vector
 from inverse.problem import Problem
-from inverse.target import Target
-from inverse.unknowns import Vector
 
 MOST_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""

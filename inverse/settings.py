@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from datasets.strict import Strict
-from inverse.launch import Start
+from datasets.records import Strict
+from inverse.parameters.initial_state import Start
 
 
 class Observable(StrEnum):
@@ -107,7 +107,7 @@ class Unknown(Strict):
     """A number to be found, in the units of its name."""
 
     name: str
-    """See `inverse.unknowns`."""
+    """See `inverse.parameters.parameters`."""
     initial: float
     """Where the search starts."""
     lower: float
@@ -198,7 +198,7 @@ class TargetSettings(Strict):
     datum: float = 0.0
     """Height of the floor in the file [`unit`]."""
     heights: Heights = Heights.EQUIVALENT
-    """What the heights are: by how much their area may differ from the released one (`inverse.measured`)."""
+    """What the heights are: by how much their area may differ from the released one (`inverse.observations.profile`)."""
     hidden: bool = False
     """A twin experiment: the MPM makes the target, the inversion gets to see the observation alone."""
     least: bool = False

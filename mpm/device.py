@@ -10,9 +10,9 @@ import numpy as np
 import taichi as ti
 from tqdm import tqdm
 
-from mpm.batch import Array, Batch
+from mpm.arrays.batch import Array, Batch
+from mpm.arrays.layout import Features, Offset, Setting, StepControl
 from mpm.kernel import Phase
-from mpm.layout import Features, Offset, Setting, StepControl
 
 TWICE = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
 """With one lane a vector of lanes is a number: the second view of such memory is the first."""

@@ -16,18 +16,18 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from datasets.channel3d import CHANNEL3D
 from datasets.command_line import WorkFailed, run
-from datasets.definition import Definition, Entry, Split
+from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions.definition import Definition, Entry, Split
+from datasets.definitions.flow2d import FLOW2D
+from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.obstacle3d import OBSTACLE3D
+from datasets.definitions.releases2d import RELEASES2D
 from datasets.errors import InputError
 from datasets.files import write_json
-from datasets.flow2d import FLOW2D
-from datasets.layers2d import LAYERS2D
-from datasets.metadata import metadata
-from datasets.obstacle3d import OBSTACLE3D
-from datasets.releases2d import RELEASES2D
 from datasets.scene import Scene
-from datasets.statistics import MotionStatistics, motion_statistics
+from datasets.training.metadata import metadata
+from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.processors import processors
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.grid import clear, kept_of, update_node, update_nodes
-from mpm.layout import Features, Offset, Setting, StepControl, Worker
-from mpm.nodes import rows_of
-from mpm.output import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
-from mpm.particles import move_block, move_particles
-from mpm.transfer import block_to_grid, particles_to_grid
+from mpm.arrays.layout import Features, Offset, Setting, StepControl, Worker
+from mpm.arrays.nodes import rows_of
+from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
+from mpm.physics.grid import clear, kept_of, update_node, update_nodes
+from mpm.physics.particles import move_block, move_particles
+from mpm.physics.transfer import block_to_grid, particles_to_grid
 
 TURNS = 512
 """Taichi hands a thread no fewer turns of a loop than these."""
@@ -40,7 +40,7 @@ class Phase(Enum):
 
 @ti.data_oriented
 class Arrays:
-    """The arrays of a batch by name, as the kernel hands them on; `mpm.batch` says what each holds."""
+    """The arrays of a batch by name, as the kernel hands them on; `mpm.arrays.batch` says what each holds."""
 
     def __init__(self, features: Features, **arrays: Any) -> None:
         self.features = features
@@ -94,7 +94,7 @@ def advance_worker(worker, first, last, arrays: ti.template()):
 def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
-    It takes the arrays of `mpm.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
+    It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
     record the frames [first, last). The others are parts of a frame, each on as many threads as there are particles,
     for a GPU: see `mpm.device`.
     """

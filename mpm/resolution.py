@@ -8,7 +8,7 @@ and thrown masses, dry and cohesive, damped and not. It covers the grid, the ste
 whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
-(docs/accuracy.md, `python -m validation.accuracy mpm`, which also writes `resolution.toml`; docs/tolerance.md, which
+(docs/accuracy.md, `python -m validation.bench.accuracy.bench mpm`, which also writes `resolution.toml`; docs/tolerance.md, which
 tries the promise on other scenes).
 """
 
@@ -20,10 +20,10 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
+from datasets.records import Strict, fraction, from_mapping, read_toml
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
-from datasets.strict import Strict, fraction, from_mapping, read_toml
-from mpm.layout import Precision
-from mpm.properties import substeps_per_frame
+from mpm.arrays.layout import Precision
+from mpm.arrays.properties import substeps_per_frame
 
 MEASURED = Path(__file__).with_suffix(".toml")
 COVERAGE = 0.9

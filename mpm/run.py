@@ -5,15 +5,15 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.errors import InputError
+from datasets.exchange.vtk import write_vtk
+from datasets.exchange.vtkhdf import FILE as VTKHDF
+from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
-from datasets.vtk import write_vtk
-from datasets.vtkhdf import FILE as VTKHDF
-from datasets.vtkhdf import write_vtkhdf
-from mpm.checkpoint import Checkpoint
-from mpm.layout import Precision
-from mpm.recording import FIELDS, Recording
+from mpm.arrays.layout import Precision
+from mpm.output.checkpoint import Checkpoint
+from mpm.output.request import FIELDS, Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch
 from mpm.simulate import Interrupted, Options, simulate_resumably

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import taichi as ti
 
 from datasets.errors import InputError
-from mpm.layout import Precision
+from mpm.arrays.layout import Precision
 from mpm.processors import processors
 
 Arch = Literal["cpu", "cuda"]
@@ -33,7 +33,7 @@ def start(precision: Precision = "f32", threads: int | None = None, arch: Arch =
             cpu_max_num_threads=threads,
             # NaNs must stay visible: a run that blows up has to say so.
             fast_math=False,
-            # Vectors stay vectors down to LLVM, which has registers for them (`mpm.lanes`).
+            # Vectors stay vectors down to LLVM, which has registers for them (`mpm.arrays.lanes`).
             real_matrix_scalarize=arch != "cpu",
             offline_cache=True,
             log_level=ti.ERROR,

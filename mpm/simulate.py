@@ -11,14 +11,14 @@ from datasets.particles import warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.batch import Batch, features_of, particles_of
-from mpm.checkpoint import Checkpoint
+from mpm.arrays.batch import Batch, features_of, particles_of
+from mpm.arrays.layout import Features, Precision
 from mpm.device import run_on_device
 from mpm.kernel import Phase, kernel
-from mpm.layout import Features, Precision
-from mpm.outcome import failure, trajectory
+from mpm.output.checkpoint import Checkpoint
+from mpm.output.outcome import failure, trajectory
+from mpm.output.request import ALL, Recording, with_usual_fields
 from mpm.processors import processors
-from mpm.recording import ALL, Recording, with_usual_fields
 from mpm.runtime import Arch
 
 FRAMES_PER_LAUNCH = 20
@@ -45,7 +45,7 @@ class Options(TypedDict, total=False):
     fields: bool
     """Record the usual fields too: velocity, pressure and plastic strain, and the forces on the walls."""
     until_rest: bool
-    """End a scene when its deposit has come to rest (`mpm.rest`), and fill the frames that are left with the last one;
+    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the last one;
     the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
     progress: bool
     """Show a bar."""

@@ -9,15 +9,15 @@ import numpy as np
 
 from datasets import measures
 from datasets.command_line import run
-from gns import checkpoint
+from gns.model import checkpoint
 from gns.rollout import SHIPPED
-from inverse import observations
-from inverse.gns_forward import GnsSource
+from inverse.forward.gns import GnsSource
+from inverse.observations import deposit as observations
+from inverse.observations.target import Target, read_target
 from inverse.problem import TargetSettings, read_problem
-from inverse.target import Target, read_target
-from mpm.recording import LAST
+from mpm.output.request import LAST
 from mpm.simulate import simulate, simulate_many
-from validation.loop import finish, solve
+from validation.loop.__main__ import finish, solve
 
 ANGLES_DEG = (18.0, 42.0)
 """The hidden angle lies somewhere in here."""

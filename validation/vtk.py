@@ -7,15 +7,15 @@ from time import perf_counter
 
 import numpy as np
 
-from datasets import vtk, vtkhdf, xdmf
 from datasets.command_line import listed, run
 from datasets.errors import InputError
+from datasets.exchange import vtk, vtkhdf, xdmf
+from datasets.exchange.vtk import frames_of, write_vtk
+from datasets.exchange.vtkhdf import write_vtkhdf
+from datasets.exchange.xdmf import write_xdmf
 from datasets.files import make_folder
 from datasets.trajectory import Trajectory, read_trajectory
-from datasets.vtk import frames_of, write_vtk
-from datasets.vtkhdf import write_vtkhdf
-from datasets.xdmf import write_xdmf
-from validation.rendering import Colour, require, write_movie, write_picture
+from validation.report.rendering import Colour, require, write_movie, write_picture
 
 
 class Format(StrEnum):

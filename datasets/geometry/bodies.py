@@ -90,7 +90,7 @@ def filling(scene: "Scene", mass: "Mass", key: str = "masses") -> Filling:
         dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None),
         Box(scene.domain.size, scene.domain.cell),
         tuple(solid for solid in scene.solids if solid.kind == "terrain") if mass.kind == "layer" else (),
-        scene.domain.cell / scene.particles_per_axis,
+        scene.particle_spacing,
         key,
     )
 

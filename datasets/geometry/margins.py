@@ -5,7 +5,7 @@ from dataclasses import dataclass
 BEYOND = 8.0
 """Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
 KEPT = 3.0
-"""Cells beyond the box in which faces are kept: the grid ends there (`mpm.layout.PADDING`)."""
+"""Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
 TOUCHING = 1.0e-9
 """Distance [m] up to which lengths that a user wrote in decimals are the same."""
 CLOSING = 1.0e-6

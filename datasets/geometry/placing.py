@@ -141,7 +141,7 @@ def places(scene: "Scene", mass: "Mass") -> Floats:
     """Where the particles of a mass are before their jitter [m], shape [N, D]."""
     if mass.kind == "box":
         low = np.array(mass.lower)
-        return lattice_in(low, low + np.array(mass.size), scene.domain.cell / scene.particles_per_axis)[0]
+        return lattice_in(low, low + np.array(mass.size), scene.particle_spacing)[0]
     found = filling(scene, mass)
     return found.raised(found.lattice)
 

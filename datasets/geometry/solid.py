@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets.errors import InputError
-from datasets.strict import Strict
+from datasets.records import Strict
 
 Vector = tuple[float, ...]
 Rows = tuple[Vector, ...]

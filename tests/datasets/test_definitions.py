@@ -7,15 +7,15 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
-from datasets.channel3d import CHANNEL3D
-from datasets.definition import Definition, Entry, Split
+from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions.definition import Definition, Entry, Split
+from datasets.definitions.flow2d import FLOW2D, FRICTION_DEG
+from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.obstacle3d import OBSTACLE3D
+from datasets.definitions.releases2d import RELEASES2D, held_out
 from datasets.errors import InputError
-from datasets.flow2d import FLOW2D, FRICTION_DEG
-from datasets.layers2d import LAYERS2D
 from datasets.library import read_scene
-from datasets.obstacle3d import OBSTACLE3D
 from datasets.particles import initial_particles
-from datasets.releases2d import RELEASES2D, held_out
 from datasets.scene import Baffle, Mass
 
 every = pytest.mark.parametrize(

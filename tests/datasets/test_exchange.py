@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import geoelements, importing, lagrangebench
 from datasets.command_line import run
-from datasets.exchange import command
+from datasets.exchange import geoelements, importing, lagrangebench
+from datasets.exchange.__main__ import command
+from datasets.exchange.common import PeerMetadata
+from datasets.exchange.layouts import LAYOUTS
 from datasets.files import write_json
 from datasets.geometry.solid import Solid
-from datasets.layouts import LAYOUTS
-from datasets.peers import PeerMetadata
-from datasets.statistics import motion_statistics
+from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, peer_dataset, peer_metadata, strewn, toy, toy_dataset, toy_scene
 
@@ -313,7 +313,7 @@ def test_the_page_names_every_key(tmp_path: Path) -> None:
         written = json.loads((tmp_path / layout / "metadata.json").read_text())
         assert written.keys() <= set(re.findall(r"`(\w+)`", section))
     for module in (geoelements, lagrangebench):
-        section = page.split(f"\n## {module.__name__.split('.')[1]}\n")[1].split("\n## ")[0]
+        section = page.split(f"\n## {module.__name__.split('.')[-1]}\n")[1].split("\n## ")[0]
         for kind in module.ParticleType:
             assert f"{int(kind)} ({kind.name.lower().replace('_', ' ')})" in section
     exchange(tmp_path / "geoelements", "--from", "geoelements", "--out", tmp_path / "back")

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import foreign_npz
 from datasets.errors import InputError
-from datasets.foreign_npz import open_foreign_npz
+from datasets.exchange import foreign_npz
+from datasets.exchange.foreign_npz import open_foreign_npz
 from tests.datasets.test_pickle_reading import Calls, same, trajectories
 
 

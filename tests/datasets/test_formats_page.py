@@ -10,26 +10,26 @@ import meshio
 import numpy as np
 import pytest
 
-from datasets import maps
-from datasets.channel3d import CHANNEL3D
 from datasets.command_line import run
-from datasets.definition import Definition
-from datasets.flow2d import FLOW2D
+from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions.definition import Definition
+from datasets.definitions.flow2d import FLOW2D
+from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.obstacle3d import OBSTACLE3D
+from datasets.definitions.releases2d import RELEASES2D
 from datasets.forces import write_forces
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
-from datasets.layers2d import LAYERS2D
 from datasets.library import read_scene
+from datasets.maps import __main__ as maps
 from datasets.material import Material
-from datasets.metadata import metadata
-from datasets.obstacle3d import OBSTACLE3D
 from datasets.particles import initial_particles, mass_volumes
-from datasets.releases2d import RELEASES2D
+from datasets.records import from_mapping
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.statistics import MOVING_SPEED, motion_statistics
-from datasets.strict import from_mapping
+from datasets.training.metadata import metadata
+from datasets.training.statistics import MOVING_SPEED, motion_statistics
 from datasets.trajectory import Trajectory
-from mpm.checkpoint import ARRAYS, PLAIN
+from mpm.output.checkpoint import ARRAYS, PLAIN
 from tests.datasets.toys import toy
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")

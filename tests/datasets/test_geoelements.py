@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import geoelements
 from datasets.errors import InputError
-from datasets.geoelements import ParticleType
-from datasets.peers import Particles, particles_of
+from datasets.exchange import geoelements
+from datasets.exchange.common import Particles, particles_of
+from datasets.exchange.geoelements import ParticleType
 from tests.datasets.toys import toy
 
 STREAM = np.random.default_rng(0)

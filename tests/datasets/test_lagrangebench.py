@@ -7,9 +7,9 @@ import h5py
 import numpy as np
 import pytest
 
-from datasets import lagrangebench
 from datasets.errors import InputError
-from datasets.peers import Particles, particles_of
+from datasets.exchange import lagrangebench
+from datasets.exchange.common import Particles, particles_of
 from tests.datasets.toys import toy
 
 POSITIONS = np.random.default_rng(0).random((4, 5, 2)).astype(np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.mapped import mapped, open_trajectory
+from datasets.training.memory_mapped import mapped, open_trajectory
 from datasets.trajectory import Trajectory
 
 

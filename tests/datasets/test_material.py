@@ -9,7 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.material import TENSION_SHARE, Material
-from datasets.strict import from_mapping
+from datasets.records import from_mapping
 
 
 def test_tresca_needs_a_cohesion_and_has_no_apex() -> None:

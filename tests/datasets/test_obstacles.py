@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.obstacles import baffles_in, clusters, obstacle_points
+from datasets.exchange.baffle_particles import baffles_in, clusters, obstacle_points
 from datasets.scene import Baffle
 from tests.datasets.toys import strewn, toy_scene
 
@@ -12,7 +12,7 @@ from tests.datasets.toys import strewn, toy_scene
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_baffles_survive_single_precision(dimension: int) -> None:
     scene = toy_scene(dimension, seed=0)
-    share = scene.domain.cell / scene.particles_per_axis
+    share = scene.particle_spacing
     points = np.concatenate([obstacle_points(baffle, share) for baffle in scene.baffles])
     again = baffles_in(points.astype(np.float32).astype(np.float64), share)
     assert sorted(again, key=lambda baffle: baffle.lower) == sorted(scene.baffles, key=lambda baffle: baffle.lower)

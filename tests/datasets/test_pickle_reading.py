@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.pickle_reading import Refused, read_pickle
-from datasets.pickle_writing import CODE, object_array_pickle
+from datasets.exchange.pickle_reading import Refused, read_pickle
+from datasets.exchange.pickle_writing import CODE, object_array_pickle
 
 NUMPY = "numpy.core.multiarray"
 
@@ -266,7 +266,7 @@ def test_a_short_pickle_cannot_ask_for_much() -> None:
 
 
 def test_too_many_opcodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datasets.pickle_reading.MOST_OPCODES", 100)
+    monkeypatch.setattr("datasets.exchange.pickle_reading.MOST_OPCODES", 100)
     assert "at most 100 opcodes" in refused(op("EMPTY_LIST", "MARK", *["NEWTRUE"] * 100, "APPENDS"))
 
 

@@ -81,7 +81,7 @@ def test_volumes_equal_to_rounding_are_one_number(scene: Scene) -> None:
 def test_masses_that_fit_the_lattice_are_as_ever(name: str) -> None:
     scene = read_scene(name)
     points = initial_particles(scene)
-    share = scene.domain.cell / scene.particles_per_axis
+    share = scene.particle_spacing
     assert points.common_volume == scene.particle_volume == share**2
     counts = [round(length / share) for length in scene.masses[0].size]
     lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)

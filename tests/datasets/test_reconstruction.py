@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.obstacles import obstacle_points
-from datasets.peers import Particles, particles_of
-from datasets.reconstruction import Known, fitted_domain, meet, point_spacing, reconstruct, without
+from datasets.exchange.baffle_particles import obstacle_points
+from datasets.exchange.common import Particles, particles_of
+from datasets.exchange.reconstruction import Known, fitted_domain, meet, point_spacing, reconstruct, without
 from datasets.scene import Baffle, Domain
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, strewn, toy

@@ -9,8 +9,8 @@ import pytest
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.samples import Flow, Sample, corners, cut, exchanged, load_flows, mirrored, point_cohesion
 from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.training.samples import Flow, Sample, corners, cut, exchanged, load_flows, mirrored, point_cohesion
 from datasets.trajectory import Trajectory
 
 

@@ -6,10 +6,10 @@ from operator import add
 
 import numpy as np
 
-from datasets.definition import Split
-from datasets.flow2d import FLOW2D
-from datasets.metadata import metadata
-from datasets.statistics import MOVING_SPEED, Moments, motion_statistics
+from datasets.definitions.definition import Split
+from datasets.definitions.flow2d import FLOW2D
+from datasets.training.metadata import metadata
+from datasets.training.statistics import MOVING_SPEED, Moments, motion_statistics
 
 FRAME_DT = 0.0025
 

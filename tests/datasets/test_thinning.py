@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.thinning import thin
+from datasets.training.thinning import thin
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

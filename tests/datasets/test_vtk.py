@@ -14,14 +14,14 @@ import pyvista
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
-from datasets import vtk
 from datasets.command_line import WorkFailed
+from datasets.exchange import vtk
+from datasets.exchange.vtk import write_vtk
 from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from datasets.vtk import write_vtk
 
 LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)
 START = np.array([[0.02, 0.01, 0.05], [0.06, 0.03, 0.05], [0.03, 0.02, 0.04], [0.07, 0.01, 0.06]])
@@ -380,7 +380,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
 
 
 def test_who_writes_none_does_not_pay_for_it() -> None:
-    code = "import datasets.vtk, sys; print(sys.modules.keys() & {'pyvista', 'vtkmodules'})"
+    code = "import datasets.exchange.vtk, sys; print(sys.modules.keys() & {'pyvista', 'vtkmodules'})"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout == "set()\n"
 

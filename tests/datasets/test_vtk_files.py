@@ -14,13 +14,13 @@ from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
-from datasets import vtkhdf
 from datasets.command_line import WorkFailed
+from datasets.exchange import vtkhdf
+from datasets.exchange.vtk import Meshes, write_vtk
+from datasets.exchange.vtkhdf import write_vtkhdf
+from datasets.exchange.xdmf import write_xdmf
 from datasets.geometry.solid import Solid
 from datasets.trajectory import Trajectory
-from datasets.vtk import Meshes, write_vtk
-from datasets.vtkhdf import write_vtkhdf
-from datasets.xdmf import write_xdmf
 from tests.datasets.toys import toy
 
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets.definition import Definition, Entry, Split
+from datasets.definitions.definition import Definition, Entry, Split
 from datasets.files import write_json
 from datasets.material import Material
-from datasets.metadata import metadata
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.statistics import motion_statistics
+from datasets.training.metadata import metadata
+from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
 
 FRAMES = 6

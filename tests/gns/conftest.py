@@ -11,9 +11,9 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
-from gns.state import Conditions, State
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
+from gns.model.state import Conditions, State
 
 NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from datasets import command_line
-from gns import checkpoint
 from gns.average import average
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
 from tests.gns.conftest import NORMALISATION
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datasets.samples import Sample, cut, load_flows
-from gns.batch import batched, perturbed
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
+from datasets.training.samples import Sample, cut, load_flows
+from gns.model.batch import batched, perturbed
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
 
 
 def samples(dataset: Path, settings: ModelSettings) -> list[Sample]:

@@ -8,7 +8,7 @@ import pytest
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
 from datasets.scene import Scene
-from gns import card
+from gns.model import card
 from gns.rollout import WEIGHTS, shipped
 
 

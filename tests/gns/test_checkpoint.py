@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from gns import checkpoint
-from gns.simulator import Simulator
+from gns.model import checkpoint
+from gns.model.simulator import Simulator
 from tests.gns.conftest import NORMALISATION, Cloud
 
 

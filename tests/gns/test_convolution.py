@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from gns.convolution import Convolution
+from gns.model.convolution import Convolution
 
 
 @pytest.mark.parametrize("dilation", [1, 2, 4])

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.samples import Sample, cut, load_flows
-from gns import checkpoint
-from gns.batch import Batch, batched
-from gns.distributed import Processes, joined
-from gns.objective import Curriculum
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from gns.training import Run, TrainingSettings
+from datasets.training.samples import Sample, cut, load_flows
+from gns.model import checkpoint
+from gns.model.batch import Batch, batched
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
+from gns.training.distributed import Processes, joined
+from gns.training.objective import Curriculum
+from gns.training.update import Run, TrainingSettings
 
 ROOT = Path(__file__).parents[2]
 STEPS = 3

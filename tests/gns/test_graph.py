@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gns.graph import mean_envelope_sum, radius_graph
-from gns.neighbours import neighbours
+from gns.kernels.neighbours import neighbours
+from gns.model.graph import mean_envelope_sum, radius_graph
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gns.grid import REFERENCE_HEIGHT, stencil, surroundings
+from gns.model.grid import REFERENCE_HEIGHT, stencil, surroundings
 
 
 @pytest.mark.parametrize("size", [(1.0, 0.4), (0.3, 0.2, 0.25)])

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from gns import linear
-from gns.linear import Linear
+from gns.kernels import linear
+from gns.kernels.linear import Linear
 
 
 @pytest.mark.parametrize("points", [0, 1, 700])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gns.log import Log
+from gns.training.log import Log
 
 
 def test_a_log_goes_on_where_it_was_saved(tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.graph import Graph, radius_graph
-from gns.messages import FusedSum, Interaction, message_sum
+from gns.kernels.messages import FusedSum, Interaction, message_sum
+from gns.model.graph import Graph, radius_graph
 
 
 def random_inputs(dimension: int, width: int, dtype: torch.dtype) -> tuple[Graph, list[Tensor]]:

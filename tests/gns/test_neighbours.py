@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datasets.command_line import WorkFailed
-from gns import neighbours as module
-from gns.neighbours import Edges, NeighbourList, closer, closer_by_torch, neighbours, neighbours_by_torch
-from gns.simulator import Simulator
-from gns.state import Conditions, State
+from gns.kernels import neighbours as module
+from gns.kernels.neighbours import Edges, NeighbourList, closer, closer_by_torch, neighbours, neighbours_by_torch
+from gns.model.simulator import Simulator
+from gns.model.state import Conditions, State
 from gns.unroll import unroll
 
 Cloud = Callable[..., tuple[State, Conditions]]

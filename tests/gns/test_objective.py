@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.samples import Flows, Sample, load_flows
-from gns.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
-from gns.settings import ModelSettings
+from datasets.training.samples import Flows, Sample, load_flows
+from gns.model.settings import ModelSettings
+from gns.training.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -78,7 +78,7 @@ def test_statistics_of_many_times_are_sampled_and_always_the_same(
     flows: Flows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exact = statistics([flows])
-    monkeypatch.setattr("gns.objective.SAMPLED_TIMES", 32)
+    monkeypatch.setattr("gns.training.objective.SAMPLED_TIMES", 32)
     sampled = statistics([flows])
     assert sampled == statistics([flows])
     assert sampled != exact
@@ -87,9 +87,9 @@ def test_statistics_of_many_times_are_sampled_and_always_the_same(
 
 
 def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.objective.SHARE_FIRST", 0.0)
-    monkeypatch.setattr("gns.objective.SHARE_EARLY", 0.0)
-    monkeypatch.setattr("gns.objective.SHARE_MOVING", 1.0)
+    monkeypatch.setattr("gns.training.objective.SHARE_FIRST", 0.0)
+    monkeypatch.setattr("gns.training.objective.SHARE_EARLY", 0.0)
+    monkeypatch.setattr("gns.training.objective.SHARE_MOVING", 1.0)
     flow = flows[0]
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)

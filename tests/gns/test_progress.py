@@ -2,8 +2,8 @@
 
 import pytest
 
-from gns.budget import Budget
-from gns.progress import Bar
+from gns.training.budget import Budget
+from gns.training.progress import Bar
 
 
 def bar(**budget: float) -> Bar:

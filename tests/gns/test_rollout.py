@@ -10,11 +10,11 @@ import torch
 
 from datasets import command_line, measures
 from datasets.trajectory import Trajectory
-from gns import checkpoint
 from gns import rollout as command
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
 from gns.rollout import energies, rollout
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION, spreading
 
 SCENE = """

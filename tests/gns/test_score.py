@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from datasets import command_line
-from datasets.samples import Flow, load_flows
-from gns import checkpoint
+from datasets.training.samples import Flow, load_flows
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
 from gns.score import Score, badness, evaluate, grouped, score, table
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
 
 
 def flying(flow: Flow) -> Flow:

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.grid import stencil
-from gns.solids import GRAZE, SKIN, feature_count, features, keep_out, nearest_baffle, occupancy
+from gns.model.grid import stencil
+from gns.model.solids import GRAZE, SKIN, feature_count, features, keep_out, nearest_baffle, occupancy
 
 REACH = 0.06
 ROOM = {2: (1.0, 0.5), 3: (1.0, 0.5, 0.8)}

@@ -11,7 +11,7 @@ from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from gns.settings import ModelSettings
+from gns.model.settings import ModelSettings
 from gns.start import after_frames, at_rest
 from tests.gns.conftest import spreading
 

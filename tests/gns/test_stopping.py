@@ -4,12 +4,12 @@ import signal
 
 import pytest
 
-from gns.stopping import Stop
+from gns.training.stopping import Stop
 
 
 def test_a_signal_is_noted_and_the_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter((0.0, 1.0, 5.0))
-    monkeypatch.setattr("gns.stopping.time.monotonic", lambda: next(times))
+    monkeypatch.setattr("gns.training.stopping.time.monotonic", lambda: next(times))
     before = signal.getsignal(signal.SIGTERM)
     with Stop().watching() as stop:
         assert not stop.asked

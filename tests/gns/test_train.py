@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.samples import Flow, load_flows
 from datasets.scene import Baffle
+from datasets.training.samples import Flow, load_flows
 from datasets.trajectory import Trajectory
-from gns import checkpoint
 from gns import train as command
-from gns.budget import Clock
-from gns.settings import ModelSettings
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
 from gns.train import pick, train
-from gns.training import Run
+from gns.training.budget import Clock
+from gns.training.update import Run
 
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
@@ -151,7 +151,7 @@ def test_baffles_need_a_model_that_knows_them(
 
 
 def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.budget.time.process_time", iter(range(100)).__next__)
+    monkeypatch.setattr("gns.training.budget.time.process_time", iter(range(100)).__next__)
     assert run(dataset, tmp_path, "--minutes", "0.1", "--clock", "cpu") == 0
     assert checkpoint.load(tmp_path / "best.pt").provenance["clock"] == "cpu"
     assert 6.0 <= checkpoint.read(tmp_path / "last.pt")["position"]["seconds"] < 12.0

@@ -9,13 +9,13 @@ import torch
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.samples import load_flows
-from gns import checkpoint
-from gns.messages import Interaction, message_sum
-from gns.objective import Curriculum, statistics
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from gns.training import Run, TrainingSettings
+from datasets.training.samples import load_flows
+from gns.kernels.messages import Interaction, message_sum
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
+from gns.training.objective import Curriculum, statistics
+from gns.training.update import Run, TrainingSettings
 from tests.gns.conftest import NORMALISATION
 
 
@@ -119,7 +119,7 @@ def test_mixed_precision_trains_by_the_products_of_a_gpu(
     settings: ModelSettings, curriculum: Curriculum, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # On a CPU: what stands in for the fast products there has no other precision.
-    monkeypatch.setattr("gns.linear._product", None)
+    monkeypatch.setattr("gns.kernels.linear._product", None)
     monkeypatch.setattr(
         Interaction,
         "forward",

@@ -9,10 +9,10 @@ import torch
 
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
+from inverse.parameters.parameters import kind
 from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
-from inverse.unknowns import kind
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
 FLOWS = {

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from datasets.command_line import run
-from gns import checkpoint
+from gns.model import checkpoint
 from inverse.__main__ import main
 
 SCENE = """

@@ -9,13 +9,13 @@ import torch
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
 from gns.score import START
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
-from inverse import observations
 from inverse.finite_difference import jacobian
-from inverse.gns_forward import GnsForward, GnsSource
+from inverse.forward.gns import GnsForward, GnsSource
 from inverse.gradient import automatic
+from inverse.observations import deposit as observations
 from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, read_problem
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from inverse import observations
-from inverse.gns_forward import GnsForward
+from inverse.forward.gns import GnsForward
+from inverse.observations import deposit as observations
 from inverse.problem import Observable, ObservationSettings, Problem, Start
 
 KINDS = {

@@ -9,12 +9,12 @@ import torch
 
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
-from inverse.measured import closed
-from inverse.observations import Profile
+from inverse.observations.deposit import Profile
+from inverse.observations.profile import closed
+from inverse.observations.sampled import REPRESENTATION, SampledProfile, SurfaceProfile
+from inverse.observations.target import Target, observation_of, read_target
 from inverse.problem import Observable, Problem, read_problem
-from inverse.sampled import REPRESENTATION, SampledProfile, SurfaceProfile
 from inverse.settings import Heights, LengthUnit, TargetSettings
-from inverse.target import Target, observation_of, read_target
 
 X = np.linspace(0.0, 0.48, 25)
 HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))

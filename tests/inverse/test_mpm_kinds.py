@@ -8,8 +8,8 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
+from inverse.parameters.parameters import kind, with_unknowns
 from inverse.problem import read_problem
-from inverse.unknowns import kind, with_unknowns
 
 COLUMN = read_problem("friction-tall-42").scene
 SOFT = dataclasses.replace(

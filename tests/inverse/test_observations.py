@@ -8,7 +8,7 @@ from scipy.stats.mstats import hdquantiles
 from datasets import measures
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from inverse.observations import SHARES, Deposit, Observation, Profile, Toe, build, harrell_davis, loss
+from inverse.observations.deposit import SHARES, Deposit, Observation, Profile, Toe, build, harrell_davis, loss
 from inverse.problem import Observable, ObservationSettings
 
 SCENE = Scene(

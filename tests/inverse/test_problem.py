@@ -10,12 +10,12 @@ from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse import observations
 from inverse.__main__ import main
-from inverse.observations import SHARES
+from inverse.observations import deposit as observations
+from inverse.observations.deposit import SHARES
+from inverse.observations.target import hidden_scene, read_target
+from inverse.parameters.parameters import kind
 from inverse.problem import PROBLEMS, Observable, Problem, Start, TargetSettings, read_problem
-from inverse.target import hidden_scene, read_target
-from inverse.unknowns import kind
 
 GOOD = """
 scene = "column-tall-42"

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.maps import write_profile
+from datasets.maps.__main__ import write_profile
+from datasets.maps.plan import maps_of, station_edges
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.plan import maps_of, station_edges
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.measured import profile_of
+from inverse.observations.profile import profile_of
 from inverse.settings import Heights, LengthUnit
 
 

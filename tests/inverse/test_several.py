@@ -11,10 +11,10 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.combined import Combined
-from inverse.measurements import prepare
-from inverse.observations import Rollout
-from inverse.over_time import FrontOverTime, Gauges, Impulse, Outline, PeakForce
+from inverse.observations.combined import Combined
+from inverse.observations.deposit import Rollout
+from inverse.observations.measurements import prepare
+from inverse.observations.over_time import FrontOverTime, Gauges, Impulse, Outline, PeakForce
 from inverse.problem import Observable, Problem, read_problem
 
 HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'

@@ -10,13 +10,13 @@ import torch
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.samples import corners
-from inverse import observations
+from datasets.training.samples import corners
 from inverse.checks import check_unknowns
-from inverse.gns_forward import GnsForward
-from inverse.launch import Launch, untouched
+from inverse.forward.gns import GnsForward
+from inverse.observations import deposit as observations
+from inverse.parameters.initial_state import Launch, untouched
+from inverse.parameters.parameters import kind, launched, swept, with_unknowns
 from inverse.problem import Start, Unknown
-from inverse.unknowns import kind, launched, swept, with_unknowns
 
 NAMES = {
     2: (

@@ -11,11 +11,11 @@ from scipy.optimize import root
 
 from datasets.material import Material
 from mpm import runtime
-from mpm.batch import aligned
-from mpm.layout import Features, Precision, Property
-from mpm.mohr_coulomb import return_principal, softened
-from mpm.properties import properties_row
-from mpm.stress import plastic_return, stress_step
+from mpm.arrays.batch import aligned
+from mpm.arrays.layout import Features, Precision, Property
+from mpm.arrays.properties import properties_row
+from mpm.physics.mohr_coulomb import return_principal, softened
+from mpm.physics.stress import plastic_return, stress_step
 
 Vector = NDArray[np.float64]
 

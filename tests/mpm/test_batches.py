@@ -10,7 +10,7 @@ from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.failure import explain
+from mpm.output.failure import explain
 from mpm.simulate import ScenesFailed, simulate, simulate_each, simulate_many
 from tests.mpm.scenes import COLUMN, SAND, box, room
 
@@ -70,7 +70,7 @@ def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch)
         velocities[0] = np.nan
         return dataclasses.replace(particles, velocities=velocities)
 
-    monkeypatch.setattr("mpm.batch.initial_particles", with_a_broken_particle)
+    monkeypatch.setattr("mpm.arrays.batch.initial_particles", with_a_broken_particle)
     with pytest.raises(WorkFailed, match=r"^the simulation blew up at t = 0 s; try a step_fraction below 0.4$"):
         simulate(box())
 

@@ -8,8 +8,8 @@ from datasets.geometry.nearest import feet, nearest
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import Baffle, Domain, Mass, Material, Scene
-from mpm.faces import Faces, faces_near, node_positions, node_shape
-from mpm.layout import PADDING
+from mpm.arrays.layout import PADDING
+from mpm.solids.faces import Faces, faces_near, node_positions, node_shape
 
 CELL = 0.05
 WAVES = tuple(

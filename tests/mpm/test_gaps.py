@@ -7,7 +7,7 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.recording import LAST
+from mpm.output.request import LAST
 from mpm.simulate import simulate
 
 SAND = Material(friction_deg=30.0)

@@ -11,9 +11,9 @@ from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import simulate as runs
-from mpm.batch import Batch
-from mpm.layout import PADDING
-from mpm.release import gates, inside
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import PADDING
+from mpm.initial.release import gates, inside
 from mpm.simulate import simulate, simulate_many
 
 CELL = 0.02

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed, run
-from datasets.definition import Definition, Split
+from datasets.definitions.definition import Definition, Split
+from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
-from datasets.flow2d import FLOW2D
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.generate import command, generate

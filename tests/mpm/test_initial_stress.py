@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
-from mpm.initial_stress import Equilibrium, initial_stress, overburden
-from mpm.layout import PADDING
+from mpm.arrays.layout import PADDING
+from mpm.initial.stress import Equilibrium, initial_stress, overburden
 from mpm.simulate import simulate
 
 CELL = 0.02

@@ -14,11 +14,11 @@ from datasets.errors import InputError
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.batch import Batch
-from mpm.recording import ALL, FIELDS, LAST, Recording, with_usual_fields
-from mpm.rest import window_frames
+from mpm.arrays.batch import Batch
+from mpm.output.request import ALL, FIELDS, LAST, Recording, with_usual_fields
+from mpm.output.rest import window_frames
+from mpm.physics.smoothing import density, smoothed, weights
 from mpm.simulate import simulate
-from mpm.smoothing import density, smoothed, weights
 from tests.mpm.scenes import SAND, box, room
 
 EVERYTHING = Recording(fields=frozenset(FIELDS), wall_forces=True)

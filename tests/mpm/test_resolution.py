@@ -8,7 +8,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.batch import Batch
+from mpm.arrays.batch import Batch
 from mpm.resolution import (
     Measured,
     Resolution,

@@ -16,8 +16,8 @@ from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import simulate as solver
-from mpm.checkpoint import Checkpoint, difference
-from mpm.recording import FIELDS, LAST, Recording
+from mpm.output.checkpoint import Checkpoint, difference
+from mpm.output.request import FIELDS, LAST, Recording
 from mpm.run import command
 from mpm.simulate import Interrupted, Options, simulate, simulate_resumably
 from tests.mpm.scenes import COLUMN, SAND, box

@@ -8,9 +8,9 @@ import pytest
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from mpm import runtime
-from mpm.batch import features_of
-from mpm.layout import Features, Property
-from mpm.properties import properties_at, properties_row
+from mpm.arrays.batch import features_of
+from mpm.arrays.layout import Features, Property
+from mpm.arrays.properties import properties_at, properties_row
 from mpm.simulate import simulate
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
 

@@ -15,7 +15,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
 from mpm.simulate import simulate, simulate_many
-from validation.paper import read_paper
+from validation.bench.columns.paper import read_paper
 
 SAND = Material(friction_deg=30.0)
 FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.0, young=1.0e6)
@@ -236,7 +236,7 @@ def test_a_run_too_large_to_count_is_refused() -> None:
 
 def test_a_run_that_blows_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
-    monkeypatch.setattr("mpm.batch.initial_particles", with_a_broken_point)
+    monkeypatch.setattr("mpm.arrays.batch.initial_particles", with_a_broken_point)
     with pytest.raises(WorkFailed, match="blew up at t = "):
         simulate(scene)
 
@@ -368,7 +368,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         monkeypatch.setattr("mpm.simulate.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulate.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, fields=True)
-        # Where principal stresses meet, half of the digits are lost (`mpm.principal`), and another order of sums shows.
+        # Where principal stresses meet, half of the digits are lost (`mpm.physics.principal`), and another order of sums shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:

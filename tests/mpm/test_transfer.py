@@ -9,7 +9,7 @@ import pytest
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.layout import Precision
+from mpm.arrays.layout import Precision
 from mpm.simulate import simulate, simulate_many
 
 SAND = Material(friction_deg=30.0)

@@ -8,7 +8,7 @@ import pytest
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
-from mpm.batch import Batch
+from mpm.arrays.batch import Batch
 from mpm.simulate import simulate
 
 SAND = Material(friction_deg=30.0)

@@ -14,12 +14,12 @@ from torch import Tensor
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse import observations
-from inverse.observations import Observation, Values
+from inverse.observations import deposit as observations
+from inverse.observations.deposit import Observation, Values
+from inverse.observations.target import Target, read_target
+from inverse.parameters.parameters import Vector
 from inverse.problem import LoopSettings, Observable, ObservationSettings, Problem, TargetSettings, Unknown
-from inverse.target import Target, read_target
-from inverse.unknowns import Vector
-from mpm.recording import ALL, Recording
+from mpm.output.request import ALL, Recording
 
 POINTS = 600
 # Quantiles of a wedge: the deposit thins out towards its front.

@@ -9,16 +9,16 @@ from datasets import measures
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse import observations
-from inverse.forward import Evaluation
+from inverse.forward.interface import Evaluation
+from inverse.observations import deposit as observations
+from inverse.observations.target import Target
+from inverse.parameters.parameters import with_unknowns
 from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, Unknown
 from inverse.result import Combination, Identifiability, Minimum, Purpose, Result, Round, RunRecord, Verdict, named
-from inverse.target import Target
-from inverse.unknowns import with_unknowns
-from validation.calibration import Calibration
-from validation.certainty import Certainty
-from validation.search import Checked
-from validation.solved import Answer, Solved
+from validation.loop.calibration import Calibration
+from validation.loop.certainty import Certainty
+from validation.loop.result import Answer, Solved
+from validation.loop.search import Checked
 
 SAND = Material(friction_deg=30.0, cohesion=200.0, tension_cutoff=50.0)
 COLUMN = Scene(

@@ -64,7 +64,7 @@ def shaped(height: Any, scene: Scene | None = None) -> Trajectory:
     """The bed's points as a heap of `height(x)` [m] at the end; as dense as before where it has the bed's area."""
     flow = at_rest(scene)
     positions = flow.positions.copy()
-    spacing = flow.scene.domain.cell / flow.scene.particles_per_axis
+    spacing = flow.scene.particle_spacing
     x = np.arange(0.5 * spacing, flow.scene.domain.size[0], spacing)
     columns = [np.arange(0.5 * spacing, height(place), spacing) for place in x]
     heap = np.concatenate([np.stack([np.full(len(y), place), y], axis=1) for place, y in zip(x, columns, strict=True)])

@@ -10,16 +10,20 @@ import pytest
 
 from datasets.command_line import run
 from datasets.library import read_scene
+from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
-from datasets.strict import from_mapping, read_toml
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
-from validation import accuracy, accuracy_report, bodies, deposits, flows, pareto, studies, tolerance
-from validation.bodies import Trial
-from validation.deposits import Run
-from validation.flows import Flow
-from validation.scores import Outcome, Score, equal_shares, score, truth
-from validation.studies import Findings, Study
+from validation.bench.accuracy import bench as accuracy
+from validation.bench.accuracy import deposits, flows, studies, tolerance
+from validation.bench.accuracy import extent as bodies
+from validation.bench.accuracy import page as accuracy_report
+from validation.bench.accuracy.deposits import Run
+from validation.bench.accuracy.extent import Trial
+from validation.bench.accuracy.flows import Flow
+from validation.bench.accuracy.scores import Outcome, Score, equal_shares, score, truth
+from validation.bench.accuracy.studies import Findings, Study
+from validation.report import pareto
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
 

@@ -9,11 +9,11 @@ import pytest
 
 from datasets.command_line import run
 from datasets.particles import initial_particles
-from validation import scaling
-from validation.collapse import LENGTH, half_column, measured, quarter_cylinder, volume_error
-from validation.power_law import fit, prefactor
-from validation.scaling_report import published
-from validation.sides import HIGH, LOW, Series, read_laws, side
+from validation.bench.columns import scaling
+from validation.bench.columns.collapse import LENGTH, half_column, measured, quarter_cylinder, volume_error
+from validation.bench.columns.scaling_laws import HIGH, LOW, Series, read_laws, side
+from validation.bench.columns.scaling_page import published
+from validation.report.power_law import fit, prefactor
 
 ASPECTS = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0])
 

@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from datasets.library import read_scene
-from validation.columns import CELL, DAMPINGS, FINE, SHORT, STEP, Outcome, Variant, closest, text, variants
+from validation.bench.columns.paper_columns import (
+    CELL,
+    DAMPINGS,
+    FINE,
+    SHORT,
+    STEP,
+    Outcome,
+    Variant,
+    closest,
+    text,
+    variants,
+)
 
 STATED = {"short-21": 0.7, "tall-42": 0.5}
 

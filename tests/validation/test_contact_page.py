@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from validation.contact import bench as contact
+from validation.bench.contact import bench as contact
 
 
 @pytest.mark.slow

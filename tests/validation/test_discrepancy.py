@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from inverse.observations.sampled import SampledProfile
+from inverse.observations.target import observation_of, read_target
 from inverse.problem import Observable, TargetSettings
 from inverse.result import Verdict
-from inverse.sampled import SampledProfile
-from inverse.target import observation_of, read_target
 from tests.validation.conftest import SHAPE, length
-from validation.discrepancy import compare
-from validation.loop import solve
+from validation.loop.__main__ import solve
+from validation.loop.discrepancy import compare
 
 
 def drawn(stream: np.random.Generator, *, noise: float, chance: float, true: float, shared: float = 0.0) -> Any:

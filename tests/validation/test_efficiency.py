@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.particles import particle_count
+from inverse.observations.target import Target
 from inverse.problem import Problem, read_problem
-from inverse.target import Target
-from validation.efficiency import cuts, sizes
-from validation.efficiency.cuts import AD, AGAIN, FD_GNS, FD_MPM, Models
-from validation.efficiency.methods import PAPER_STEP_DEG, Model, Slope, Way, ways
-from validation.efficiency.race import Field, Moment, OutOfTime, Watch, improvements, run, thinned
-from validation.efficiency.rows import Row
-from validation.efficiency.scene_run import Took, Work, column
-from validation.efficiency.sizes import Case, Size
-from validation.paper import read_paper
+from validation.bench.columns.paper import read_paper
+from validation.bench.efficiency import cuts, sizes
+from validation.bench.efficiency.cuts import AD, AGAIN, FD_GNS, FD_MPM, Models
+from validation.bench.efficiency.methods import PAPER_STEP_DEG, Model, Slope, Way, ways
+from validation.bench.efficiency.race import Field, Moment, OutOfTime, Watch, improvements, run, thinned
+from validation.bench.efficiency.rows import Row
+from validation.bench.efficiency.scene_run import Took, Work, column
+from validation.bench.efficiency.sizes import Case, Size
 
 TRUTH = 24.0
 

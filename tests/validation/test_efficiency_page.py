@@ -9,18 +9,18 @@ import pytest
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from validation.efficiency import __main__ as efficiency
-from validation.efficiency import kept, scene_run
-from validation.efficiency.crossing import crossing, leaders, points_said, race_said, unknowns_said
-from validation.efficiency.cuts import AD, AGAIN, FD_GNS, FD_MPM
-from validation.efficiency.kept import Parts
-from validation.efficiency.page import page
-from validation.efficiency.pictures import draw_points, draw_race, draw_unknowns
-from validation.efficiency.rows import Cost, Gradient, Made, OverPoints, OverUnknowns, Race, Row, Shown
-from validation.paper import read_paper
+from validation.bench.columns.paper import read_paper
+from validation.bench.efficiency import __main__ as efficiency
+from validation.bench.efficiency import kept, scene_run
+from validation.bench.efficiency.crossing import crossing, leaders, points_said, race_said, unknowns_said
+from validation.bench.efficiency.cuts import AD, AGAIN, FD_GNS, FD_MPM
+from validation.bench.efficiency.kept import Parts
+from validation.bench.efficiency.page import page
+from validation.bench.efficiency.pictures import draw_points, draw_race, draw_unknowns
+from validation.bench.efficiency.rows import Cost, Gradient, Made, OverPoints, OverUnknowns, Race, Row, Shown
 
-MADE = Made(command="python -m validation.efficiency --only x", machine="a machine", date="2000-01-01", key="k")
-COMMAND = "python -m validation.efficiency"
+MADE = Made(command="python -m validation.bench.efficiency --only x", machine="a machine", date="2000-01-01", key="k")
+COMMAND = "python -m validation.bench.efficiency"
 
 
 def row(method: str, *curve: tuple[float, float], ended: str = "by itself", backward: float = 2.0) -> Row:
@@ -248,7 +248,7 @@ def test_bad_flags_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
 
 
 def test_a_case_of_its_own_takes_sensible_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    name = "python -m validation.efficiency.scene_run"
+    name = "python -m validation.bench.efficiency.scene_run"
     assert run(scene_run.command, name, ["ad", "0.5"]) == 2
     assert run(scene_run.command, name, ["mpm", "1", "--runs", "0"]) == 2
     assert "--runs" in capsys.readouterr().err

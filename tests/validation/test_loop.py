@@ -12,9 +12,9 @@ from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
 from inverse.problem import LoopSettings, Observable, TargetSettings
 from inverse.result import Purpose, Verdict
-from validation import answers
-from validation.loop import finish, solve
-from validation.solved import Solved
+from validation.loop import answers
+from validation.loop.__main__ import finish, solve
+from validation.loop.result import Solved
 
 RESULT_KEYS = {
     "problem",

@@ -11,9 +11,11 @@ import pytest
 from datasets.command_line import WorkFailed
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.gns_forward import GnsSource
-from inverse.measurements import prepare
-from inverse.mpm_source import MpmSource
+from inverse.forward.gns import GnsSource
+from inverse.forward.linearised import MpmSource
+from inverse.observations.measurements import prepare
+from inverse.observations.target import observation_of
+from inverse.parameters.parameters import with_unknowns
 from inverse.problem import (
     LoopSettings,
     MeasurementSettings,
@@ -27,13 +29,11 @@ from inverse.problem import (
 )
 from inverse.result import Verdict
 from inverse.settings import Measurable
-from inverse.target import observation_of
-from inverse.unknowns import with_unknowns
 from tests.validation.conftest import SHAPE, FakeMpm, at_rest, length
-from validation.loop import finish, solve
-from validation.runs import KeptRuns
-from validation.solved import Solved
-from validation.source import choose
+from validation.loop.__main__ import finish, solve
+from validation.loop.result import Solved
+from validation.loop.runs import KeptRuns
+from validation.loop.source import choose
 
 
 def alone(problem: Problem, mpm: Any, out: Path) -> Solved:

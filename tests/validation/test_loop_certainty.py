@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from validation.calibration import calibrate
+from validation.loop.calibration import calibrate
 
 
 def draw(

@@ -9,7 +9,7 @@ from datasets.command_line import run
 from inverse.__main__ import main as inverse
 from inverse.problem import PROBLEMS
 from validation.demo import main as demo
-from validation.loop import main as loop
+from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from inverse.observations import Values
+from inverse.observations.deposit import Values
+from inverse.parameters.parameters import Vector
 from inverse.problem import Observable
-from inverse.unknowns import Vector
-from validation.correction import Corrected
-from validation.joint import Joint, estimate
-from validation.judgement import distance
+from validation.loop.agreement import distance
+from validation.loop.correction import Corrected
+from validation.loop.joint import Joint, estimate
 
 DISTANCE = 0.05
 

@@ -18,8 +18,10 @@ from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse import observations
-from inverse.observations import Observation, Values
+from inverse.observations import deposit as observations
+from inverse.observations.deposit import Observation, Values
+from inverse.observations.target import read_target
+from inverse.parameters.parameters import Vector, kind
 from inverse.problem import (
     LoopSettings,
     Method,
@@ -31,12 +33,10 @@ from inverse.problem import (
     Unknown,
 )
 from inverse.result import Result, Verdict
-from inverse.target import read_target
-from inverse.unknowns import Vector, kind
-from mpm.recording import ALL, Recording
+from mpm.output.request import ALL, Recording
 from tests.validation.conftest import at_rest, kept
-from validation.loop import solve
-from validation.solved import Solved
+from validation.loop.__main__ import solve
+from validation.loop.result import Solved
 
 WIDTH = 4.0
 """Of the bounds of each unknown [m/s]."""

@@ -12,9 +12,9 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import particle_volumes
-from mpm.recording import LAST
+from mpm.output.request import LAST
 from mpm.simulate import simulate_many
-from validation.loop import main as loop
+from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
 

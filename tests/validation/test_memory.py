@@ -1,4 +1,4 @@
-"""`python -m validation.speed memory`: gradients in processes of their own, and what is told of them."""
+"""`python -m validation.bench.speed.bench memory`: gradients in processes of their own, and what is told of them."""
 
 import json
 import subprocess
@@ -10,15 +10,15 @@ import torch
 from torch import Tensor
 
 from datasets.command_line import WorkFailed, run
-from gns import checkpoint
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from gns.state import Conditions, State
-from validation import gradient_run, memory
-from validation.gns_rates import UNTRAINED
-from validation.gradient_run import Took
-from validation.memory import Case, LeftOut, Outcome, study
-from validation.memory_page import draw, page, shares
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
+from gns.model.state import Conditions, State
+from validation.bench.speed import gradient_run, memory
+from validation.bench.speed.gns_rates import UNTRAINED
+from validation.bench.speed.gradient_run import Took
+from validation.bench.speed.memory import Case, LeftOut, Outcome, study
+from validation.bench.speed.memory_page import draw, page, shares
 
 SETTINGS = ModelSettings(width=8, layers=2, rounds=2, grid_channels=4, grid_layers=1)
 
@@ -90,7 +90,7 @@ def test_a_case_is_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(memory.subprocess, "run", fake)
     assert memory.apart(Case(points=100, steps=5, kept=2), Path("m.pt"), 1) == took(100, 5)
     (arguments,) = calls
-    assert arguments[:5] == [sys.executable, "-m", "validation.gradient_run", "100", "5"]
+    assert arguments[:5] == [sys.executable, "-m", "validation.bench.speed.gradient_run", "100", "5"]
     assert arguments[5:7] == ["--kept", "2"]
 
 

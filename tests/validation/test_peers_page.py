@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from validation import peers_report
-from validation.fronts import Front, read_peers
-from validation.peers import ASPECTS, SEEDS, our_runs
-from validation.sides import read_laws
+from validation.bench.columns import codes_page as peers_report
+from validation.bench.columns.codes import ASPECTS, SEEDS, our_runs
+from validation.bench.columns.fronts import Front, read_peers
+from validation.bench.columns.scaling_laws import read_laws
 
 LAWS = [law for law in read_laws() if law.dimension == 2 and law.quantity == "runout"]
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
-from datasets.vtk import SERIES
-from inverse import pictures
-from inverse.report import quantity
+from datasets.exchange.vtk import SERIES
+from inverse.report import pictures
+from inverse.report.markdown import quantity
 from inverse.result import Verdict
 from tests.validation import reporting
-from validation import loop_report
+from validation.loop import report as loop_report
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""`python -m validation.report`: solved once, gathered beside the paper's numbers."""
+"""`python -m validation.bench.problems.bench`: solved once, gathered beside the paper's numbers."""
 
 import json
 from collections.abc import Callable
@@ -8,10 +8,11 @@ import pytest
 
 from datasets.command_line import run
 from inverse.problem import PROBLEMS, read_problem
-from validation import bars, report
-from validation.outcomes import ORIGIN, Outcome
-from validation.paper import read_paper
-from validation.report import main
+from validation.bench.columns.paper import read_paper
+from validation.bench.problems import bench as report
+from validation.bench.problems import targets as bars
+from validation.bench.problems.bench import main
+from validation.loop.outcomes import ORIGIN, Outcome
 
 Loop = Callable[[list[str]], int]
 

@@ -11,10 +11,10 @@ from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.recording import ALL, Recording
+from mpm.output.request import ALL, Recording
 from mpm.simulate import ScenesFailed
 from tests.validation.conftest import FakeMpm
-from validation.runs import KeptRuns
+from validation.loop.runs import KeptRuns
 
 SCENE = Scene(
     domain=Domain(size=(1.0, 1.0), cell=0.01),

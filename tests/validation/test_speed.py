@@ -1,4 +1,4 @@
-"""`python -m validation.speed`: runs timed in turn, and the tables made of them."""
+"""`python -m validation.bench.speed.bench`: runs timed in turn, and the tables made of them."""
 
 import dataclasses
 from pathlib import Path
@@ -8,12 +8,14 @@ import pytest
 from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.particles import initial_particles, particle_count
-from mpm.batch import features_of
+from mpm.arrays.batch import features_of
 from mpm.simulate import recording
-from validation import gains, machine, rates, speed, timing
-from validation.rates import Case, Way
-from validation.speed_page import page
-from validation.timing import Run, Spread, Took, in_turn, ratio
+from validation.bench.speed import bench as speed
+from validation.bench.speed import gains, rates
+from validation.bench.speed.page import page
+from validation.bench.speed.rates import Case, Way
+from validation.report import machine, timing
+from validation.report.timing import Run, Spread, Took, in_turn, ratio
 
 
 def took(seconds: float, particle_steps: int = 1_000_000, front: float = 0.5, rest_time: float | None = None) -> Took:
@@ -245,7 +247,7 @@ def test_the_whole_command_on_tiny_scenes(tmp_path: Path, monkeypatch: pytest.Mo
         "| damping |",
         "column-short-42",
         "GeoTaichi",
-        "validation.speed mpm --rounds 2",
+        "validation.bench.speed.bench mpm --rounds 2",
     ):
         assert part in text
 

@@ -1,4 +1,4 @@
-"""`python -m validation.speed gns`: what is measured, what is left out, and the tables."""
+"""`python -m validation.bench.speed.bench gns`: what is measured, what is left out, and the tables."""
 
 import dataclasses
 import time
@@ -8,14 +8,16 @@ import pytest
 import torch
 
 from datasets.command_line import run
-from gns import checkpoint
-from gns.settings import ModelSettings
-from gns.simulator import Simulator
-from validation import footprint, gns_rates, speed, whole_second
-from validation.gns_page import draw, memory_table, page, times_table
-from validation.gns_rates import Case, Cost, Family, Kind, LeftOut, Measure
-from validation.timing import Spread, turns
-from validation.whole_second import Second
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
+from validation.bench.speed import bench as speed
+from validation.bench.speed import gns_rates, whole_second
+from validation.bench.speed.gns_page import draw, memory_table, page, times_table
+from validation.bench.speed.gns_rates import Case, Cost, Family, Kind, LeftOut, Measure
+from validation.bench.speed.whole_second import Second
+from validation.report import memory as footprint
+from validation.report.timing import Spread, turns
 
 SETTINGS = ModelSettings(width=8, layers=2, rounds=2, grid_channels=4, grid_layers=1)
 

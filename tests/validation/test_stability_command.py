@@ -1,4 +1,4 @@
-"""`python -m validation.stability`: green rows, red rows and runs that blow up, on the page and in the exit status."""
+"""`python -m validation.bench.stability`: green rows, red rows and runs that blow up, on the page and in the exit status."""
 
 import dataclasses
 import re
@@ -13,11 +13,11 @@ from datasets.command_line import WorkFailed, run
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import at_rest
-from validation.stability import __main__ as stability
-from validation.stability import expectations as expect
-from validation.stability import flows
-from validation.stability.case import Case
-from validation.stability.cases import CASES
+from validation.bench.stability import __main__ as stability
+from validation.bench.stability import expectations as expect
+from validation.bench.stability import flows
+from validation.bench.stability.case import Case
+from validation.bench.stability.cases import CASES
 
 
 def with_rows(monkeypatch: pytest.MonkeyPatch, *cases: Case) -> None:
@@ -25,7 +25,7 @@ def with_rows(monkeypatch: pytest.MonkeyPatch, *cases: Case) -> None:
 
 
 def call(*arguments: str) -> int:
-    return run(stability.command, "python -m validation.stability", arguments)
+    return run(stability.command, "python -m validation.bench.stability", arguments)
 
 
 POINT = next(case for case in CASES if case.name == "one-point")

@@ -11,7 +11,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, SAND, at_rest, scene_of, shaped
-from validation.stability import deposit
+from validation.bench.stability import deposit
 
 FINE = Domain(size=(1.2, 0.6), cell=0.02)
 

@@ -10,9 +10,9 @@ from datasets.material import Material
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import at_rest, scene_of
-from validation.stability import critical_height, exact
-from validation.stability import expectations as expect
-from validation.stability.exact_cases import EXACT_CASES
+from validation.bench.stability import critical_height, exact
+from validation.bench.stability import expectations as expect
+from validation.bench.stability.exact_cases import EXACT_CASES
 
 BY_NAME = {case.name: case for case in EXACT_CASES}
 FREE = {"gravity": 0.0}

@@ -11,8 +11,8 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BAFFLE, BED, FRAMES, at_rest, scene_of
-from validation.stability import invariants
-from validation.stability.finding import Finding
+from validation.bench.stability import invariants
+from validation.bench.stability.finding import Finding
 
 Check = Callable[[Trajectory], Finding | None]
 

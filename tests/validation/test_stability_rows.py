@@ -14,12 +14,12 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from tests.validation.sand_at_rest import BED, at_rest, scene_of
-from validation.stability import exact
-from validation.stability import expectations as expect
-from validation.stability.case import SCENES
-from validation.stability.cases import CASES
-from validation.stability.deposit import FEWEST_CUBES, core_volumes
-from validation.stability.invariants import INVARIANTS
+from validation.bench.stability import exact
+from validation.bench.stability import expectations as expect
+from validation.bench.stability.case import SCENES
+from validation.bench.stability.cases import CASES
+from validation.bench.stability.deposit import FEWEST_CUBES, core_volumes
+from validation.bench.stability.invariants import INVARIANTS
 
 BY_NAME = {case.name: case for case in CASES}
 
@@ -37,7 +37,7 @@ def test_every_scene_file_is_a_row_and_every_row_has_one() -> None:
 def test_the_scene_files_are_installed() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert "hard_cases/*.toml" in project["package-data"]["validation"]
-    assert "validation.stability" in project["packages"]
+    assert "validation.bench.stability" in project["packages"]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

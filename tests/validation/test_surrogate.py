@@ -9,24 +9,24 @@ import pytest
 import torch
 
 from datasets.command_line import run
+from datasets.definitions.releases2d import held_out
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.releases2d import held_out
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns import checkpoint
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
-from validation.surrogate import columns, layers, models, scenes
-from validation.surrogate import held_out as shown
-from validation.surrogate.__main__ import command
-from validation.surrogate.bounded import judged
-from validation.surrogate.courses import Comparison, Truth, compare
-from validation.surrogate.races import Lap, Race
-from validation.surrogate.rollouts import Rollout, Start, Task, first_frames, roll, roller
-from validation.surrogate.scenes import Column
-from validation.surrogate.speed import worth
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
+from validation.bench.surrogate import columns, layers, models, scenes
+from validation.bench.surrogate import held_out as shown
+from validation.bench.surrogate.__main__ import command
+from validation.bench.surrogate.bounded import judged
+from validation.bench.surrogate.courses import Comparison, Truth, compare
+from validation.bench.surrogate.races import Lap, Race
+from validation.bench.surrogate.rollouts import Rollout, Start, Task, first_frames, roll, roller
+from validation.bench.surrogate.scenes import Column
+from validation.bench.surrogate.speed import worth
 
 STEP = 0.01
 BLOCK = Scene(
@@ -272,7 +272,7 @@ def test_where_the_surrogate_is_faster_and_where_not() -> None:
 def test_wrong_input_is_one_line(
     arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(command, "python -m validation.surrogate", ["--out", str(tmp_path), *arguments]) == 2
+    assert run(command, "python -m validation.bench.surrogate", ["--out", str(tmp_path), *arguments]) == 2
     error = capsys.readouterr().err
     assert told in error
     assert error.count("\n") == 1
@@ -282,14 +282,14 @@ def test_two_models_of_one_name_are_refused(
     tiny: models.Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["--out", str(tmp_path), "--models", str(tiny.path), "--models", str(tiny.path)]
-    assert run(command, "python -m validation.surrogate", arguments) == 2
+    assert run(command, "python -m validation.bench.surrogate", arguments) == 2
     assert "--models" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_the_whole_command(tiny: models.Model, tmp_path: Path) -> None:
     arguments = ["--out", str(tmp_path), "--models", str(tiny.path), "--quick", "--jobs", "1"]
-    assert run(command, "python -m validation.surrogate", arguments) == 0
+    assert run(command, "python -m validation.bench.surrogate", arguments) == 0
     text = (tmp_path / "gns.md").read_text()
     for section in ("The models", "Columns in 2D", "Layers", "Speed against the MPM", "Every column"):
         assert f"## {section}" in text

@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 import torch
 
-from gns.settings import ModelSettings
-from gns.state import Conditions, State
-from validation.dams import ACROSS, FREE, dam
-from validation.textbook import Textbook, neighbours
+from gns.model.settings import ModelSettings
+from gns.model.state import Conditions, State
+from validation.bench.speed.columns import ACROSS, FREE, dam
+from validation.bench.speed.textbook import Textbook, neighbours
 
 RADIUS = 0.025
 

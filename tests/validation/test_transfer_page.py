@@ -8,9 +8,9 @@ import pytest
 
 from datasets.trajectory import Trajectory
 from mpm.resolution import particle_steps
-from validation import transfer_report
-from validation.transfer_cases import APIC, NEVER, QUICK, Case, Plan
-from validation.transfer_report import Figures, figures, spread, text
+from validation.bench.columns import transfer_page as transfer_report
+from validation.bench.columns.transfer_cases import APIC, NEVER, QUICK, Case, Plan
+from validation.bench.columns.transfer_page import Figures, figures, spread, text
 
 PLAN = dataclasses.replace(QUICK, cells=(10, 20, 40, 80), seeds=(2, 1, 1, 1), relaxations=(APIC, 0.5, 1.0, NEVER))
 

@@ -14,9 +14,9 @@ from datasets.command_line import WorkFailed, run
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from validation import rendering, stage, view
-from validation.rendering import Colour, Picture, write_movie
-from validation.view import View
+from validation.report import rendering, stage, view
+from validation.report.rendering import Colour, Picture, write_movie
+from validation.report.view import View
 from validation.vtk import command
 
 

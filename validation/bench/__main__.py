@@ -24,15 +24,15 @@ class Bench:
 BENCHES = {
     "contact": Bench(
         says="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
-        module="validation.contact.bench",
+        module="validation.bench.contact.bench",
     ),
     "experiments": Bench(
         says="measured experiments, forward with independently measured angles and backward from their fronts",
-        module="validation.experiments.bench",
+        module="validation.bench.experiments.bench",
     ),
     "case-history": Bench(
         says="the friction of a bed back-analysed from a runout at field scale",
-        module="validation.case_history.bench",
+        module="validation.bench.case_history.bench",
     ),
 }
 

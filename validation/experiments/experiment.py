@@ -13,8 +13,8 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.library import read_scene
+from datasets.records import Strict, from_mapping, read_toml
 from datasets.scene import Domain, Scene
-from datasets.strict import Strict, from_mapping, read_toml
 
 FOLDER = Path(__file__).parent
 

@@ -66,7 +66,7 @@ def edge(stations: Floats, heights: Floats, least: float) -> float:
 def surface_at_wall(scene: Scene, positions: Positions, within: float) -> float:
     """Height of the deposit's surface [m] over the strip x < `within` [m]."""
     strip = positions[positions[:, 0] < within, 1].astype(np.float64)
-    half = 0.5 * scene.domain.cell / scene.particles_per_axis
+    half = 0.5 * scene.particle_spacing
     return float(np.quantile(strip, SURFACE_QUANTILE)) + half
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.scene import Scene
-from validation.case_history import bench
-from validation.case_history.history import FOLDER, read_history, rounded
+from validation.bench.case_history import bench
+from validation.bench.case_history.history import FOLDER, read_history, rounded
 
 HISTORY = """
 title = "A wedge"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from validation.experiments import bench
-from validation.experiments.angle import BOUNDS_DEG, CLOSE, Search, search_all
-from validation.experiments.computed import compute, extents_over_time
+from validation.bench.experiments import bench
+from validation.bench.experiments.angle import BOUNDS_DEG, CLOSE, Search, search_all
+from validation.bench.experiments.computed import compute, extents_over_time
+from validation.bench.experiments.page import page
+from validation.bench.experiments.scores import error, rms
 from validation.experiments.experiment import Course, Status, read_experiments
-from validation.experiments.page import page
-from validation.experiments.scores import error, rms
 
 from .conftest import deposits, front_of
 

@@ -1,0 +1,1 @@
+"""What datasets consist of: distributions of scenes, by name or from a file."""

@@ -1,0 +1,116 @@
+"""The layout of LagrangeBench: HDF5, one group per trajectory.
+
+A split is one file (`train.h5`, `valid.h5`, `test.h5`) with groups `00000`, `00001`, ... that each hold `position`
+[T, N, D] and `particle_type` [N]. Talus adds `material_property` [N], tan(phi), which their reader does not open.
+"""
+
+from collections.abc import Container, Iterable, Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.exchange import geoelements
+from datasets.exchange.common import Described, Particles, checked_particles
+from datasets.exchange.foreign_npz import LARGEST
+from datasets.files import replacing
+
+SUFFIX = ".h5"
+
+
+class ParticleType(IntEnum):
+    """LagrangeBench's numbers; those that are not here, a moving wall (2) and a rigid body (3), Talus does not have."""
+
+    FLUID = 0
+    SOLID_WALL = 1
+
+
+STATIONARY = {int(kind): kind is ParticleType.SOLID_WALL for kind in ParticleType}
+
+
+def write(path: Path, trajectories: Iterable[Particles]) -> None:
+    """Write a split, one trajectory in memory at a time. Not compressed: their reader slices frames at random."""
+    with replacing(path) as part, h5py.File(part, "w") as file:
+        for index, particles in enumerate(trajectories):
+            group = file.create_group(f"{index:05d}")
+            group["position"] = particles.positions.astype(np.float32, copy=False)
+            group["particle_type"] = np.where(particles.stationary, ParticleType.SOLID_WALL, ParticleType.FLUID).astype(
+                np.int32
+            )
+            if particles.friction is not None:
+                group["material_property"] = particles.friction
+
+
+def metadata(described: Described) -> dict[str, Any]:
+    """What `metadata.json` says; the length of a sequence leaves out the last frame, which is a target alone."""
+    return {
+        "case": "TALUS",
+        "solver": "MLS-MPM",
+        **described.shared_keys(),
+        "t_end": (described.frames - 1) * described.frame_dt,
+        "write_every": 1,
+        "sequence_length_train": described.frames - 1,
+        "num_trajs_train": described.trajectories["train"],
+        "sequence_length_test": described.frames - 1,
+        "num_trajs_test": described.trajectories["test"],
+        "num_particles_max": described.particles,
+        # Three of them in 2D too.
+        "periodic_boundary_conditions": [False, False, False],
+    }
+
+
+def names(path: Path) -> list[str]:
+    """The trajectories of a split, in order, without reading them. Raises InputError."""
+    with _open(path) as file:
+        return list(file)
+
+
+def read(path: Path, wanted: Container[str]) -> Iterator[Particles]:
+    """The trajectories of a split whose names are `wanted`, one in memory at a time. Raises InputError."""
+    with _open(path) as file:
+        for name in file:
+            if name in wanted:
+                yield _particles(file, name)
+
+
+def _particles(file: h5py.File, name: str) -> Particles:
+    positions = _array(file, f"{name}/position")
+    types = _array(file, f"{name}/particle_type")
+    material = _array(file, f"{name}/material_property") if "material_property" in file[name] else None
+    # Sets of the original GNS, as LagrangeBench converts them, keep the numbers they had there.
+    original = geoelements.ParticleType.SAND in types
+    stationary = geoelements.STATIONARY if original else STATIONARY
+    return checked_particles(name, positions, types, material, stationary=stationary)
+
+
+def _array(file: h5py.File, place: str) -> NDArray[Any]:
+    """One array of the file itself: HDF5 could as well point to another file of this machine."""
+    parts = place.split("/")
+    links = [file["/".join(parts[:depth]) or "/"].get(part, getlink=True) for depth, part in enumerate(parts)]
+    if not all(isinstance(link, h5py.HardLink) for link in links):
+        raise InputError("expected an array in the file, found none", key=place)
+    array = file[place]
+    if not isinstance(array, h5py.Dataset) or array.external or array.is_virtual or array.dtype.kind not in "biuf":
+        raise InputError("expected an array of numbers in the file", key=place)
+    if array.nbytes > LARGEST:
+        raise InputError(f"expected at most {LARGEST / 2**30:g} GiB, found {array.nbytes / 2**30:.1f}", key=place)
+    return np.asarray(array[()])
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file; whatever it makes of the block is an InputError that names the file."""
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except FileNotFoundError:
+        raise InputError("expected an HDF5 file, there is none", where=str(path)) from None
+    except InputError as error:
+        raise error if error.where else error.at(str(path)) from None
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"expected a whole HDF5 file, {error}", where=str(path)) from None

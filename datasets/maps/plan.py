@@ -1,0 +1,327 @@
+"""What a flow leaves and was, seen from above: thickness of the deposit, largest depth and velocity, cell by cell.
+
+The volume V_p of a particle is spread over the cells of the map by its own size, as a pyramid two spacings wide to each
+side; the thickness of a cell c is the volume in it over its area A_c:
+
+    h_c = 1 / A_c  sum_p V_p prod_a int_c w_p(xi - x_pa) dxi
+    w_p(r) = max(0, 1 - |r| / s_p) / s_p,    s_p = 2 V_p^(1/D)
+
+a runs over x and, in 3D, z; what a wall cuts off a pyramid is mirrored back. So sum_c h_c A_c = sum_p V_p exactly, a
+layer whose particles lie a spacing apart is even whatever the cells of the map, and holes are where particles lie more
+than two spacings apart. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a box
+that is tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not counted. The velocity
+of a cell is the mean over its depth,
+
+    v_c = | sum_p V_p w_pc v_p | / sum_p V_p w_pc
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from datasets.errors import InputError
+from datasets.exchange.vtk import Meshes
+from datasets.geometry.surface import surface_of
+from datasets.measures import profile_stations
+from datasets.particles import particle_count, particle_volumes
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+WIDTH = 2.0
+"""Of a particle's pyramid to each side, in its own spacing: neighbours a spacing apart then make an even layer."""
+CHUNK = 4_000_000
+"""Cells that particles are spread over at once: bounds the memory."""
+UPRIGHT = 1.0e-12
+"""Area in plan of a face over the square of its length, below which it stands upright."""
+ON_EDGE = 1.0e-9
+"""Share of a triangle by which rounding may put a place on its edge beside it."""
+OUTSIDE = 1.0e-6
+"""Share of the box by which rounding may put a particle beyond a wall."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanMaps:
+    """What a flow came to, over the cells of a map: C cells along x in 2D, X along x and Z along z in 3D."""
+
+    edges: tuple[Floats, ...]
+    """Edges of the cells along x and, in 3D, along z [m], shapes [X + 1] and [Z + 1]."""
+    thickness: Floats
+    """Of the deposit in the last frame [m], shape [X] or [X, Z]."""
+    start: Floats | None
+    """The same at the start; None where that was not kept."""
+    depth: Floats
+    """Largest thickness in any frame that was kept [m]."""
+    velocity: Floats | None
+    """Largest velocity [m/s] in any frame where there was more than the threshold; None where none is known."""
+    ground: Floats
+    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0 is the floor of the box."""
+    threshold: float
+    """Thickness [m] above which a cell counts as covered."""
+    volume: float
+    """Of the particles in the last frame [m^3, in 2D m^2]."""
+    left: float
+    """Volume of those that are no longer in the box then."""
+
+    @property
+    def areas(self) -> Floats:
+        """Area of each cell [m^2, in 2D m], shape as the maps."""
+        return areas_of(self.edges)
+
+    @property
+    def places(self) -> tuple[Floats, ...]:
+        """Of the cells along x and z [m], shapes [X] and [Z] (`places_in`)."""
+        return places_in(self.edges)
+
+
+def areas_of(edges: tuple[Floats, ...]) -> Floats:
+    """Area of each cell [m^2, in 2D m], shape of the map."""
+    lengths = [np.diff(along) for along in edges]
+    return lengths[0] if len(lengths) == 1 else np.outer(*lengths)
+
+
+def places_in(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
+    """What the cells stand for along x and z [m], shapes [X] and [Z]: their middles, in 2D the stations."""
+    middles = tuple(0.5 * (along[1:] + along[:-1]) for along in edges)
+    if len(middles) == 1:
+        middles[0][[0, -1]] = edges[0][[0, -1]]
+    return middles
+
+
+def map_edges(scene: Scene, cell: float) -> tuple[Floats, ...]:
+    """Edges of the square cells of a map of a scene in 3D [m], from x = z = 0 on; the last may go beyond the box.
+
+    Raises InputError for a cell that is not positive or longer than a side of the box.
+    """
+    sides = [scene.domain.size[axis] for axis in plan_axes(scene)]
+    if not 0.0 < cell <= min(sides):
+        raise InputError(f"expected a length of at most {min(sides):g} m, the box, got {cell:g} m", key="--cell")
+    return tuple(np.arange(math.ceil(side / cell - 1e-6) + 1, dtype=np.float64) * cell for side in sides)
+
+
+def station_edges(scene: Scene, spacing: float) -> tuple[Floats, ...]:
+    """Edges around the stations of a profile in 2D [m], about `spacing` apart; those at the walls stand for a half.
+
+    Raises InputError for a spacing that is not positive or longer than the box.
+    """
+    if not 0.0 < spacing <= scene.domain.size[0]:
+        raise InputError(f"expected a length of at most {scene.domain.size[0]:g} m, the box", key="--cell")
+    stations = profile_stations(scene, spacing)
+    return (np.concatenate([[stations[0]], 0.5 * (stations[1:] + stations[:-1]), [stations[-1]]]),)
+
+
+def plan_axes(scene: Scene) -> tuple[int, ...]:
+    """The axes of a map: x and, in 3D, z."""
+    return (0,) if scene.dimension == 2 else (0, 2)
+
+
+def volumes_of(trajectory: Trajectory) -> Floats:
+    """Initial volume of each particle of `trajectory` [m^D], shape [N]: together that of the scene's masses.
+
+    Of other particles than the scene's own (a surrogate's, another code's) only the mean volume is known.
+    """
+    scene, count = trajectory.scene, trajectory.positions.shape[1]
+    whole = particle_volumes(scene, particle_count(scene))
+    return whole if len(whole) == count else np.full(count, whole.sum() / count)
+
+
+class Spread:
+    """The particles of one frame, spread over the cells: sums over them of anything that each carries."""
+
+    def __init__(self, positions: Floats, sizes: Floats, edges: tuple[Floats, ...], walls: tuple[float, ...]) -> None:
+        """positions: in plan [m], [N, A]; sizes: half-widths of the pyramids [m], [N]; walls: sides of the box [m]."""
+        shape = tuple(len(along) - 1 for along in edges)
+        self.shape = shape
+        first, share = axis_shares(positions[:, 0], sizes, edges[0], walls[0])
+        self.cell, self.weight = first[:, None] + np.arange(share.shape[1]), share
+        if len(edges) == 2:
+            start, across = axis_shares(positions[:, 1], sizes, edges[1], walls[1])
+            columns = start[:, None] + np.arange(across.shape[1])
+            inside = np.minimum(self.cell, shape[0] - 1)[:, :, None] * shape[1]
+            self.cell = inside + np.minimum(columns, shape[1] - 1)[:, None, :]
+            self.weight = share[:, :, None] * across[:, None, :]
+        self.cell = np.minimum(self.cell, int(np.prod(shape)) - 1).reshape(len(positions), -1)
+        self.weight = self.weight.reshape(len(positions), -1)
+
+    def total(self, carried: Floats) -> Floats:
+        """The sum in each cell of what the particles carry, shape [N]."""
+        size = int(np.prod(self.shape))
+        found = np.bincount(self.cell.ravel(), (carried[:, None] * self.weight).ravel(), minlength=size)
+        return np.asarray(found.reshape(self.shape), np.float64)
+
+
+def axis_shares(
+    places: Floats, sizes: Floats, edges: Floats, wall: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `places` [m] [N].
+
+    sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m]. Shares of a tent add
+    up to 1; those of cells beyond the last are 0.
+    """
+    first = np.searchsorted(edges, places - sizes, side="right") - 1
+    first = np.clip(first, 0, len(edges) - 2)
+    last = np.clip(np.searchsorted(edges, places + sizes, side="left"), first + 1, len(edges) - 1)
+    count = int((last - first).max())
+    bounds = edges[np.minimum(first[:, None] + np.arange(count + 1), len(edges) - 1)]
+    # Beyond the walls there is nothing: what would be there is that of the tent's mirror images within.
+    bounds = np.minimum(bounds, wall)
+    share = np.zeros((len(places), count))
+    for image in (places, -places, 2.0 * wall - places):
+        share += np.diff(tent_below((bounds - image[:, None]) / sizes[:, None]), axis=1)
+    return first, share
+
+
+def tent_below(r: Floats) -> Floats:
+    """The part of the tent max(0, 1 - |r|) that lies below r [-]."""
+    r = np.clip(r, -1.0, 1.0)
+    return 0.5 + r - 0.5 * r * np.abs(r)
+
+
+class Mapper:
+    """Spreads the frames of a trajectory over the cells of one map."""
+
+    def __init__(self, trajectory: Trajectory, edges: tuple[Floats, ...]) -> None:
+        self.trajectory, self.edges = trajectory, edges
+        self.meshes, self.volumes = Meshes(trajectory), volumes_of(trajectory)
+        scene = trajectory.scene
+        self.axes = plan_axes(scene)
+        self.walls = tuple(scene.domain.size[axis] for axis in self.axes)
+        self.shape = tuple(len(along) - 1 for along in edges)
+
+    @property
+    def spacing(self) -> float:
+        """Mean distance of neighbouring particles at the start [m]."""
+        return float(np.mean(self.volumes) ** (1.0 / self.trajectory.scene.dimension))
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Half-width of the pyramid of each particle [m], shape [N]; no wider than the box."""
+        return np.asarray(np.minimum(WIDTH * self.volumes ** (1.0 / self.trajectory.scene.dimension), min(self.walls)))
+
+    def inside(self, frame: int) -> NDArray[np.bool_]:
+        """Which particles are in the box at `frame`, shape [N]."""
+        size = np.array(self.trajectory.scene.domain.size)
+        share = self.trajectory.positions[frame] / size
+        return np.asarray(((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1))
+
+    def at(self, frame: int, *, moving: bool) -> tuple[Floats, Floats | None]:
+        """Thickness [m] at `frame`, and velocity [m/s] where wanted, `moving`, and known; shapes of the map."""
+        velocity = self.meshes.velocity(frame) if moving else None
+        dimension = self.trajectory.scene.dimension
+        volume = np.zeros(self.shape)
+        momentum = np.zeros((dimension, *self.shape))
+        present = np.flatnonzero(self.inside(frame))
+        each = math.prod(2 + int(2.0 * self.sizes.max() / np.diff(along).min()) for along in self.edges)
+        length = max(1, CHUNK // each)
+        for begin in range(0, len(present), length):
+            chosen = present[begin : begin + length]
+            places = self.trajectory.positions[frame][chosen][:, self.axes].astype(np.float64)
+            spread = Spread(np.clip(places, 0.0, self.walls), self.sizes[chosen], self.edges, self.walls)
+            volume += spread.total(self.volumes[chosen])
+            if velocity is not None:
+                for axis in range(dimension):
+                    momentum[axis] += spread.total(self.volumes[chosen] * velocity[chosen, axis])
+        areas = areas_of(self.edges)
+        if velocity is None:
+            return volume / areas, None
+        speed = np.linalg.norm(momentum, axis=0)
+        return volume / areas, np.divide(speed, volume, out=np.zeros_like(speed), where=volume > 0.0)
+
+
+def maps_of(
+    trajectory: Trajectory, edges: tuple[Floats, ...], *, threshold: float | None = None, progress: bool = False
+) -> PlanMaps:
+    """The maps of `trajectory` over cells with these `edges` (`map_edges`, in 2D `station_edges`).
+
+    threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
+    layers the simulation does not resolve. Raises InputError for one that is not positive.
+    """
+    if threshold is not None and not threshold > 0.0:
+        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
+    mapper = Mapper(trajectory, edges)
+    least = mapper.spacing if threshold is None else threshold
+    last = len(trajectory.time) - 1
+    thickness, depth = np.zeros(mapper.shape), np.zeros(mapper.shape)
+    fastest, known, start = np.zeros(mapper.shape), False, None
+    for frame in tqdm(range(last + 1), desc="maps", unit="frame", disable=not progress):
+        thickness, speed = mapper.at(frame, moving=True)
+        depth = np.maximum(depth, thickness)
+        if speed is not None:
+            known, fastest = True, np.where(thickness > least, np.maximum(fastest, speed), fastest)
+        if frame == 0 and trajectory.time[0] == 0.0:
+            start = thickness
+    inside = mapper.inside(last)
+    return PlanMaps(
+        edges=edges,
+        thickness=thickness,
+        start=start,
+        depth=depth,
+        velocity=fastest if known else None,
+        ground=ground(trajectory.scene, edges),
+        threshold=least,
+        volume=float(mapper.volumes[inside].sum()),
+        left=float(mapper.volumes[~inside].sum()),
+    )
+
+
+def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
+    """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; [X] or [X, Z].
+
+    Of cells that go beyond the box that at the nearest place in it.
+    """
+    surface = surface_of(scene)
+    walls = [scene.domain.size[axis] for axis in plan_axes(scene)]
+    places = [np.clip(along, 0.0, wall) for along, wall in zip(places_in(edges), walls, strict=True)]
+    if surface is None:
+        return np.zeros([len(along) for along in places])
+    if surface.dimension == 2:
+        return _ground_line(surface.corners, places[0])
+    return _ground_map(surface.corners, places)
+
+
+def _ground_line(corners: Floats, x: Floats) -> Floats:
+    """The highest of the segments [F, 2, 2] at each x [m]; 0 where there is none."""
+    begin, end = np.moveaxis(np.take_along_axis(corners, corners[:, :, :1].argsort(axis=1), axis=1), 1, 0)
+    over = (begin[:, :1] <= x) & (x <= end[:, :1])
+    width = end[:, 0] - begin[:, 0]
+    slope = np.divide(end[:, 1] - begin[:, 1], width, out=np.zeros_like(width), where=width > 0.0)
+    height = np.where(width > 0.0, begin[:, 1], np.maximum(begin[:, 1], end[:, 1]))[:, None]
+    height = height + slope[:, None] * (x - begin[:, :1])
+    return np.asarray(np.where(over, height, 0.0).max(axis=0, initial=0.0))
+
+
+def _ground_map(corners: Floats, places: list[Floats]) -> Floats:
+    """The highest of the triangles [F, 3, 3] over each (x, z) [m]; 0 where there is none."""
+    x, z = places
+    low, high = corners[:, :, [0, 2]].min(axis=1), corners[:, :, [0, 2]].max(axis=1)
+    first = np.stack([np.searchsorted(x, low[:, 0]), np.searchsorted(z, low[:, 1])], axis=1)
+    last = np.stack(
+        [np.searchsorted(x, high[:, 0], side="right"), np.searchsorted(z, high[:, 1], side="right")], axis=1
+    )
+    counts = last - first
+    # Every triangle with every place in the rectangle around it.
+    face = np.repeat(np.arange(len(corners)), counts.prod(axis=1))
+    number = np.arange(len(face)) - np.repeat(np.cumsum(counts.prod(axis=1)) - counts.prod(axis=1), counts.prod(axis=1))
+    i, k = first[face, 0] + number // counts[face, 1], first[face, 1] + number % counts[face, 1]
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+
+    def twice_area(p: Floats, q: Floats, r: Floats) -> Floats:
+        """Of triangles in plan, signed."""
+        return np.asarray((q[:, 0] - p[:, 0]) * (r[:, 2] - p[:, 2]) - (q[:, 2] - p[:, 2]) * (r[:, 0] - p[:, 0]))
+
+    place = np.stack([x[i], np.zeros(len(i)), z[k]], axis=1)
+    parts = np.stack([twice_area(place, b, c), twice_area(a, place, c), twice_area(a, b, place)], axis=1)
+    whole = parts.sum(axis=1)
+    # Faces that stand upright cover nothing.
+    lies = np.abs(whole) > UPRIGHT * (high[face] - low[face]).max(axis=1) ** 2
+    share = np.divide(parts, whole[:, None], out=np.full_like(parts, -1.0), where=lies[:, None])
+    over = (share >= -ON_EDGE).all(axis=1)
+    height = np.zeros((len(x), len(z)))
+    heights = (share * np.stack([a[:, 1], b[:, 1], c[:, 1]], axis=1)).sum(axis=1)
+    np.maximum.at(height, (i[over], k[over]), heights[over])
+    return height

@@ -1,0 +1,1 @@
+"""Training: data, loss, unrolled rollouts, the state of a training, several processes."""

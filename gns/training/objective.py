@@ -1,0 +1,168 @@
+"""What training minimises, and on which stretches of which flows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from datasets.training.samples import Flow, Sample, cut, exchanged, mirrored
+from gns.model.batch import Batch, batched
+from gns.model.grid import UP
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
+from gns.unroll import unroll
+
+Domain = tuple[tuple[float, ...], float]
+"""Extent of the box [m] and gravity [m/s^2]."""
+SHARE_FIRST = 0.15
+"""Share of samples that start with the flow itself: from positions and velocities alone."""
+SHARE_EARLY = 0.10
+"""Share that starts just after, with part of the history made up from the initial velocities."""
+SHARE_MOVING = 0.60
+"""Share that starts while the flow moves; the rest starts anywhere, settled deposits too: they must stay put."""
+TRIES = 16
+"""Random times that are looked at for one at which the flow moves."""
+SAMPLED_TIMES = 2048
+"""About so many times in all make the statistics; where there are fewer, all."""
+
+
+def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
+    """Mean over the steps k of the smooth L1 distance of positions and of displacements.
+
+        loss = mean_k h(|x_k - X_k| / (k s)) + h(|v_k - V_k| / s),   h(e) = e^2 / 2 below 1, e - 1/2 above
+
+    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
+    scale: s [m]. An error in the displacement grows k-fold in the position. Impacts that a step cannot resolve are
+    far above s and count linearly only: they would drown the flow otherwise.
+    """
+    steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
+    error = (positions[1:] - targets) / scale
+    before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
+    zero = torch.zeros_like(error)
+    return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
+
+
+def unrolled_steps(schedule: Sequence[int], progress: float) -> int:
+    """Steps to train through at `progress` in [0, 1]: the entries of `schedule` share the budget equally."""
+    return schedule[min(int(progress * len(schedule)), len(schedule) - 1)]
+
+
+def remaining_steps(schedule: Sequence[int], progress: float) -> float:
+    """Steps to train through per update, integrated from `progress` to 1."""
+    ends = [(index + 1) / len(schedule) for index in range(len(schedule))]
+    return sum(
+        steps * (end - max(end - 1 / len(schedule), progress))
+        for steps, end in zip(schedule, ends, strict=True)
+        if end > progress
+    )
+
+
+class UnrolledLoss(nn.Module):
+    """Batch to loss: the whole unroll is one `forward`, so that whoever wraps this module sees all of it."""
+
+    def __init__(self, simulator: Simulator, *, loss_scale: float, mixed: bool = False) -> None:
+        """loss_scale: `s` of `rollout_loss` as a share of the accelerations; mixed: products in bfloat16."""
+        super().__init__()
+        self.simulator = simulator
+        self.loss_scale = loss_scale
+        self.mixed = mixed
+
+    def forward(self, batch: Batch, kept_steps: int) -> Tensor:
+        """The loss of unrolling `batch` to its last target; kept_steps: see `gns.unroll.unroll`."""
+        steps = len(batch.targets)
+        with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=self.mixed):
+            positions = unroll(self.simulator, batch.state, batch.conditions, steps, kept_steps=kept_steps)
+        scale = self.loss_scale * self.simulator.acceleration_scale
+        return rollout_loss(positions, batch.targets, scale)
+
+
+class Curriculum:
+    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries.
+
+    A batch is of one domain and gravity, and so are all flows of a dataset.
+    """
+
+    def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings) -> None:
+        self._settings = settings
+        self._domains: dict[Domain, list[Sequence[Flow]]] = {}
+        for flows in datasets:
+            self._domains.setdefault((flows[0].size, flows[0].gravity), []).append(flows)
+        # As many times as a domain has datasets, so that these get equal shares.
+        self._shares = [domain for domain, group in self._domains.items() for _ in group]
+
+    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Batch:
+        """`count` samples with `steps` targets, side by side."""
+        domain = self._shares[int(rng.integers(len(self._shares)))]
+        samples = [self.draw(domain, steps, rng) for _ in range(count)]
+        settings, (size, gravity) = self._settings, domain
+        return batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+
+    def draw(self, domain: Domain, steps: int, rng: np.random.Generator) -> Sample:
+        """One sample of a domain with `steps` targets."""
+        settings, datasets = self._settings, self._domains[domain]
+        flows = datasets[int(rng.integers(len(datasets)))]
+        flow = flows[int(rng.integers(len(flows)))]
+        sample = cut(
+            flow,
+            now=self._start(flow, len(flow.positions) - 1 - steps, rng),
+            steps=steps,
+            history=settings.history,
+            cell=settings.cell,
+            kept=settings.points_per_cell,
+            rng=rng,
+        )
+        return turned(sample, flow.size, rng)
+
+    def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
+        """Index at which a sample starts, at most `last`."""
+        kind = rng.random()
+        if kind < SHARE_FIRST:
+            return 0
+        if kind < SHARE_FIRST + SHARE_EARLY:
+            return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
+        anywhere = rng.integers(0, last + 1, size=TRIES)
+        if kind < SHARE_FIRST + SHARE_EARLY + SHARE_MOVING:
+            # The first that moves is one of the moving at random, and two frames are read to see it, not the flow.
+            return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
+        return int(anywhere[0])
+
+
+def turned(sample: Sample, size: tuple[float, ...], rng: np.random.Generator) -> Sample:
+    """The sample in a random one of the symmetries of its box [m]: gravity is along y, no other axis is special."""
+    for axis in (axis for axis in range(len(size)) if axis != UP):
+        if rng.random() < 0.5:
+            sample = mirrored(sample, axis, size[axis])
+    if len(size) == 3 and size[0] == size[2] and rng.random() < 0.5:
+        sample = exchanged(sample)
+    return sample
+
+
+def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
+    """Normalisation constants, over times at which the flows move.
+
+    Of each flow as many random times are read as make `SAMPLED_TIMES` in all, at least two; always the same ones.
+    """
+    displacement, acceleration, count = 0.0, 0.0, 0
+    friction = []
+    share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
+    rng = np.random.default_rng(0)
+    for flow in (flow for flows in datasets for flow in flows):
+        friction.append(flow.friction.mean(dtype=np.float64))
+        times = len(flow.positions) - 2
+        for time in rng.choice(times, min(share, times), replace=False):
+            if not flow.moves(time):
+                continue
+            moved = np.diff(flow.positions[time : time + 3], axis=0)
+            change = moved[1] - moved[0]
+            change[:, UP] += flow.gravity * flow.step**2
+            displacement += float(np.square(moved[0], dtype=np.float64).sum())
+            acceleration += float(np.square(change, dtype=np.float64).sum())
+            count += change.size
+    return Normalisation(
+        displacement=float(np.sqrt(displacement / max(count, 1))) or 1.0,
+        acceleration=float(np.sqrt(acceleration / max(count, 1))) or 1.0,
+        friction_mean=float(np.mean(friction)),
+        friction_std=float(np.std(friction)) or 1.0,
+    )

@@ -1,0 +1,1 @@
+"""Forward models behind one interface: the surrogate and the MPM."""

@@ -1,0 +1,1 @@
+"""What an inversion leaves to read: tables, pictures, curves."""

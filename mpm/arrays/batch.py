@@ -1,0 +1,388 @@
+"""The arrays that the kernels work on: several scenes in a row, particles in blocks of lanes."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.particles import Particles, initial_particles
+from datasets.scene import SIDES, Scene
+from mpm.arrays.barrier_layout import Gate, Held, Holding
+from mpm.arrays.layout import (
+    ALIGNMENT,
+    INDEX_LIMIT,
+    PADDING,
+    Contact,
+    Energy,
+    Features,
+    Offset,
+    Precision,
+    StepControl,
+    Worker,
+)
+from mpm.arrays.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
+from mpm.initial.release import gate_rows, held_rows, holding_rows, release_times
+from mpm.output import rest
+from mpm.output.request import ALL, Recording
+from mpm.solids.obstacles import initial_contacts, obstacles_of
+
+Array = NDArray[Any]
+
+
+class Batch:
+    """The state of several scenes and what is recorded of it.
+
+    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded; `until_rest`
+    lets a scene end when its deposit has come to rest. `particles` are those of each scene at the start. Raises
+    InputError for more particles times frames than can be counted.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        *,
+        precision: Precision,
+        workers: int = 1,
+        record: Recording = ALL,
+        until_rest: bool = False,
+        gpu: bool = False,
+        particles: Sequence[Particles] | None = None,
+    ) -> None:
+        self.scenes, self.recording = list(scenes), record
+        self.particles = particles_of(scenes) if particles is None else list(particles)
+        self.features = features_of(
+            scenes, self.particles, precision, record=record, until_rest=until_rest, shared=workers > 1, gpu=gpu
+        )
+        features, lanes = self.features, self.features.lanes
+        real = np.dtype(np.float32 if precision == "f32" else np.float64)
+
+        self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
+        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
+        self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
+        self.add_contacts(real)
+        self.add_gates()
+        self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
+        block = node = impulse = line = recorded = recorded_impulse = 0
+        for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
+            count = len(own.positions)
+            blocks = -(-count // lanes)
+            cells = [round(length / scene.domain.cell) for length in scene.domain.size]
+            nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
+            offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
+            offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
+            offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
+            offset[Offset.OPEN] = sum(1 << SIDES.index(side) for side in scene.open_sides)
+            offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
+            kept = record.kept(scene.frames)
+            offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
+            offset[Offset.LAST_SLOT] = len(kept) - 1
+            offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
+            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
+            offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
+            ends = np.linspace(0, blocks, workers + 1).astype(int)
+            for number in range(workers):
+                worker = self.workers[index * workers + number]
+                worker[Worker.SCENE], worker[Worker.NODE], worker[Worker.IMPULSE] = index, node, impulse
+                worker[Worker.FIRST], worker[Worker.LAST] = block + ends[number], block + ends[number + 1]
+                worker[Worker.SCRATCH] = (index * workers + number) * features.scratch
+                # The first clearing covers everything, then the box closes around the material.
+                worker[Worker.HIGH_X : Worker.HIGH_X + 3] = nodes
+                node += math.prod(nodes)
+                impulse += solids * features.dimension
+            block += blocks
+            recorded += count * len(kept)
+            line += scene.frames
+            recorded_impulse += scene.frames * solids
+        per_particle = max(features.dimension, features.recorded)
+        scratch = (block if features.gpu else len(self.workers)) * features.scratch
+        longest = max(node * features.node, recorded * per_particle)
+        bounded = max(block * features.block, scratch) * lanes
+        if longest >= 2**31 or bounded >= INDEX_LIMIT:
+            raise InputError(
+                f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {bounded} of particles, "
+                "of at most 2^30"
+            )
+        self.state = aligned((block, features.block, lanes), real)
+        self.order = np.zeros(block * lanes, np.int32)
+        self.grid = aligned((node, features.node), real)
+        counts = [len(particles.positions) for particles in self.particles]
+        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
+        self.step_control = np.zeros((len(scenes), len(StepControl)), real)
+        self.scratch = aligned((scratch, lanes), real)
+        self.impulse = aligned((max(impulse, 1), lanes), real)
+        self.record = np.zeros(recorded * features.dimension, np.float32)
+        self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
+        self.energy = np.zeros((line, len(Energy)), np.float64)
+        self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
+        self.barrier_count = np.zeros(1, np.int32)
+        self.computed = 0
+        self.clamped = np.zeros(len(self.workers), np.int32)
+        for index in range(len(scenes)):
+            self.fill(index)
+
+    def add_contacts(self, real: np.dtype[Any]) -> None:
+        """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
+        scenes = self.scenes if self.features.contact else []
+        obstacles, self.first_obstacles = obstacles_of(scenes, self.features.dimension)
+        for offset, first in zip(self.offsets, self.first_obstacles, strict=bool(scenes)):
+            offset[Offset.GEOMETRY] = first.cell
+
+        def table(values: Array, kind: np.dtype[Any] | type) -> Array:
+            """`values` as the kernel takes them: never empty."""
+            return values.astype(kind) if len(values) else np.zeros((1, *values.shape[1:]), kind)
+
+        self.faces, self.node_contacts = table(obstacles.faces, real), table(obstacles.node_contacts, real)
+        self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
+        self.held_nodes = table(obstacles.held_nodes, np.int32)
+
+    def add_gates(self) -> None:
+        """The lines of `gates`, `held` and `holding` of all scenes."""
+        gates: list[list[int]] = []
+        held: list[list[int]] = []
+        holding: list[list[float]] = []
+        for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
+            offset[Offset.GATE], offset[Offset.HELD] = len(gates), len(held)
+            gates += gate_rows(scene, len(held))
+            held += held_rows(scene, particles)
+            holding += holding_rows(scene, particles)
+            offset[Offset.GATES], offset[Offset.HELDS] = (
+                len(gates) - offset[Offset.GATE],
+                len(held) - offset[Offset.HELD],
+            )
+        self.gates = np.array(gates or [[0] * len(Gate)], np.int32)
+        self.held = np.array(held or [[0] * len(Held)], np.int32)
+        self.holding = np.array(holding or [[0.0] * len(Holding)], np.float64)
+
+    def fill(self, index: int) -> None:
+        """The initial state of one scene, and frame 0 of its record where that is kept."""
+        scene, particles, features = self.scenes[index], self.particles[index], self.features
+        state, count = self.state_of(index), len(particles.positions)
+        # Lanes without a particle of their own mirror the last one.
+        source = np.minimum(np.arange(state.shape[0] * features.lanes), count - 1)
+
+        def put(first: int, values: Array) -> None:
+            columns = values[source].reshape(state.shape[0], features.lanes, -1)
+            state[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
+
+        put(0, particles.positions)
+        if features.compensated:
+            put(features.remainder, particles.positions - particles.positions.astype(np.float32))
+        put(features.velocity, particles.velocities)
+        if features.contact:
+            contacts = initial_contacts(scene, particles.positions)
+            contacts[:, Contact.FACE] += self.first_obstacles[index].face
+            put(features.contacts, contacts)
+        put(features.affine, particles.velocity_gradients.reshape(count, -1))
+        if any(mass.k0 is not None for mass in scene.masses):
+            # Imported here: most runs begin without stress and need no sparse solver.
+            from mpm.initial.stress import initial_tractions
+
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
+            put(features.stress, stress)
+            if features.contact:
+                put(features.contacts + Contact.NORMAL + features.dimension, shear)
+            self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
+        if features.heterogeneous:
+            properties = properties_of(particles)
+            put(features.properties, properties[:, : features.columns])
+        if features.rests:
+            put(features.before, particles.velocities)
+        state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
+        self.order[first : first + len(source)] = source
+        if self.recording.every > 0:
+            self.store(index, 0)
+        mass = particles.density * particles.volume
+        energies = self.energies(index)
+        affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
+        energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
+        energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
+
+    def store(self, index: int, slot: int) -> None:
+        """Record the present state of one scene as its kept frame number `slot`; as `mpm.output.recorder.record_lane` does."""
+        features, count = self.features, len(self.particles[index].positions)
+        numbers = np.moveaxis(self.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
+        order = self.order[first : first + count]
+        self.recorded(index)[slot, order] = numbers[: features.dimension].T
+        columns = []
+        if features.velocity_recorded:
+            columns += [*numbers[features.velocity :][: features.dimension]]
+        if features.stress_recorded:
+            columns += [*numbers[features.stress :][: features.stresses]]
+        if features.pressure_recorded:
+            xx, yy, zz = numbers[features.stress :][:3]
+            columns += [0.0 - xx / 3.0 - yy / 3.0 - zz / 3.0]
+        if features.strain_recorded:
+            columns += [numbers[features.plastic_strain]]
+        if columns:
+            self.recorded_fields(index)[slot, order] = np.stack(columns, axis=1)
+
+    def sort(self, index: int) -> None:
+        """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
+        state, features, scene = self.state_of(index), self.features, self.scenes[index]
+        numbers = np.moveaxis(state, 1, 0).reshape(features.block, -1)
+        cells = np.floor(numbers[: features.dimension] / scene.domain.cell).astype(np.int64)
+        key = cells[0]
+        for axis in range(1, features.dimension):
+            key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells[axis]
+        count = len(self.particles[index].positions)
+        key[count:] = np.iinfo(np.int64).max
+        order = np.argsort(key, kind="stable")
+        state[:] = np.moveaxis(numbers[:, order].reshape(features.block, -1, features.lanes), 0, 1)
+        first = self.offsets[index, Offset.BLOCK] * features.lanes
+        self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
+
+    @property
+    def arguments(self) -> dict[str, Array]:
+        """The arrays by name, in the order of the kernel's parameters; memory that is seen in two ways comes twice."""
+        lanes = self.features.lanes
+        return {
+            "state": self.state.reshape(-1, lanes),
+            "lanes": self.state.reshape(-1),
+            "grid": self.grid,
+            "scratch": self.scratch,
+            "scratch_lanes": self.scratch.reshape(-1),
+            "impulse": self.impulse,
+            "impulse_lanes": self.impulse.reshape(-1),
+            "settings": self.settings,
+            "properties": self.properties,
+            "faces": self.faces,
+            "cell_faces": self.cell_faces,
+            "near_faces": self.near_faces,
+            "held_nodes": self.held_nodes,
+            "node_contacts": self.node_contacts,
+            "offsets": self.offsets,
+            "workers": self.workers,
+            "order": self.order,
+            "record": self.record,
+            "fields": self.fields,
+            "energy": self.energy.reshape(-1),
+            "recorded_impulse": self.recorded_impulse,
+            "barrier_count": self.barrier_count,
+            "clamped": self.clamped,
+            "owner": self.owner,
+            "step_control": self.step_control,
+            "gates": self.gates,
+            "held": self.held,
+            "holding": self.holding,
+        }
+
+    @property
+    def first_nodes(self) -> Array:
+        """Where the grid of each worker begins, shape [workers]."""
+        return self.workers[:, Worker.NODE]
+
+    def state_of(self, index: int) -> Array:
+        """Blocks of one scene, shape [blocks, vectors, lanes]; a view."""
+        first = self.offsets[index, Offset.BLOCK]
+        return self.state[first : first - (-self.offsets[index, Offset.PARTICLES] // self.features.lanes)]
+
+    def frames_of(self, array: Array, index: int, width: int) -> Array:
+        """The part of a flat record, `width` numbers a particle, that belongs to one scene, [T, N, width]; a view."""
+        first, count = self.offsets[index, Offset.RECORD] * width, int(self.offsets[index, Offset.PARTICLES])
+        frames = len(self.kept(index))
+        return array[first : first + frames * count * width].reshape(frames, count, width)
+
+    def kept(self, index: int) -> list[int]:
+        """The numbers of the frames of one scene that are kept."""
+        return self.recording.kept(self.scenes[index].frames)
+
+    def recorded(self, index: int) -> NDArray[np.float32]:
+        """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
+        return self.frames_of(self.record, index, self.features.dimension)
+
+    def recorded_fields(self, index: int) -> NDArray[np.float32]:
+        """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""
+        return self.frames_of(self.fields, index, self.features.recorded)
+
+    def ended(self, frame: int) -> NDArray[np.bool_]:
+        """Which scenes have ended before `frame`, shape [scenes]."""
+        return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
+
+    def release_times(self, index: int) -> list[float | None] | None:
+        """When each mass of one scene was let go [s]; see `mpm.initial.release.release_times`."""
+        first = self.offsets[index, Offset.HELD]
+        opened = self.held[first : first + self.offsets[index, Offset.HELDS], Held.OPENED]
+        return release_times(self.scenes[index], opened)
+
+    def energies(self, index: int) -> NDArray[np.float64]:
+        """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
+        first = self.offsets[index, Offset.ENERGY]
+        return self.energy[first : first + self.scenes[index].frames]
+
+    def impulses(self, index: int) -> NDArray[np.float64]:
+        """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
+
+        The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
+        `datasets.scene.SIDES`, and the gates.
+        """
+        scene, first, solids = (
+            self.scenes[index],
+            self.offsets[index, Offset.IMPULSE],
+            int(self.offsets[index, Offset.SOLIDS]),
+        )
+        recorded_impulse = self.recorded_impulse[first : first + scene.frames * solids]
+        return np.cumsum(recorded_impulse.reshape(scene.frames, solids, self.features.dimension), axis=0)
+
+
+def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
+    """The particles of each scene at the start."""
+    return [initial_particles(scene) for scene in scenes]
+
+
+def wall_slots(scene: Scene, record: Recording) -> int:
+    """Recorded impulses of the box: its sides and the gates, or none."""
+    return 2 * scene.dimension + 1 if record.wall_forces else 0
+
+
+def features_of(
+    scenes: Sequence[Scene],
+    particles: Sequence[Particles],
+    precision: Precision,
+    *,
+    record: Recording = ALL,
+    until_rest: bool = False,
+    shared: bool = False,
+    gpu: bool = False,
+) -> Features:
+    """What has to be compiled for these scenes, all of one dimension."""
+    materials = [material for each in particles for material in each.materials]
+    return Features(
+        dimension=scenes[0].dimension,
+        precision=precision,
+        relaxed=any(scene.relaxation > 0.0 for scene in scenes),
+        damped=any(scene.damping > 0.0 for scene in scenes),
+        cohesive=any(material.cohesive for material in materials),
+        dilates=any(material.dilation_deg > 0.0 for material in materials),
+        softens=any(material.softening_length is not None for material in materials),
+        corrected=any(scene.remembers_gaps for scene in scenes),
+        heterogeneous=any(
+            len(each.materials) > 1
+            or each.common_volume is None
+            or any(material.strength_gradient > 0.0 for material in each.materials)
+            for each in particles
+        ),
+        contact=any(scene.baffles or scene.solids for scene in scenes),
+        open=any(scene.open_sides for scene in scenes),
+        velocity_recorded="velocity" in record.fields,
+        stress_recorded="stress" in record.fields,
+        pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
+        strain_recorded="plastic_strain" in record.fields,
+        walls_recorded=record.wall_forces,
+        gated=any(mass.release is not None for scene in scenes for mass in scene.masses),
+        rests=until_rest,
+        shared=shared,
+        gpu=gpu,
+    )
+
+
+def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:
+    """Zeros that begin at a multiple of ALIGNMENT bytes."""
+    size = math.prod(shape) * real.itemsize
+    memory = np.zeros(size + ALIGNMENT, np.uint8)
+    offset = -memory.ctypes.data % ALIGNMENT
+    return memory[offset : offset + size].view(real).reshape(shape)

@@ -1,0 +1,119 @@
+"""The lines that describe scenes and particles to the kernels: settings, material properties, and steps in a frame."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.material import Material
+from datasets.particles import Particles
+from datasets.scene import Scene
+from mpm.arrays.layout import Property, Setting
+from mpm.output import rest
+
+Array = NDArray[Any]
+
+GAP_RATE = 8.0
+"""Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
+GAP_REACH = 1.7
+"""Cells from a wall or a solid within which it hides mass from a particle."""
+
+
+CONTACT_WIDTH = 1.0
+"""Width h of the contact with solids [cells] (`mpm.physics.contact`)."""
+
+
+def search_distance(scene: Scene) -> float:
+    """Distance from solids [m] up to which a particle's has to be known: by the contact, or by what sees its gaps."""
+    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_REACH) if scene.remembers_gaps else CONTACT_WIDTH)
+
+
+def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
+    """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
+
+    The kernel takes more in a frame whose particles move so
+    fast that (wave speed + speed) dt would leave the cell.
+    """
+    fastest = max(material.wave_speed for material in materials)
+    return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))
+
+
+def settings_row(scene: Scene, particles: Particles) -> list[float]:
+    """One line of `settings`, in the order of `Setting`."""
+    weight = float((particles.density * particles.volume).sum()) * scene.gravity
+    values = {
+        Setting.CELL: scene.domain.cell,
+        Setting.FRAME_DT: scene.frame_dt,
+        Setting.GRAVITY_X: scene.gravity_vector[0],
+        Setting.GRAVITY_Y: scene.gravity_vector[1],
+        Setting.FLOOR_FRICTION: scene.floor_friction,
+        Setting.WALL_FRICTION: scene.wall_friction,
+        Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
+        Setting.SEARCH: search_distance(scene),
+        Setting.REACH: search_distance(scene) + scene.domain.cell,
+        Setting.DAMPING: scene.damping,
+        Setting.CORRECTED: float(scene.remembers_gaps),
+        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
+        Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
+        Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
+        Setting.WEIGHT: weight,
+        Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
+    }
+    return [values[column] for column in Setting]
+
+
+def properties_row(material: Material, volume: float) -> list[float]:
+    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
+
+    Of a material whose strength grows with depth, that at its top.
+    """
+    friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
+    residual = material.residual
+    values = {
+        Property.VOLUME: volume,
+        Property.DENSITY: material.density,
+        Property.LAME: material.lame,
+        Property.SHEAR: material.shear_modulus,
+        Property.SIN_PHI: math.sin(friction),
+        Property.SIN_PSI: math.sin(dilation),
+        Property.STRENGTH: 2.0 * material.cohesion * math.cos(friction),
+        Property.LIMIT: material.tension_limit,
+        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
+        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_LIMIT: material.residual_tension_limit_at(0.0),
+        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
+    }
+    return [values[column] for column in Property]
+
+
+def properties_of(particles: Particles) -> Array:
+    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
+    rows = np.empty((len(particles.material), len(Property)))
+    for index, material in enumerate(particles.materials):
+        here = particles.material == index
+        rows[here] = properties_at(material, particles.depth[here])
+    rows[:, Property.VOLUME] = particles.volume
+    return rows
+
+
+def properties_at(material: Material, depth: Array) -> Array:
+    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
+    rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
+    for state, strength in ((material, Property.STRENGTH), (material.residual, Property.RESIDUAL_STRENGTH)):
+        rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.friction_deg))
+    rows[:, Property.LIMIT] = material.tension_limit_at(depth)
+    rows[:, Property.RESIDUAL_LIMIT] = material.residual_tension_limit_at(depth)
+    return rows
+
+
+def elastic_energy(particles: Particles, stress: Array) -> float:
+    """Sum of V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E) [J]; stress [Pa], shape [N, 4 or 6]."""
+    rows = np.array([properties_row(material, 0.0) for material in particles.materials])[particles.material]
+    square = (stress[:, :3] ** 2).sum(axis=1) + 2.0 * (stress[:, 3:] ** 2).sum(axis=1)
+    trace = stress[:, :3].sum(axis=1)
+    each = rows[:, Property.ELASTIC_DEVIATOR] * square - rows[:, Property.ELASTIC_TRACE] * trace**2
+    return float(particles.volume @ each)

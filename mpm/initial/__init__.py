@@ -1,0 +1,1 @@
+"""The state in which masses begin: initial stress, masses held behind barriers."""

@@ -1,0 +1,152 @@
+"""The transfers and the law of `mpm.physics.contact` as sparse operators on nodes, for the initial stress.
+
+With the M chosen particles that touch a solid, their foot operator F = W - sum_k d n_k S_k of weights W and slopes S:
+
+    strain along n   delta n . F u,      shear traction   q = -theta mu_s delta (I - n n^T) F u   where it is rough,
+    nodal force      F^T V delta t,      t = -sigma_nn n + q
+"""
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from datasets.particles import Particles
+from datasets.scene import Scene
+from mpm.arrays.layout import PADDING, Contact
+from mpm.solids.obstacles import initial_contacts, obstacles_in
+
+Floats = NDArray[np.float64]
+
+
+def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArray[np.int64]]:
+    """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
+
+    Only the n nodes that particles reach; indices count from the first padding node, as the kernel's.
+    """
+    count, dimension = positions.shape
+    cell = scene.domain.cell
+    place = positions / cell + PADDING
+    low = np.floor(place - 0.5)
+    f = place - low
+    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
+    stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
+    weight = np.ones((count, len(stencil)))
+    for axis in range(dimension):
+        weight *= spline[:, axis, :][:, stencil[:, axis]]
+    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    index = low.astype(np.int64)[:, None, :] + stencil
+    reached, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
+    row = np.repeat(np.arange(count), len(stencil))
+
+    def matrix(values: Floats) -> Any:
+        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(reached)))
+
+    slopes = [matrix(4.0 / cell * weight * (stencil[:, axis] - f[:, axis, None])) for axis in range(dimension)]
+    nodes = np.stack(np.unravel_index(reached, shape), axis=1)
+    return matrix(weight), sparse.vstack(slopes).tocsr(), nodes
+
+
+class ContactOperator:
+    """Contact of the particles `chosen` of a scene; n nodes, D dimensions, M of N chosen particles touch a solid."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        particles: Particles,
+        positions: Floats,
+        chosen: NDArray[np.int64],
+        weights: Any,
+        slopes: Any,
+    ) -> None:
+        count, dimension = positions.shape
+        found = initial_contacts(scene, positions)
+        self.touching = np.flatnonzero(found[:, Contact.DELTA] > 0.0)
+        here = found[self.touching]
+        self.delta, self.adhesion = here[:, Contact.DELTA], here[:, Contact.ADHESION]
+        self.normal = here[:, Contact.NORMAL : Contact.NORMAL + dimension]
+        elastic = np.array([isinstance(mass.k0, str) for mass in scene.masses])[particles.mass[chosen]]
+        self.friction = np.where(elastic[self.touching], here[:, Contact.FRICTION], 0.0)
+        self.share = particles.volume[chosen][self.touching] * self.delta
+        lever = here[:, Contact.DISTANCE, None] * self.normal
+        foot = weights.tocsr()[self.touching]
+        for axis in range(dimension):
+            rows = slopes[axis * count : (axis + 1) * count].tocsr()[self.touching]
+            foot = foot - sparse.diags_array(lever[:, axis]) @ rows
+        self.foot = foot.tocsr()
+        self.traction = np.zeros((len(self.touching), dimension))
+        """Shear traction q [Pa], shape [M, D]."""
+
+    def strain(self, displacements: Floats) -> Floats:
+        """delta n . F u [-], shape [M], of nodal displacements [m], shape [n, D]."""
+        return np.asarray(self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1))
+
+    def gradient(self, displacements: Floats) -> Floats:
+        """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3]."""
+        space = np.pad(self.normal, ((0, 0), (0, 3 - self.normal.shape[1])))
+        return np.asarray(self.strain(displacements)[:, None, None] * space[:, :, None] * space[:, None, :])
+
+    def shear_traction(self, displacements: Floats, stiffness: Floats) -> Floats:
+        """Change of q [Pa], shape [M, D]; stiffness: theta mu_s of all chosen particles [Pa], shape [N]."""
+        slip = self.foot @ displacements
+        slip = slip - (slip * self.normal).sum(axis=1)[:, None] * self.normal
+        rough = np.where(self.friction > 0.0, stiffness[self.touching] * self.delta, 0.0)
+        return np.asarray(-rough[:, None] * slip)
+
+    def normal_stress(self, stress: Floats) -> Floats:
+        """sigma_nn [Pa], shape [M], of the stress of all chosen particles [Pa], shape [N, 3, 3]."""
+        size = self.normal.shape[1]
+        return np.asarray(np.einsum("mi,mij,mj->m", self.normal, stress[self.touching, :size, :size], self.normal))
+
+    def force(self, normal_stress: Floats, traction: Floats) -> Floats:
+        """Nodal force [N], shape [n, D], of -sigma_nn n + q."""
+        return np.asarray(self.foot.T @ (self.share[:, None] * (traction - normal_stress[:, None] * self.normal)))
+
+    def pushing(self, stress: Floats) -> Floats:
+        """sigma_nn [Pa] without what is more than the adhesion, shape [M]."""
+        return np.minimum(self.normal_stress(stress), self.adhesion)
+
+    def bounded(self, stress: Floats, traction: Floats) -> Floats:
+        """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""
+        bound = self.friction * np.maximum(-self.normal_stress(stress), 0.0)
+        length = np.linalg.norm(traction, axis=1)
+        scale = np.divide(bound, length, out=np.ones_like(length), where=length > bound)
+        return np.asarray(scale[:, None] * traction)
+
+    def held(self, scene: Scene, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D]: across faces along an axis
+
+        that component; else all, for such a node lies deep and only the first row of particles reaches it.
+        """
+        size = scene.dimension
+        solids = obstacles_in(scene)
+        shape = tuple(round(length / scene.domain.cell) + 7 for length in scene.domain.size)
+        line = solids.held_nodes[np.ravel_multi_index(tuple(nodes.T), shape)]
+        held = np.zeros(nodes.shape, bool)
+        mine = np.flatnonzero(line > 0)
+        normal = np.abs(solids.node_contacts[line[mine] - 1, :size])
+        straight = normal.max(axis=1) > 1.0 - 1.0e-9
+        held[mine] = np.where(straight[:, None], normal > 0.5, True)
+        return held
+
+    def diagonal(self, lame: Floats, shear: Floats) -> Floats:
+        """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""
+        stiff = self.share * self.delta
+        normal = (lame + 2.0 * shear)[self.touching]
+        rough = np.where(self.friction > 0.0, shear[self.touching], 0.0)
+        along = stiff[:, None] * (normal[:, None] * self.normal**2 + rough[:, None] * (1.0 - self.normal**2))
+        return np.asarray(self.foot.multiply(self.foot).T @ along)
+
+    def block(self, lame: Floats, shear: Floats, nodes: NDArray[np.int64]) -> Any:
+        """Of its part of the stiffness, that of `nodes`, component after component, [D K, D K]."""
+        size, part = self.normal.shape[1], self.foot[:, nodes].tocsr()
+        stiff = self.share * self.delta
+        normal = stiff * (lame + 2.0 * shear)[self.touching]
+        rough = stiff * np.where(self.friction > 0.0, shear[self.touching], 0.0)
+
+        def each(i: int, j: int) -> Any:
+            value = (normal - rough) * self.normal[:, i] * self.normal[:, j] + (rough if i == j else 0.0)
+            return (part.T @ (sparse.diags_array(value) @ part)).tocsr()
+
+        return sparse.block_array([[each(i, j) for j in range(size)] for i in range(size)]).tocsr()

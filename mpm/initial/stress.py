@@ -1,0 +1,377 @@
+"""The stress in which masses begin: geostatic or elastic, in equilibrium with gravity on the grid itself.
+
+**First guess.** A mass with a number K0 (`Mass.k0`) begins geostatic: with the overburden q [Pa] above a particle, its
+own material's and that of the masses stacked on it,
+
+    sigma_yy = -q,   sigma_xx = sigma_zz = -K0 q            (tension positive, y normal to the floor)
+
+and one that is "elastic" from nothing. That is in equilibrium in the continuum, not on the grid: with particles that
+are jittered the nodal forces of `mpm.physics.transfer` miss the weight by as much as the weight itself.
+
+**Correction.** Find the smallest change of stress, in the elastic energy, that closes the gap. It derives from nodal
+displacements u through the gradient that the kernel uses,
+
+    C_p = (4 / dx^2) sum_i w_ip u_i x_ip^T,   dsigma_p = theta_p [lambda tr(C) I + 2 mu sym(C)]
+
+and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
+sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
+would have to be pulled, nor across a gate (`mpm.initial.release`); under an elastic mass a rough floor holds it altogether. A
+geostatic mass stands between smooth gates on all its lateral faces. Solids push as in `mpm.physics.contact`, by whose law they
+are part of C_p and of K, with shear tractions where they are rough and the mass elastic.
+
+**Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
+violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
+unbalanced is distributed again, as in the initial stress method (Zienkiewicz, Valliappan & King 1969), here with
+theta_p a tenth of what it was for every particle that yielded, so that the others take the load, as a tangent would
+have them do.
+
+**Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
+LU of the block of the nodes that few particles reach (surfaces and edges); in 2D of all nodes. Everything is in f64.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from datasets.particles import Particles
+from datasets.scene import SIDES, TOLERANCE, Mass, Scene
+from mpm.arrays.layout import PADDING
+from mpm.initial.grid_operators import ContactOperator, gradient_matrices
+from mpm.initial.release import gates, inside
+
+Floats = NDArray[np.float64]
+
+ITERATIONS = 100
+"""Solutions for an unbalanced force at most."""
+PATIENCE, PROGRESS = 10, 0.9
+"""How many in a row may leave more than this part of the least unbalanced force so far."""
+ROUNDING = 1.0e-9
+"""Change of stress by the yield surface, over the largest stress, that does not count."""
+BALANCED = 1.0e-12
+"""Unbalanced nodal forces, summed, over the weight, at which iterations end."""
+UNBALANCED = 1.0e-3
+"""The same beyond which a warning says that there is no equilibrium.
+
+Less than that is left where a cohesionless surface or its edge hangs on single particles that jitter has put aside:
+there is no admissible stress for those nodes, and they alone move, by tenths of a millimetre a second.
+"""
+INSIDE = 0.9
+"""Of the deviator at yield: how far inside a stress that violated yield is put back."""
+SOFTENED, SOFTEST = 0.1, 1.0e-3
+"""Factor on theta of a particle that yields, and its least value."""
+ACCURACY = 1.0e-2
+"""Relative residual of a solution; what is left belongs to the next one."""
+WEAK = 0.4
+"""Of the largest nodal mass: lighter nodes are solved for directly."""
+SHIFT = 1.0e-9
+"""On the diagonal of the scaled block that is factorised: nodes that a single particle reaches make it singular."""
+EXTRA_STEPS = 60
+"""Steps of conjugate gradients after which the block is factorised anew."""
+MOST_STEPS = 600
+
+
+def initial_stress(scene: Scene, particles: Particles, positions: Floats | None = None) -> Floats:
+    """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx).
+
+    As `initial_tractions`, which has the rest.
+    """
+    return initial_tractions(scene, particles, positions)[0]
+
+
+def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
+    """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
+
+    the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
+    shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
+    equilibrium within the yield surface was found.
+    """
+    dimension = scene.dimension
+    stress = np.zeros((len(particles.positions), 3, 3))
+    shear = np.zeros(particles.positions.shape)
+    chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
+    if chosen.any() and scene.gravity > 0.0:
+        places = particles.positions if positions is None else np.asarray(positions, np.float64)
+        problem = Equilibrium(scene, particles, places, np.flatnonzero(chosen))
+        stress[chosen] = problem.solution(geostatic(scene, particles, places)[chosen])
+        shear[chosen] = problem.shear_traction
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
+    return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
+
+
+def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
+    """sigma_v = -overburden and sigma_h = K0 sigma_v of the masses with a number for `k0` [Pa], shape [N, 3, 3]."""
+    stress = np.zeros((len(positions), 3, 3))
+    for number, mass in enumerate(scene.masses):
+        if mass.k0 is None or isinstance(mass.k0, str):
+            continue
+        mine = particles.mass == number
+        vertical = -overburden(scene, mass, positions[mine])
+        stress[mine] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
+    return stress
+
+
+def overburden(scene: Scene, mass: Mass, positions: Floats) -> Floats:
+    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n].
+
+    It counts masses that rest on it without a gap and have a `k0` themselves: others bear nothing yet, and so press on
+    nothing.
+    """
+    gravity = -scene.gravity_vector[1]
+    top = np.full(len(positions), mass.lower[1] + mass.size[1])
+    load = scene.material_of(mass).density * (top - positions[:, 1])
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
+        if above is mass or above.k0 is None:
+            continue
+        rests = np.abs(above.lower[1] - top) <= TOLERANCE
+        for axis in level:
+            rests &= (positions[:, axis] >= above.lower[axis]) & (
+                positions[:, axis] <= above.lower[axis] + above.size[axis]
+            )
+        load = load + np.where(rests, scene.material_of(above).density * above.size[1], 0.0)
+        top = np.where(rests, above.lower[1] + above.size[1], top)
+    return np.asarray(gravity * load)
+
+
+class Equilibrium:
+    """Nodal equilibrium of the particles `chosen` of a scene; n nodes, D dimensions, N chosen particles."""
+
+    def __init__(self, scene: Scene, particles: Particles, positions: Floats, chosen: NDArray[np.int64]) -> None:
+        self.dimension = scene.dimension
+        self.volume, density = particles.volume[chosen], particles.density[chosen]
+        materials = [particles.materials[index] for index in particles.material[chosen]]
+        self.lame = np.array([material.lame for material in materials])
+        self.shear = np.array([material.shear_modulus for material in materials])
+        phi = np.radians([material.friction_deg for material in materials])
+        self.sin_phi = np.sin(phi)
+        here = list(zip(materials, particles.depth[chosen].tolist(), strict=True))
+        self.strength = 2.0 * np.array([material.cohesion_at(depth) for material, depth in here]) * np.cos(phi)
+        self.limit = np.array([material.tension_limit_at(depth) for material, depth in here])
+        weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
+        self.slopes_t = self.slopes.T.tocsr()
+        self.mass: Floats = weights.T @ (self.volume * density)
+        self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
+        self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
+        self.friction = scene.floor_friction
+        self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
+        self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
+        direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
+        self.direct = np.flatnonzero(direct)
+        self.theta = np.ones(len(chosen))
+
+    def boundaries(
+        self, scene: Scene, weights: Any, mass: NDArray[np.int32]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int8], NDArray[np.bool_]]:
+        """Which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -, [n, D];
+
+        and which nodes a rough floor holds altogether, [n].
+        """
+        free = np.ones(self.nodes.shape, bool)
+        walls = np.zeros(self.nodes.shape, np.int8)
+        self.gated = np.zeros(self.nodes.shape, bool)
+        for axis, length in enumerate(scene.domain.size):
+            if SIDES[2 * axis] not in scene.open_sides:
+                walls[self.nodes[:, axis] <= PADDING, axis] = 1
+            if SIDES[2 * axis + 1] not in scene.open_sides:
+                walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
+        free[walls != 0] = False
+        rough = np.zeros(len(self.nodes), bool)
+        for number, each in enumerate(scene.masses):
+            if isinstance(each.k0, str) and scene.floor_friction > 0.0:
+                rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
+            if each.k0 is not None and (each.release is not None or not isinstance(each.k0, str)):
+                for gate in gates(scene, each):
+                    self.gated[inside(gate.nodes, self.nodes), gate.axis] = True
+        free[self.gated] = False
+        free[rough] = False
+        free[self.contact.held(scene, self.nodes)] = False
+        return free, walls, rough
+
+    def solution(self, stress: Floats) -> Floats:
+        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
+        precondition = None
+        best, least, patience = stress, np.inf, PATIENCE
+        tractions = self.contact.traction
+        for _ in range(ITERATIONS):
+            admitted = self.admitted(stress)
+            tractions = self.contact.bounded(admitted, tractions)
+            force = np.where(self.free, self.unbalanced(admitted, tractions), 0.0)
+            left = float(np.abs(force).sum()) / self.weight
+            patience = PATIENCE if left < PROGRESS * least else patience - 1
+            if left < least:
+                best, least = admitted, left
+                self.contact.traction = tractions
+            if least <= BALANCED or patience == 0:
+                break
+            yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
+            if yielded.any():
+                stress = np.where(yielded[:, None, None], self.admitted(stress, INSIDE), stress)
+                force = np.where(self.free, self.unbalanced(stress, tractions), 0.0)
+                self.theta[yielded] = np.maximum(SOFTENED * self.theta[yielded], SOFTEST)
+            if precondition is None:
+                precondition = self.preconditioner()
+            displacements, steps = conjugate_gradients(self.stiffness, force, precondition)
+            # Three dimensions factorise a thin layer alone: that is cheap enough to do for every theta.
+            if steps > EXTRA_STEPS or (self.dimension == 3 and yielded.any()):
+                precondition = None
+            stress = stress + self.elastic(displacements)
+            tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
+            # Walls push and do not pull.
+            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
+            if pulled.any():
+                self.free |= pulled
+                precondition = None
+        missing = self.missing(best)
+        if missing > UNBALANCED:
+            warnings.warn(
+                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
+                "unbalanced at the start",
+                stacklevel=6,
+            )
+        return best
+
+    def missing(self, stress: Floats) -> float:
+        """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
+        force = self.unbalanced(stress, self.contact.traction)
+        loose = np.abs(force[self.free]).sum()
+        push = -force * self.walls
+        pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
+        level = [axis for axis in range(self.dimension) if axis != 1]
+        # Where walls or gates hold a direction, they take what is along it.
+        along = np.where((self.walls[:, level] == 0) & ~self.gated[:, level], force[:, level], 0.0)
+        shear = np.linalg.norm(along, axis=1)
+        slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
+        return float(loose + pulled + slips) / self.weight
+
+    @property
+    def shear_traction(self) -> Floats:
+        """Of the solids that the particles touch [Pa], shape [N, D]."""
+        every = np.zeros((len(self.volume), self.dimension))
+        every[self.contact.touching] = self.contact.traction
+        return every
+
+    def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
+        """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
+        push = self.contact.force(self.contact.pushing(stress), tractions)
+        flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
+        return np.asarray(self.gravity + push - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
+
+    def elastic(self, displacements: Floats) -> Floats:
+        """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
+        gradient = np.zeros((len(self.volume), 3, 3))
+        columns = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
+        gradient[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
+        gradient[self.contact.touching] += self.contact.gradient(displacements)
+        change = (self.theta * self.shear)[:, None, None] * (gradient + gradient.swapaxes(1, 2))
+        pressure = self.theta * self.lame * np.trace(gradient, axis1=1, axis2=2)
+        return np.asarray(change + pressure[:, None, None] * np.eye(3))
+
+    def stiffness(self, displacements: Floats) -> Floats:
+        """K u [N], shape [n, D], zero where a node is held."""
+        change = self.elastic(displacements)
+        flux = (self.volume[:, None, None] * change)[:, : self.dimension, : self.dimension]
+        force = self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension)
+        shear = self.contact.shear_traction(displacements, self.theta * self.shear)
+        force -= self.contact.force(self.contact.normal_stress(change), shear)
+        return np.where(self.free, force, 0.0)
+
+    def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
+        """`stress` without tension beyond the limit, then scaled towards its mean until Mohr-Coulomb admits it.
+
+        Where that was needed, by a factor `inside` further.
+        """
+        beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
+        principal, axes = np.linalg.eigh(stress[beyond])
+        stress = stress.copy()
+        stress[beyond] = np.einsum("nik,nk,njk->nij", axes, np.minimum(principal, self.limit[beyond, None]), axes)
+        mean = np.trace(stress, axis1=1, axis2=2) / 3.0
+        deviator = stress - mean[:, None, None] * np.eye(3)
+        principal = np.linalg.eigvalsh(deviator)
+        shear = principal[:, 2] * (1.0 + self.sin_phi) - principal[:, 0] * (1.0 - self.sin_phi)
+        room = np.minimum(
+            quotient(self.strength - 2.0 * self.sin_phi * mean, shear), quotient(self.limit - mean, principal[:, 2])
+        )
+        factor = np.where(room < 1.0, inside * np.maximum(room, 0.0), 1.0)
+        return np.asarray(mean[:, None, None] * np.eye(3) + factor[:, None, None] * deviator)
+
+    def preconditioner(self) -> Callable[[Floats], Floats]:
+        """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
+        dimension, count = self.dimension, len(self.volume)
+        each = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
+        stiff = self.volume * self.theta
+        squares = [
+            (matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1)) for matrix in each
+        ]
+        total = sum(square[:, 1] for square in squares)
+        diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
+        contact = self.theta * self.lame, self.theta * self.shear
+        diagonal += self.contact.diagonal(*contact)
+        inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
+        parts = [matrix[:, self.direct].tocsr() for matrix in each]
+        used = np.flatnonzero(np.diff(parts[0].indptr))
+        parts = [part[used] for part in parts]
+        lame, shear = (sparse.diags_array((stiff * value)[used]) for value in (self.lame, self.shear))
+        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
+        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
+        trace = sum(second[axis][axis] for axis in range(dimension))
+        block = sparse.block_array(
+            [
+                [first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in range(dimension)]
+                for i in range(dimension)
+            ]
+        ).tocsr()
+        block = block + self.contact.block(*contact, self.direct)
+        # Components of a node side by side: the ordering of the factorisation sees nodes, not components.
+        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
+        free = self.free[self.direct].ravel()
+        order = order[free]
+        scale = np.sqrt(inverse[self.direct].ravel()[free])
+        scaled = sparse.diags_array(scale) @ block[order][:, order] @ sparse.diags_array(scale)
+        factors = splu(
+            (scaled + SHIFT * sparse.eye_array(len(order))).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+        def precondition(force: Floats) -> Floats:
+            result = inverse * force
+            part = result[self.direct]
+            part[self.free[self.direct]] = scale * factors.solve(scale * force[self.direct].ravel()[free])
+            result[self.direct] = part
+            return result
+
+        return precondition
+
+
+def quotient(top: Floats, bottom: Floats) -> Floats:
+    """top / bottom, infinite where `bottom` is not positive."""
+    return np.asarray(np.divide(top, bottom, out=np.full_like(top, np.inf), where=bottom > 0.0))
+
+
+def conjugate_gradients(
+    matrix: Callable[[Floats], Floats], force: Floats, precondition: Callable[[Floats], Floats]
+) -> tuple[Floats, int]:
+    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the steps taken."""
+    solution, residual = np.zeros_like(force), force.copy()
+    direction = toward = precondition(residual)
+    product = float((residual * toward).sum())
+    goal = ACCURACY * np.sqrt(product)
+    steps = 0
+    while product > goal * goal and steps < MOST_STEPS:
+        steps += 1
+        image = matrix(direction)
+        curvature = float((direction * image).sum())
+        if curvature <= 0.0:
+            break
+        solution = solution + product / curvature * direction
+        residual = residual - product / curvature * image
+        toward = precondition(residual)
+        before, product = product, float((residual * toward).sum())
+        direction = toward + product / before * direction
+    return solution, steps

@@ -1,0 +1,217 @@
+"""What is recorded of a scene at the end of a frame, and what the next frame asks about: steps, rest."""
+
+import taichi as ti
+
+from mpm.arrays.lanes import add, lane_maximum, lane_sum, larger
+from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
+from mpm.physics.barriers import free_since, measure_held, open_gates
+from mpm.physics.transfer import particles_in, property_of
+
+STABILITY = 1.0
+"""Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
+RUNAWAY = 10.0
+"""Particle speed over wave speed at which a run has blown up."""
+REST = 1.0e-3
+"""Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
+BALANCED = 0.01
+"""Unbalanced force of a deposit at rest, as a fraction of its weight."""
+
+
+@ti.func
+def last_block(scene, arrays: ti.template()):
+    """One past the last block of a scene."""
+    features = arrays.features
+    return (
+        arrays.offsets[scene, Offset.BLOCK]
+        + (arrays.offsets[scene, Offset.PARTICLES] + features.lanes - 1) // features.lanes
+    )
+
+
+@ti.func
+def steps_of_frame(scene, arrays: ti.template()):
+    """The scene's usual number of steps, more where particles move so fast that a step would leave the stable range.
+
+    0 where a particle outruns the elastic wave many times over: that is no longer physics, and the scene ends.
+    """
+    fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
+    for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
+        fastest = larger(fastest, squared_speed(block, arrays))
+    return steps_at_speed(scene, ti.sqrt(lane_maximum(fastest, arrays)), arrays)
+
+
+@ti.func
+def squared_speed(block, arrays: ti.template()):
+    """|v|^2 [m^2/s^2] of each lane, huge where it is not a number: a comparison with NaN is false."""
+    v = block * arrays.features.block + arrays.features.velocity
+    square = arrays.state[v] * arrays.state[v]
+    for k in ti.static(range(1, arrays.features.dimension)):
+        square = square + arrays.state[v + k] * arrays.state[v + k]
+    return ti.select(square < 1.0e30, square, 1.0e30)
+
+
+@ti.func
+def steps_at_speed(scene, speed, arrays: ti.template()):
+    """Steps of a frame whose fastest particle has `speed` [m/s]; 0 for a runaway."""
+    wave_speed = arrays.settings[scene, Setting.WAVE_SPEED]
+    steps = 0
+    if speed <= RUNAWAY * wave_speed:
+        crossings = (
+            arrays.settings[scene, Setting.FRAME_DT] * (wave_speed + speed) / arrays.settings[scene, Setting.CELL]
+        )
+        steps = ti.max(arrays.offsets[scene, Offset.SUBSTEPS], ti.cast(ti.ceil(crossings / STABILITY), ti.i32))
+    return steps
+
+
+@ti.func
+def record_frame(scene, frame, arrays: ti.template()):
+    """Record a frame of a scene: what its particles carry, its energies, what solids have taken, whether it rests."""
+    for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
+        record_block(scene, frame, block, arrays)
+    record_scene(scene, frame, arrays)
+
+
+@ti.func
+def record_scene(scene, frame, arrays: ti.template()):
+    """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
+    if ti.static(arrays.features.impulses):
+        record_impulses(scene, frame, arrays)
+    if ti.static(arrays.features.gated):
+        open_gates(scene, frame, arrays)
+    if ti.static(arrays.features.rests):
+        detect_rest(scene, frame, arrays)
+
+
+@ti.func
+def record_block(scene, frame, block, arrays: ti.template()):
+    """Record positions and energies of the particles of a block, and the fields where asked for.
+
+    Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
+    too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
+    unbalanced force over the weight, sum m |v - v of the frame before| / (dt_frame M g).
+    """
+    features = arrays.features
+    volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
+    first = block * features.block
+    present = arrays.state[first + features.present]
+    mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
+    if ti.static(features.gated):
+        measure_held(scene, block, arrays)
+    vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
+    for k in ti.static(range(features.dimension)):
+        vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
+    for k in ti.static(range(features.dimension * features.dimension)):
+        cc = cc + arrays.state[first + features.affine + k] * arrays.state[first + features.affine + k]
+    for k in ti.static(range(features.stresses)):
+        s = arrays.state[first + features.stress + k]
+        ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s
+        trace = trace + ti.static(1.0 if k < 3 else 0.0) * s
+    height = (
+        arrays.settings[scene, Setting.GRAVITY_X] * arrays.state[first]
+        + arrays.settings[scene, Setting.GRAVITY_Y] * arrays.state[first + 1]
+    )
+    deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
+    spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
+    line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
+    add(arrays.energy, line + Energy.KINETIC, lane_sum(0.5 * mass * (vv + 0.25 * dx * dx * cc), arrays), arrays)
+    add(arrays.energy, line + Energy.POTENTIAL, lane_sum(0.0 - mass * height, arrays), arrays)
+    elastic = volume * present * (deviator * ss - spherical * trace * trace)
+    add(arrays.energy, line + Energy.ELASTIC, lane_sum(elastic, arrays), arrays)
+    if ti.static(features.rests):
+        change = 0.0 * mass
+        for k in ti.static(range(features.dimension)):
+            new = arrays.state[first + features.velocity + k]
+            change = change + (new - arrays.state[first + features.before + k]) * (
+                new - arrays.state[first + features.before + k]
+            )
+            arrays.state[first + features.before + k] = new
+        impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
+        add(arrays.energy, line + Energy.UNBALANCED, lane_sum(mass * ti.sqrt(change), arrays) / impulse, arrays)
+    slot = slot_of(scene, frame, arrays)
+    if slot >= 0:
+        for lane in range(particles_in(scene, block, arrays)):
+            record_lane(scene, slot, block, lane, arrays)
+
+
+@ti.func
+def slot_of(scene, frame, arrays: ti.template()):
+    """Where the particles of a frame are recorded, counted in recorded frames; -1 where they are not."""
+    slot, every = -1, arrays.offsets[scene, Offset.EVERY]
+    if frame == arrays.offsets[scene, Offset.LAST_FRAME]:
+        slot = arrays.offsets[scene, Offset.LAST_SLOT]
+    elif every > 0:  # noqa: SIM102 (Taichi's `and` would divide by zero)
+        if frame % every == 0:
+            slot = frame // every
+    return slot
+
+
+@ti.func
+def record_lane(scene, slot, block, lane, arrays: ti.template()):
+    """Record position and fields of the particle in a lane of a block; as `mpm.arrays.batch.Batch.store` does for all."""
+    features, lanes = arrays.features, arrays.features.lanes
+    first = block * features.block
+    particle = (
+        arrays.offsets[scene, Offset.RECORD]
+        + slot * arrays.offsets[scene, Offset.PARTICLES]
+        + arrays.order[block * lanes + lane]
+    )
+    for k in ti.static(range(features.dimension)):
+        arrays.recorded_positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
+    at = particle * features.recorded
+    if ti.static(features.velocity_recorded):
+        for k in ti.static(range(features.dimension)):
+            arrays.fields[at + k] = arrays.lanes[(first + features.velocity + k) * lanes + lane]
+    if ti.static(features.stress_recorded):
+        for k in ti.static(range(features.stresses)):
+            arrays.fields[at + features.recorded_stress + k] = arrays.lanes[
+                (first + features.stress + k) * lanes + lane
+            ]
+    if ti.static(features.pressure_recorded):
+        pressure = 0.0
+        for k in ti.static(range(3)):
+            pressure -= arrays.lanes[(first + features.stress + k) * lanes + lane] / 3.0
+        arrays.fields[at + features.recorded_stress] = pressure
+    if ti.static(features.strain_recorded):
+        strain = arrays.lanes[(first + features.plastic_strain) * lanes + lane]
+        arrays.fields[at + features.recorded_strain] = strain
+
+
+@ti.func
+def record_impulses(scene, frame, arrays: ti.template()):
+    """Record the momentum that each solid took in this frame, and count from zero again."""
+    features = arrays.features
+    count = arrays.offsets[scene, Offset.SOLIDS]
+    line = arrays.offsets[scene, Offset.IMPULSE] + frame * count
+    each = arrays.workers.shape[0] // arrays.offsets.shape[0]
+    for worker in range(scene * each, (scene + 1) * each):
+        for number in range(count):
+            for k in ti.static(range(features.dimension)):
+                at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension + k
+                arrays.recorded_impulse[line + number, k] = arrays.recorded_impulse[line + number, k] + lane_sum(
+                    arrays.impulse[at], arrays
+                )
+                arrays.impulse[at] = 0.0 * arrays.impulse[at]
+
+
+@ti.func
+def detect_rest(scene, frame, arrays: ti.template()):
+    """Note a deposit that has been at rest over a whole window of frames (`mpm.output.rest`), since no gate holds a mass.
+
+    In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
+    unbalanced force was below BALANCED of the weight.
+    """
+    line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
+    since = 0
+    if ti.static(arrays.features.gated):
+        since = free_since(scene, arrays)
+    if frame - window >= since:
+        peak = ti.cast(arrays.settings[scene, Setting.REST_ENERGY], ti.f64) / REST
+        most, unbalanced = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        for earlier in range(since, frame + 1):
+            at = (line + earlier) * ti.static(len(Energy))
+            kinetic = arrays.energy[at + Energy.KINETIC]
+            peak = ti.max(peak, kinetic)
+            if earlier > frame - window:
+                most = ti.max(most, kinetic)
+                unbalanced += arrays.energy[at + Energy.UNBALANCED]
+        if most < REST * peak and unbalanced < BALANCED * window:
+            arrays.offsets[scene, Offset.REST] = frame

@@ -1,0 +1,119 @@
+"""Masses held until their release: smooth vertical gates at their lateral faces, and damping while they settle.
+
+A node that a gate holds loses its velocity across the gate (which nodes: `mpm.initial.release`). A mass that is to be released
+when "settled" is damped meanwhile, at the nodes in its box:
+
+    v_i = exp(-2 omega dt) v_i,   omega = pi c / (2 H)
+
+with omega the lowest frequency at which a layer of height H on a rigid floor swings (c: speed of its pressure wave), so
+that this mode is damped critically. It has settled when in two frames in a row its kinetic energy is at most ENERGY of
+that of the whole mass at the speed g H / c, which gravity gives it in one passage of the wave, and its momentum changes
+by at most FORCE of its weight times the frame. All of it is decided where frames are recorded; scenes where no mass is
+held compile none of it.
+"""
+
+import taichi as ti
+
+from mpm.arrays.barrier_layout import Gate, Held, Holding
+from mpm.arrays.layout import Offset
+
+ENERGY = 1.0e-6
+"""Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
+FORCE = 1.0e-3
+"""Change of momentum of a settled mass in a frame over its weight times the frame."""
+CALM = 2
+"""Frames in a row in which a mass must be settled."""
+NEVER = 1 << 30
+"""Frame that no scene has."""
+
+
+@ti.func
+def against_gates(v, node, scene, dt, arrays: ti.template()):
+    """Velocity `v` of the node with the indices `node` after all closed gates and the damping behind them, [D]."""
+    features = arrays.features
+    first = arrays.offsets[scene, Offset.GATE]
+    for line in range(first, first + arrays.offsets[scene, Offset.GATES]):
+        mass = arrays.gates[line, Gate.HELD]
+        if arrays.held[mass, Held.OPENED] == 0:
+            among = 1
+            for k in ti.static(range(features.dimension)):
+                if node[k] < arrays.gates[line, Gate.LOW_X + k] or node[k] >= arrays.gates[line, Gate.HIGH_X + k]:
+                    among = 0
+            if among == 1:
+                axis = arrays.gates[line, Gate.AXIS]
+                if axis == ti.static(len(Gate)):
+                    # To `float`: the precision that Taichi was started with.
+                    v = ti.exp(0.0 - dt * ti.cast(arrays.holding[mass, Holding.RATE], float)) * v
+                for k in ti.static(range(features.dimension)):
+                    if axis == k:
+                        v[k] = 0.0
+    return v
+
+
+@ti.func
+def measure_held(scene, block, arrays: ti.template()):
+    """Add the kinetic energy and the momentum of a block to those of the held masses."""
+    features = arrays.features
+    lanes = ti.static(features.lanes)
+    velocity = (block * features.block + features.velocity) * lanes
+    first = arrays.offsets[scene, Offset.HELD]
+    count = ti.min(
+        lanes, arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
+    )
+    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
+        if arrays.held[line, Held.OPENED] == 0:
+            for lane in range(count):
+                particle = arrays.order[block * lanes + lane]
+                if arrays.held[line, Held.FIRST] <= particle < arrays.held[line, Held.LAST]:
+                    mass = arrays.holding[line, Holding.PARTICLE]
+                    for k in ti.static(range(features.dimension)):
+                        v = ti.cast(arrays.lanes[velocity + k * lanes + lane], ti.f64)
+                        add_to(arrays.holding, line, Holding.MOMENTUM_X + k, mass * v, arrays)
+                        add_to(arrays.holding, line, Holding.KINETIC, 0.5 * mass * v * v, arrays)
+
+
+@ti.func
+def add_to(table: ti.template(), row, column, value, arrays: ti.template()):
+    """table[row, column] += value; atomic on a GPU alone, as `mpm.arrays.lanes.add`."""
+    if ti.static(arrays.features.gpu):
+        ti.atomic_add(table[row, column], value)
+    else:
+        table[row, column] = table[row, column] + value
+
+
+@ti.func
+def open_gates(scene, frame, arrays: ti.template()):
+    """Open the gates of the masses whose time has come in `frame`, which is recorded, or that have settled."""
+    first = arrays.offsets[scene, Offset.HELD]
+    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
+        if arrays.held[line, Held.OPENED] == 0:
+            change = 0.0 * arrays.holding[line, Holding.KINETIC]
+            for k in ti.static(range(3)):
+                now = arrays.holding[line, Holding.MOMENTUM_X + k]
+                change += (now - arrays.holding[line, Holding.EARLIER_X + k]) ** 2
+                arrays.holding[line, Holding.EARLIER_X + k] = now
+                arrays.holding[line, Holding.MOMENTUM_X + k] = 0.0
+            calm = arrays.held[line, Held.CALM] + 1
+            if (
+                arrays.holding[line, Holding.KINETIC] > arrays.holding[line, Holding.MOST_KINETIC]
+                or ti.sqrt(change) > arrays.holding[line, Holding.MOST_IMPULSE]
+            ):
+                calm = 0
+            arrays.held[line, Held.CALM] = calm
+            arrays.holding[line, Holding.KINETIC] = 0.0
+            release = arrays.held[line, Held.RELEASE]
+            if frame == release or (release == 0 and calm >= CALM):
+                arrays.held[line, Held.OPENED] = frame
+
+
+@ti.func
+def free_since(scene, arrays: ti.template()):
+    """The frame since which no mass of a scene is held; NEVER while one is."""
+    latest = 0
+    first = arrays.offsets[scene, Offset.HELD]
+    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
+        opened = arrays.held[line, Held.OPENED]
+        if opened == 0:
+            opened = NEVER
+        latest = ti.max(latest, opened)
+    return latest

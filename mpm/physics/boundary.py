@@ -1,0 +1,75 @@
+"""Rigid walls of the box: no flow through them, Coulomb friction along them; a side may be open instead.
+
+A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
+(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. It is the contact of
+`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison.
+"""
+
+import taichi as ti
+
+from mpm.arrays.lanes import add
+from mpm.arrays.layout import PADDING, Offset, Setting, Worker
+
+
+@ti.func
+def slowed(v, by):
+    """Velocity `v` along a surface after friction has taken at most `by` [m/s] of it."""
+    speed, keep = v.norm(), 0.0
+    if speed > by:
+        keep = 1.0 - by / speed
+    return keep * v
+
+
+@ti.func
+def stopped_by(v, normal, friction):
+    """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
+    into = v.dot(normal)
+    return slowed(v - into * normal, 0.0 - friction * into)
+
+
+@ti.func
+def stopped(v, axis: ti.template(), friction):
+    """Velocity `v` after a wall across `axis` has stopped it: the normal part goes, friction takes of the rest."""
+    grip = friction * ti.abs(v[axis])
+    v[axis] = 0.0
+    return slowed(v, grip)
+
+
+@ti.func
+def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
+    features = arrays.features
+    for axis in ti.static(range(features.dimension)):
+        side = -1
+        if node[axis] <= PADDING and v[axis] < 0.0:
+            side = 2 * axis
+        elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
+            side = 2 * axis + 1
+        if side >= 0 and closed(side, scene, arrays) == 1:
+            friction = arrays.settings[scene, Setting.WALL_FRICTION]
+            if side == 2:
+                friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+            before = v
+            v = stopped(v, axis, friction)
+            if ti.static(features.walls_recorded):
+                record_wall(side, mass * (before - v), worker, scene, arrays)
+    return v
+
+
+@ti.func
+def closed(side, scene, arrays: ti.template()):
+    """1 where a side of the box, 0 to 2 D - 1 for x-, x+, y-, ..., is a wall, 0 where it is open."""
+    result = 1
+    if ti.static(arrays.features.open):
+        result = 1 - ((arrays.offsets[scene, Offset.OPEN] >> side) & 1)
+    return result
+
+
+@ti.func
+def record_wall(side, momentum, worker, scene, arrays: ti.template()):
+    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the gates."""
+    features = arrays.features
+    number = arrays.offsets[scene, Offset.OBSTACLES] + side
+    at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension
+    for k in ti.static(range(features.dimension)):
+        add(arrays.impulse_lanes, (at + k) * features.lanes, momentum[k], arrays)

@@ -1,0 +1,313 @@
+"""Contact with everything solid that is not a wall of the box: baffles, ground, obstacles; their union has one surface.
+
+**Kinematics.** Behind the surface the velocity is zero. Continued by zero into the solid, the velocity field jumps by
+v at the foot of the surface, and its gradient there is v n times the Dirac delta of the surface (n: normal out of the
+solid, d: a particle's distance). With a delta of width h, that of the first row of particles,
+
+    L_p = C_p + delta_h(d_p) (n . v_f) n n^T,    v_f = sum_i w_ip v_i* - d_p C_p n
+    delta_h(d) = (2 / h) (1 - 3 q^2 + 2 q^3),    q = d / h in [0, 1];    its integral over d is 1
+
+is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
+(`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is unstable.
+
+**Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
+virtual power a particle gives to a node
+
+    f_ip = w_ip V0 [delta t - (4 / dx^2) (sigma + delta d t n^T) x_ip]
+
+Stress and contact belong to one energy: a layer at rest neither gains any nor sinks, wherever the surface cuts the
+grid, and a uniform stress is in equilibrium with its surface. It is Nitsche's condition (Nitsche 1971) with the
+particle's own stress as the multiplier and no penalty; the delta is that of an immersed boundary (Peskin 2002, section
+6) and makes it smooth in the place of the solid. The normal traction pushes, and pulls up to the surface's adhesion.
+
+**Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
+shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
+
+**Deep nodes.** A node deep in a solid (`mpm.solids.obstacles.HELD_DEPTH`) is reached by the first row alone, which could not
+keep it in balance; it is held like a node behind a wall of the box (`mpm.physics.boundary`).
+
+**Position.** No particle passes a face: a displacement that crosses one ends there and goes on along it.
+"""
+
+import taichi as ti
+
+from mpm.arrays.lanes import add, lane_maximum, lane_minimum, larger, smaller
+from mpm.arrays.layout import Contact, Setting, Worker, component
+from mpm.physics.boundary import stopped_by
+from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
+
+TURNS = 3
+"""Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
+TINY = 1.0e-20
+"""Keeps quotients finite."""
+
+
+@ti.func
+def contact_at(block, column: ti.template(), arrays: ti.template()):
+    """Index of the vector `column` of those that describe the contact of a block."""
+    return block * arrays.features.block + arrays.features.contacts + column
+
+
+@ti.func
+def normals(block, arrays: ti.template()):
+    """n [-] of each particle of a block, as a list of D."""
+    return [
+        arrays.state[contact_at(block, Contact.NORMAL + k, arrays)] for k in ti.static(range(arrays.features.dimension))
+    ]
+
+
+@ti.func
+def shear_at(block, k: ti.template(), arrays: ti.template()):
+    """Index of component k of the shear tractions q of a block."""
+    return contact_at(block, Contact.NORMAL + arrays.features.dimension + k, arrays)
+
+
+@ti.func
+def normal_stress(block, n: ti.template(), arrays: ti.template()):
+    """sigma_nn [Pa] of each particle of a block across the normals `n`."""
+    features = arrays.features
+    first = block * features.block + features.stress
+    value = 0.0 * n[0]
+    for i in ti.static(range(features.dimension)):
+        for j in ti.static(range(features.dimension)):
+            value = value + n[i] * n[j] * arrays.state[first + ti.static(component(i, j, features.dimension))]
+    return value
+
+
+@ti.func
+def touches(block, arrays: ti.template()):
+    """Whether a particle of a block is within the width of the contact; most blocks have none."""
+    return lane_maximum(arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+
+
+@ti.func
+def prepare_contact(block, scratch, arrays: ti.template()):
+    """Leave in `scratch` the force of the surface per volume of each particle of a block, delta t [Pa/m], and its arm
+
+    d n [m]; D vectors each.
+    """
+    features = arrays.features
+    force, arm = scratch + features.push, scratch + features.push + features.dimension
+    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    for k in ti.static(range(features.dimension)):
+        arrays.scratch[force + k] = 0.0 * delta
+        arrays.scratch[arm + k] = 0.0 * delta
+    if touches(block, arrays):
+        n = normals(block, arrays)
+        pull = smaller(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch[force + k] = delta * (arrays.state[shear_at(block, k, arrays)] - pull * n[k])
+            arrays.scratch[arm + k] = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] * n[k]
+
+
+@ti.func
+def foot_velocity(block, scratch, i: ti.template(), n: ti.template(), arrays: ti.template()):
+    """Component i of v_f [m/s], the velocity of the material at the foot of each particle of a block."""
+    features = arrays.features
+    first = block * features.block
+    turn = 0.0 * n[0]
+    for j in ti.static(range(features.dimension)):
+        turn = turn + arrays.state[first + features.affine + i * features.dimension + j] * n[j]
+    distance = arrays.state[contact_at(block, Contact.DISTANCE, arrays)]
+    if ti.static(features.relaxed):
+        return arrays.scratch[scratch + features.lowest + features.dimension + i] - distance * turn
+    else:
+        return arrays.state[first + features.velocity + i] - distance * turn
+
+
+@ti.func
+def strain_at_contact(block, scratch, dt, arrays: ti.template()):
+    """Leave in `scratch` what contact adds along n to the strain increment of each particle, dt delta n . v_f [-].
+
+    Sand without pressure leaves a surface without strain.
+    """
+    jump = scratch + arrays.features.push
+    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    arrays.scratch[jump] = 0.0 * delta
+    if touches(block, arrays):
+        n = normals(block, arrays)
+        opening = 0.0 * delta
+        for k in ti.static(range(arrays.features.dimension)):
+            opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
+        adhesion = arrays.state[contact_at(block, Contact.ADHESION, arrays)]
+        separated = (normal_stress(block, n, arrays) >= adhesion) & (opening > 0.0)
+        arrays.scratch[jump] = ti.select(separated, 0.0, dt * delta * opening)
+
+
+@ti.func
+def shear_traction_step(block, scratch, dt, shear, n: ti.template(), arrays: ti.template()):
+    """Bring the shear tractions q of a block forward by a step, within Coulomb's bound for its new stress."""
+    features = arrays.features
+    opening, square = 0.0 * n[0], TINY + 0.0 * n[0]
+    for k in ti.static(range(features.dimension)):
+        opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
+    stiffness = dt * shear * arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    for k in ti.static(range(features.dimension)):
+        slip = foot_velocity(block, scratch, k, n, arrays) - opening * n[k]
+        q = arrays.state[shear_at(block, k, arrays)] - stiffness * slip
+        arrays.state[shear_at(block, k, arrays)] = q
+        square = square + q * q
+    friction = arrays.state[contact_at(block, Contact.FRICTION, arrays)]
+    bound = friction * larger(0.0 - normal_stress(block, n, arrays), 0.0)
+    scale = smaller(bound / ti.sqrt(square), 1.0)
+    for k in ti.static(range(features.dimension)):
+        arrays.state[shear_at(block, k, arrays)] = scale * arrays.state[shear_at(block, k, arrays)]
+
+
+@ti.func
+def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
+    """Add what contact takes of the momentum of a block in a step, -dt V0 delta t, to its solids' impulses."""
+    features, lanes = arrays.features, arrays.features.lanes
+    if touches(block, arrays):
+        prepare_contact(block, scratch, arrays)
+        face, value = contact_at(block, Contact.FACE, arrays), contact_at(block, Contact.IMPULSE, arrays)
+        for k in ti.static(range(features.dimension)):
+            force = arrays.scratch[scratch + features.push + k]
+            arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
+            for lane in range(lanes):
+                solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
+                add_impulse(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
+
+
+@ti.func
+def present(block, arrays: ti.template()):
+    """1 for each particle of a block, 0 for the lanes that only mirror one."""
+    return arrays.state[block * arrays.features.block + arrays.features.present]
+
+
+@ti.func
+def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.template()):
+    """Add `value` [N s] to component k of the impulse of a solid."""
+    features = arrays.features
+    at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension + k
+    add(arrays.impulse_lanes, at * features.lanes + lane, value, arrays)
+
+
+@ti.func
+def against_solids(v, mass, n, worker, arrays: ti.template()):
+    """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `held_nodes`, [D]."""
+    features = arrays.features
+    line = arrays.held_nodes[n] - 1
+    if line >= 0:
+        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
+        if v.dot(normal) < 0.0:
+            stopped = stopped_by(v, normal, arrays.node_contacts[line, features.dimension])
+            solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
+            for k in ti.static(range(features.dimension)):
+                add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
+            v = stopped
+    return v
+
+
+@ti.func
+def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
+    """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
+
+    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
+    long as that is beyond the contact no face is searched.
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    x, distance = block * features.block, contact_at(block, Contact.DISTANCE, arrays)
+    square = 0.0 * arrays.state[x]
+    for k in ti.static(range(features.dimension)):
+        moved = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
+        square = square + moved * moved
+    least = arrays.state[distance] - 1.001 * ti.sqrt(square)
+    nearby = arrays.settings[scene, Setting.SEARCH]
+    if lane_minimum(least, arrays) >= nearby:
+        arrays.state[distance] = least
+        arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * least
+    else:
+        arrays.scratch[scratch + features.push] = least
+        arrays.state[contact_at(block, Contact.IMPULSE, arrays)] = mass * present(block, arrays)
+        for lane in range(lanes):
+            bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
+            if bound < nearby:
+                find_contact(block, scratch, lane, bound, worker, scene, arrays)
+            else:
+                arrays.lanes[distance * lanes + lane] = bound
+                arrays.lanes[contact_at(block, Contact.DELTA, arrays) * lanes + lane] = 0.0
+
+
+@ti.func
+def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
+    """Contact of the particle in `lane` of a block: where its displacement ends, and the face nearest to that.
+
+    bound: its distance is no less [m]; if that is positive it has met no face.
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    dimension = ti.static(features.dimension)
+    first = block * features.block * lanes + lane
+    contact = contact_at(block, 0, arrays) * lanes + lane
+    x, v = lane_vector(first, arrays), lane_vector(first + features.velocity * lanes, arrays)
+    velocity, solid, moved = v, -1, False
+    cell = arrays.settings[scene, Setting.CELL]
+    if bound <= 0.0:
+        start = ti.Vector(
+            [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
+        )
+        start_cell = cell_of(start, scene, arrays)
+        for turn in range(TURNS):
+            face = first_crossed(start, x, start_cell, cell, arrays)
+            if face < 0:
+                break
+            normal = face_vector(face, features.face_normal, arrays)
+            x = x - (x - face_vector(face, 0, arrays)).dot(normal) * normal
+            if turn == TURNS - 1:
+                x = start
+            moved = True
+            if v.dot(normal) < 0.0:
+                v = stopped_by(v, normal, arrays.faces[face, features.face_friction])
+                solid = solid_of(face, arrays)
+    # Beyond the cells that have faces there are none within the reach of their search.
+    delta, distance = 0.0 * cell, arrays.settings[scene, Setting.REACH]
+    cell_index = cell_of(x, scene, arrays)
+    if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
+        last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
+        face, weights, normal, d = nearest_face(x, last, cell_index, arrays)
+        friction = 0.0 * d
+        for k in ti.static(range(dimension)):
+            friction += weights[k] * arrays.faces[face, features.face_friction + k]
+        if d < 0.0:
+            x = x - d * normal
+            d, moved = 0.0 * d, True
+            if v.dot(normal) < 0.0:
+                v = stopped_by(v, normal, friction)
+                solid = solid_of(face, arrays)
+        distance = ti.min(d, distance)
+        q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
+        delta = 2.0 / arrays.settings[scene, Setting.CONTACT_WIDTH] * (1.0 - q * q * (3.0 - 2.0 * q))
+        arrays.lanes[contact + Contact.ADHESION * lanes] = arrays.faces[face, features.face_adhesion]
+        arrays.lanes[contact + Contact.FRICTION * lanes] = friction
+        arrays.lanes[contact + Contact.FACE * lanes] = face
+        # The shear traction turns with the surface, and ends where the particle leaves it.
+        shear = lane_vector(contact + (Contact.NORMAL + dimension) * lanes, arrays)
+        shear = shear - shear.dot(normal) * normal
+        if delta == 0.0:
+            shear = 0.0 * shear
+        put_lane_vector(contact + Contact.NORMAL * lanes, normal, arrays)
+        put_lane_vector(contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
+    if moved:
+        put_lane_vector(first, x, arrays)
+        put_lane_vector(first + features.velocity * lanes, v, arrays)
+        if solid >= 0:
+            mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
+            for k in ti.static(range(dimension)):
+                add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
+    arrays.lanes[contact + Contact.DELTA * lanes] = delta
+    arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
+
+
+@ti.func
+def lane_vector(first, arrays: ti.template()):
+    """The D numbers of a lane that begin at `first`, one per vector of its block."""
+    features = arrays.features
+    return ti.Vector([arrays.lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def put_lane_vector(first, value, arrays: ti.template()):
+    """Put D numbers where `lane_vector` reads them."""
+    features = arrays.features
+    for k in ti.static(range(features.dimension)):
+        arrays.lanes[first + k * features.lanes] = value[k]

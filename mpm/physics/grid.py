@@ -1,0 +1,177 @@
+"""The grid between the transfers: cleared, then momentum becomes velocity under gravity, damping and the walls.
+
+    v_i* = v_i + dt (a_i - alpha |a_i| s(v_i)),   a_i = g + f_i / m_i,   s(v) = v / sqrt(v^2 + v_s^2)
+
+The last term is local damping (Cundall 1987) as CB-Geo MPM applies it at a node: |a| is the length of the whole
+acceleration, the sign is each component's (Cundall's own form takes each component's force too). The sign is made
+continuous over v_s = SLOW sqrt(g dx), so that the flow depends continuously on its parameters. The damping opposes
+sliding like a friction of the base and turns with the stress, not with the speed: a block that slides on an incline at
+damping 0.12 behaves as if the coefficient of friction were larger by 0.2. It is off unless a scene asks for it.
+
+Only the bounding box of the material is cleared and updated.
+"""
+
+import taichi as ti
+
+from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
+from mpm.arrays.nodes import cells_of, rows_of
+from mpm.physics.barriers import against_gates
+from mpm.physics.boundary import against_walls, record_wall
+from mpm.physics.contact import against_solids
+
+TINY = 1.0e-30
+"""Keeps a quotient finite where nothing moves and nothing weighs."""
+SLOW = 1.0e-3
+"""Speed over sqrt(g dx) below which local damping fades [-]."""
+
+
+@ti.func
+def clear(worker, rows, arrays: ti.template()):
+    """Set the nodes around the material of `worker` to zero."""
+    features = arrays.features
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                arrays.grid[first + k] = zero
+
+
+@ti.func
+def update_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+    """Momentum to velocity, on the grid of a worker that has the scene to itself, or on a share of all their grids."""
+    if ti.static(arrays.features.shared):
+        share_nodes(worker, scene, dt, kept, rows, arrays)
+    else:
+        update_own_nodes(worker, scene, dt, kept, rows, arrays)
+
+
+@ti.func
+def update_own_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+    """Momentum to velocity, where one worker has the scene to itself."""
+    features = arrays.features
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                node = arrays.grid[first + k]
+                if node[features.dimension] > 0.0:
+                    old = old_velocity(node, arrays)
+                    new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
+                    put_velocity(first + k, new, old, kept, arrays)
+
+
+@ti.func
+def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+    """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
+    features = arrays.features
+    count = arrays.workers.shape[0]
+    low = ti.Vector([arrays.workers[0, Worker.LOW_X + k] for k in ti.static(range(3))])
+    high = ti.Vector([arrays.workers[0, Worker.HIGH_X + k] for k in ti.static(range(3))])
+    for other in range(1, count):
+        for k in ti.static(range(3)):
+            low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
+            high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    for i in range(low[0], high[0]):
+        if i % count == worker:
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    at = i * rows[0] + j * rows[1] + k
+                    node = zero
+                    for other in range(count):
+                        if covers(other, i, j, k, arrays):
+                            node += arrays.grid[arrays.workers[other, Worker.NODE] + at]
+                    if node[features.dimension] > 0.0:
+                        old = old_velocity(node, arrays)
+                        new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
+                        for other in range(count):
+                            if covers(other, i, j, k, arrays):
+                                own = arrays.workers[other, Worker.NODE] + at
+                                put_velocity(own, new, old, kept, arrays)
+                                if ti.static(features.corrected):
+                                    arrays.grid[own][features.dimension] = node[features.dimension]
+
+
+@ti.func
+def update_node(n, scene, arrays: ti.template()):
+    """Momentum to velocity on the n-th node of a scene, where every node has a thread."""
+    rows = rows_of(scene, arrays)
+    i, j, k = n // rows[0], 0, 0
+    if ti.static(arrays.features.dimension == 2):
+        j = n - i * rows[0]
+    else:
+        j = (n - i * rows[0]) // rows[1]
+        k = n - i * rows[0] - j * rows[1]
+    dt = arrays.step_control[scene, StepControl.DT]
+    if i < arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING + 1 and dt > 0.0:
+        at = arrays.workers[scene, Worker.NODE] + n
+        node = arrays.grid[at]
+        if node[arrays.features.dimension] > 0.0:
+            old = old_velocity(node, arrays)
+            new = velocity_of(node, old, i, j, k, scene, scene, dt, arrays)
+            put_velocity(at, new, old, kept_of(scene, dt, arrays), arrays)
+
+
+@ti.func
+def covers(worker, i, j, k, arrays: ti.template()):
+    """Whether the material of a worker reaches node (i, j, k)."""
+    return (
+        arrays.workers[worker, Worker.LOW_X] <= i < arrays.workers[worker, Worker.HIGH_X]
+        and arrays.workers[worker, Worker.LOW_Y] <= j < arrays.workers[worker, Worker.HIGH_Y]
+        and arrays.workers[worker, Worker.LOW_Z] <= k < arrays.workers[worker, Worker.HIGH_Z]
+    )
+
+
+@ti.func
+def old_velocity(node, arrays: ti.template()):
+    """v_i [m/s] of a node (momentum, mass, force) before its forces act, shape [D]."""
+    features = arrays.features
+    per_mass = 1.0 / node[features.dimension]
+    return ti.Vector([node[axis] * per_mass for axis in ti.static(range(features.dimension))])
+
+
+@ti.func
+def put_velocity(n, new, old, kept, arrays: ti.template()):
+    """Store the new velocity of node n in place of its momentum and, where relaxed, its change new - kept old."""
+    features = arrays.features
+    for axis in ti.static(range(features.dimension)):
+        arrays.grid[n][axis] = new[axis]
+        if ti.static(features.relaxed):
+            arrays.grid[n][features.change + axis] = new[axis] - kept * old[axis]
+
+
+@ti.func
+def kept_of(scene, dt, arrays: ti.template()):
+    """The part of the velocity beyond the grid's that a particle keeps over a step, exp(-dt / tau) [-]."""
+    return ti.exp(0.0 - dt * arrays.settings[scene, Setting.RELAXATION_RATE])
+
+
+@ti.func
+def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D], from its old one `v`."""
+    features = arrays.features
+    mass = node[features.dimension]
+    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
+    a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
+    if ti.static(features.forces):
+        per_mass = 1.0 / mass
+        a = a + ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
+    if ti.static(features.damped):
+        drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
+        slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL]
+        sign = [v[axis] / ti.sqrt(v[axis] * v[axis] + slow + TINY) for axis in ti.static(range(features.dimension))]
+        a = a - drag * ti.Vector(sign)
+    free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
+    index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
+    held = against_walls(free, index, cells_of(scene, arrays), mass, worker, scene, arrays)
+    if ti.static(features.contact):
+        rows = rows_of(scene, arrays)
+        n = arrays.offsets[scene, Offset.GEOMETRY] + i * rows[0] + j * rows[1] + k * rows[2]
+        held = against_solids(held, mass, n, worker, arrays)
+    if ti.static(features.gated):
+        behind = against_gates(held, index, scene, dt, arrays)
+        if ti.static(features.walls_recorded):
+            record_wall(2 * features.dimension, mass * (held - behind), worker, scene, arrays)
+        held = behind
+    return held

@@ -1,0 +1,172 @@
+"""Mohr-Coulomb plasticity with a tension cutoff, returned in principal stresses; for vectors of lanes, so branchless.
+
+Tension is positive, s1 >= s2 >= s3 are the principal stresses. Yield functions and flow potentials (Davis 1968; de
+Souza Neto, Peric & Owen 2008, section 8.2), Coulomb's for every ordered pair of axes and Rankine's for every axis:
+
+    F_ij = s_i (1 + sin phi) - s_j (1 - sin phi) - 2 c cos phi      G_ij = s_i (1 + sin psi) - s_j (1 - sin psi)
+    F_i  = s_i - T                                                  G_i  = s_i
+
+with the tension limit T = min(tension cutoff, c cot phi), for phi = 0 the cutoff alone: Tresca's prism. The return is
+the backward Euler step of all nine surfaces together (Koiter 1953; Simo, Kennedy & Govindjee 1988): with isotropic
+elasticity D (Lame constants lambda, mu),
+
+    s = s_trial - sum_a g_a D dG_a/ds,    g_a >= 0,  F_a(s) <= 0,  g_a F_a(s) = 0.
+
+Its solution is unique, piecewise linear and continuous in s_trial (`tests.mpm.lcp` solves it by enumeration). It is the
+first of these that no other surface forbids:
+
+    A  the hexagon alone: the plane F_13, or an edge where F_13 meets F_23 or F_12, taken where s1 <= T;
+    B  the cutoff alone: one, two or three stresses equal T, taken where F_13 <= 0;
+    C  both: s1 = T, s3 = (T (1 + sin phi) - 2 c cos phi) / (1 - sin phi), and s2 follows elastically,
+       s2 = s2_trial + nu (ds1 + ds3), for nothing yields along axis 2 until s2 meets s1 or s3; then it stays there.
+
+On the plane dgamma = F / (4 [mu + (lambda + mu) sin phi sin psi]); an edge is a symmetric 2 x 2 system. A stress that
+opens a crack relaxes the others by elastic coupling, lambda / (lambda + 2 mu) of what it gives up itself.
+
+Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the mean of A is not below 0.
+
+| symbol | variable |
+|---|---|
+| s1, s2, s3 | s1, s2, s3 |
+| sin phi, sin psi | sin_phi, sin_psi |
+| 2 c cos phi | strength |
+| lambda, mu | lame, shear |
+| T | limit |
+"""
+
+import taichi as ti
+
+from mpm.arrays.lanes import between, larger, smaller
+from mpm.physics.principal import TINY
+
+
+@ti.func
+def apex_limit(cutoff, sin_phi, strength):
+    """T [Pa]: the tension cutoff, or the apex c cot phi = strength / (2 sin phi) where that is lower."""
+    return smaller(cutoff, strength / larger(2.0 * sin_phi, TINY))
+
+
+@ti.func
+def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), features: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] after the accumulated plastic strain `strain` [-].
+
+    Linear in w = max(0, 1 - `per_strain` * `strain`) between `residual`, which is (sin phi, 2 c cos phi, T), and
+    `peak`, with sin psi, which falls to 0; `per_strain` = sqrt(3) * cell / softening length (`datasets.material`).
+    """
+    w = larger(1.0 - per_strain * strain, 0.0)
+    sin_phi = residual[0] + w * (peak[0] - residual[0])
+    if ti.static(features.cohesive):
+        strength = residual[1] + w * (peak[2] - residual[1])
+        # c cot phi is not linear in w: between its ends it may lie below the straight line.
+        limit = apex_limit(residual[2] + w * (peak[3] - residual[2]), sin_phi, strength)
+        return sin_phi, w * peak[1], strength, limit
+    else:
+        return sin_phi, w * peak[1], peak[2], peak[3]
+
+
+@ti.func
+def on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.template()):
+    """Return along the flow of the plane F(s1, s3), which is violated by `excess` >= 0."""
+    if ti.static(dilates):
+        rate = excess / (4.0 * (shear + (lame + shear) * sin_phi * sin_psi))
+        bulge = 2.0 * lame * sin_psi
+        s1 = s1 - rate * (bulge + 2.0 * shear * (1.0 + sin_psi))
+        s2 = s2 - rate * bulge
+        s3 = s3 - rate * (bulge - 2.0 * shear * (1.0 - sin_psi))
+    else:
+        s1 = s1 - 0.5 * excess
+        s3 = s3 + 0.5 * excess
+    return s1, s2, s3
+
+
+@ti.func
+def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: ti.template(), dilates: ti.template()):
+    """Return to the edge where stresses 1 and 2 (`upper`) or 2 and 3 meet: the stress apart, then the equal two."""
+    sign = ti.static(1.0 if upper else -1.0)
+    pair, single = s2 + s3, s1
+    if ti.static(upper):
+        pair, single = s1 + s2, s3
+    if ti.static(dilates):
+        second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
+        if ti.static(upper):
+            second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
+        # a, b: change of a plane's F per own and per other multiplier.
+        a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
+        b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
+        total = (excess + second) / (a + b)
+        bulge = 2.0 * lame * sin_psi * total
+        pair = pair - (2.0 * bulge + sign * 2.0 * shear * (1.0 + sign * sin_psi) * total)
+        single = single - (bulge - sign * 2.0 * shear * (1.0 - sign * sin_psi) * total)
+    else:
+        # psi = 0 keeps the mean stress, so it and F = 0 give the answer.
+        mean = pair + single
+        single = ((1.0 + sign * sin_phi) * mean - sign * 2.0 * strength) / (3.0 - sign * sin_phi)
+        pair = mean - single
+    return single, 0.5 * pair
+
+
+@ti.func
+def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
+    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
+    excess = larger(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
+    t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
+    low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
+    high, twin_low = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, False, dilates)
+    upper, lower = t2 > t1, t3 > t2
+    return (
+        ti.select(upper, twin_high, ti.select(lower, high, t1)),
+        ti.select(upper, twin_high, ti.select(lower, twin_low, t2)),
+        ti.select(upper, low, ti.select(lower, twin_low, t3)),
+    )
+
+
+@ti.func
+def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
+    """Return where the cutoff is active, s1 > T: s2 and s3 on the cutoff alone (B) or on cutoff and plane (C)."""
+    # One stress at T relaxes the others; where s2 stays beyond T, two do; s3 beyond T then means all three.
+    beyond = s1 - limit
+    coupling = lame / (lame + 2.0 * shear)
+    poisson = 0.5 * lame / (lame + shear)
+    one2, one3 = s2 - coupling * beyond, s3 - coupling * beyond
+    two = one2 > limit
+    b2 = ti.select(two, limit, one2)
+    b3 = ti.select(two, smaller(s3 - poisson * (beyond + s2 - limit), limit), one3)
+    # F <= 0 at s1 = T says that s3 is at or above that of C.
+    lowest = (limit * (1.0 + sin_phi) - strength) / (1.0 - sin_phi)
+    c2 = between(s2 - poisson * (beyond + s3 - lowest), lowest, limit)
+    cut = b3 >= lowest
+    return ti.select(cut, b2, c2), ti.select(cut, b3, lowest)
+
+
+@ti.func
+def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
+    """The stresses that Mohr-Coulomb with tension cutoff admits in place of s1 >= s2 >= s3, and then the mean stress
+    [Pa] that opening cost: K times the volume of the cracks; dilation is not counted, and 0 where nothing opened.
+
+    Of `features` it reads `dilates` and `cohesive`; without the latter `strength` and `limit` must be 0. It shifts
+    stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
+    """
+    dilates = ti.static(features.dilates)
+    t1, t2, t3 = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
+    open_ = t1 + t2 + t3 >= 0.0
+    if ti.static(features.cohesive):
+        open_ = t1 > limit
+        low2, low3 = on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear)
+        t1, t2, t3 = ti.select(open_, limit, t1), ti.select(open_, low2, t2), ti.select(open_, low3, t3)
+    else:
+        # Without cohesion the apex is 0; rounding must not leave a tension.
+        t1, t2, t3 = (
+            ti.select(open_, 0.0, smaller(t1, 0.0)),
+            ti.select(open_, 0.0, smaller(t2, 0.0)),
+            ti.select(open_, 0.0, smaller(t3, 0.0)),
+        )
+    d1, d2, d3 = s1 - t1, s2 - t2, s3 - t3
+    opened = (d1 + d2 + d3) / 3.0
+    if ti.static(dilates):
+        # Only the hexagon's flow shortens an axis, by 1 - sin psi for every 1 + sin psi that it lengthens another; so
+        # its part of the volume is 2 sin psi / (1 - sin psi) of the plastic shortening, e_i = (d_i - share) / (2 mu).
+        bulk3 = 3.0 * lame + 2.0 * shear
+        share = lame / bulk3 * (d1 + d2 + d3)
+        shorter = larger(share - d1, 0.0) + larger(share - d2, 0.0) + larger(share - d3, 0.0)
+        opened = opened - bulk3 * sin_psi / (3.0 * shear * (1.0 - sin_psi)) * shorter
+    return t1, t2, t3, ti.select(open_, larger(opened, 0.0), 0.0)

@@ -1,0 +1,183 @@
+"""What a block of particles does between grid and next step: it moves, keeps out of solids, and its stress follows."""
+
+import taichi as ti
+
+from mpm.arrays.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
+from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
+from mpm.physics.boundary import closed
+from mpm.physics.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
+from mpm.physics.mohr_coulomb import softened
+from mpm.physics.strain import midpoint_increment
+from mpm.physics.stress import stress_step
+from mpm.physics.transfer import grid_to_block, property_of
+from mpm.physics.volume_correction import gap_followed
+
+
+@ti.func
+def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.template()):
+    """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
+    features = arrays.features
+    first = arrays.workers[worker, Worker.FIRST]
+    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
+    # The lowest and highest place of each lane, then of all: the box of nodes that the next step touches.
+    low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
+    high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
+    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
+    for block in range(first, arrays.workers[worker, Worker.LAST]):
+        move_block(worker, grid, scene, block, scratch, dt, kept, rows, arrays)
+        for k in ti.static(range(features.dimension)):
+            low[k] = smaller(low[k], arrays.state[block * features.block + k])
+            high[k] = larger(high[k], arrays.state[block * features.block + k])
+    for k in ti.static(range(features.dimension)):
+        lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
+        highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
+        arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
+        arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
+
+
+@ti.func
+def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
+    """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
+    features = arrays.features
+    volume = property_of(scene, block, Property.VOLUME, arrays)
+    if ti.static(features.contact):
+        record_traction(block, scratch, volume, dt, worker, arrays)
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
+    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
+    step_particles(worker, scene, block, scratch, dt, kept, arrays)
+    update_stress(scene, block, scratch, dt, arrays)
+    if ti.static(features.open):
+        remove_outflow(block, scene, arrays)
+    if ti.static(features.contact):
+        mass = volume * property_of(scene, block, Property.DENSITY, arrays)
+        find_contacts(block, scratch, mass, worker, scene, arrays)
+
+
+@ti.func
+def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
+    """Move a block by its velocity; no particle leaves the box."""
+    features = arrays.features
+    x = bounded(block * features.block)
+    v, remainder = x + features.velocity, x + features.remainder
+    for k in ti.static(range(features.dimension)):
+        speed = arrays.state[v + k]
+        if ti.static(features.relaxed):
+            at = scratch + features.lowest + features.dimension + k
+            speed = arrays.scratch[at]
+            arrays.state[v + k] = kept * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        if ti.static(features.open):
+            speed = arrays.state[x + features.present] * speed
+        if ti.static(features.compensated):
+            old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
+            new = old + part
+            arrays.state[remainder + k] = part - (new - old)
+            arrays.state[x + k] = new
+        else:
+            arrays.state[x + k] = arrays.state[x + k] + dt * speed
+    for k in ti.static(range(features.dimension)):
+        free = arrays.state[x + k]
+        length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
+        held = between(free, 0.0, length)
+        if ti.static(features.open):
+            held = beyond_open_sides(free, held, 2 * k, scene, arrays)
+        arrays.state[x + k] = held
+        put_back = lane_sum(
+            ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
+        )
+        if put_back > 0.0:
+            add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
+
+
+@ti.func
+def beyond_open_sides(free, held, side: ti.template(), scene, arrays: ti.template()):
+    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `held`."""
+    below, above = closed(side, scene, arrays), closed(side + 1, scene, arrays)
+    return ti.select(((free < held) & (below == 0)) | ((free > held) & (above == 0)), free, held)
+
+
+@ti.func
+def remove_outflow(block, scene, arrays: ti.template()):
+    """Particles of a block beyond an open side are no part of the flow any more: without mass, stress and velocity."""
+    features = arrays.features
+    x = block * features.block
+    here = arrays.state[x + features.present]
+    for k in ti.static(range(features.dimension)):
+        length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
+        inside = (arrays.state[x + k] >= 0.0) & (arrays.state[x + k] <= length)
+        here = ti.select(inside, here, 0.0)
+    arrays.state[x + features.present] = here
+    for k in ti.static(range(features.velocity, features.stress + features.stresses)):
+        arrays.state[x + k] = here * arrays.state[x + k]
+
+
+@ti.func
+def update_stress(scene, block, scratch, dt, arrays: ti.template()):
+    """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
+
+    Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
+    """
+    features = arrays.features
+    first = bounded(block * features.block)
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    increment = strain_increment(block, scratch, dt, arrays)
+    opened = 0.0 * stress[0]
+    if ti.static(features.corrected):
+        remembered = arrays.state[first + features.gap]
+        opened = gap_followed(remembered, limit, lame + shear * (2.0 / 3.0), scene, block, scratch, dt, arrays)
+    new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    for k in ti.static(range(features.stresses)):
+        arrays.state[first + features.stress + k] = new[k]
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if touches(block, arrays):
+            shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
+    if ti.static(features.corrected):
+        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
+    if ti.static(features.strained):
+        at = first + features.plastic_strain
+        arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def strain_increment(block, scratch, dt, arrays: ti.template()):
+    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
+    features = arrays.features
+    first = bounded(block * features.block)
+    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    inside = midpoint_increment(gradient, features.dimension)
+    if ti.static(features.contact):
+        strain_at_contact(block, scratch, dt, arrays)
+        n, jump = normals(block, arrays), arrays.scratch[scratch + features.push]
+        return [
+            inside[k] + jump * n[k // features.dimension] * n[k % features.dimension]
+            for k in ti.static(range(features.dimension**2))
+        ]
+    else:
+        return inside
+
+
+@ti.func
+def strength_of(scene, block, arrays: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+    features = arrays.features
+    sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
+    # Zeros known to the compiler where the scene has no dilation and no cohesion.
+    sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
+    if ti.static(features.dilates):
+        sin_psi = property_of(scene, block, Property.SIN_PSI, arrays)
+    if ti.static(features.cohesive):
+        strength = property_of(scene, block, Property.STRENGTH, arrays)
+        limit = property_of(scene, block, Property.LIMIT, arrays)
+    if ti.static(features.softens):
+        residual = (
+            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
+            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
+            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
+        )
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        return softened(strain, per_strain, (sin_phi, sin_psi, strength, limit), residual, features)
+    else:
+        return sin_phi, sin_psi, strength, limit

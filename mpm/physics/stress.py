@@ -1,0 +1,238 @@
+"""One step of Cauchy stress: an objective elastic increment, then the plastic return.
+
+    sigma_trial = R sigma R^T + lambda tr(D) I + 2 mu D,    R = (I - W / 2)^-1 (I + W / 2)
+
+with D and W the symmetric and skew parts of the velocity gradient times the step. R is a rotation for every W (Hughes &
+Winget 1980), so a rigid spin keeps the invariants of the stress to rounding; for small steps this is Jaumann's rate.
+R - I = 2 (Q + Q^2) / (1 + q . q) with q half the axial vector of W and Q v = q x v; in 2D tan(angle / 2) = q.
+Components xx, yy, zz, xy and, in 3D, yz, zx; 2D is plane strain.
+
+The returned stress has the axes of the trial stress, and no axes are computed. With s_i the principal stresses, g_i the
+change of each, and the divided differences g12 = (g1 - g2) / (s1 - s2), g123 = (g12 - g23) / (s1 - s3), Newton's
+interpolation polynomial carries the change over to the tensor:
+
+    sigma = sigma_trial + g1 I + g12 (sigma_trial - s1 I) + g123 (sigma_trial - s1 I) (sigma_trial - s2 I)
+
+Because a return never widens a gap, with elastic coupling neither, g12 and g23 lie in [-1, 0]: clamped to that they are
+right where stresses meet, too. In plane strain this is a scaled deviator around a moved centre.
+"""
+
+import taichi as ti
+
+from mpm.arrays.lanes import between, larger, smaller
+from mpm.physics.mohr_coulomb import return_principal
+from mpm.physics.principal import TINY, principal_deviator
+
+
+@ti.func
+def trial_stress(stress: ti.template(), gradient: ti.template(), lame, shear, dimension: ti.template()):
+    """Elastic trial: `stress` [Pa] after the increment `gradient` = dt * velocity gradient [-], row by row."""
+    if ti.static(dimension == 2):
+        xx, yy, zz, xy = stress
+        gxx, gxy, gyx, gyy = gradient
+        q = 0.25 * (gyx - gxy)
+        half = 0.5 * (xx - yy)
+        # half and xy turn by twice the angle, whose sine and cosine these are: less 2 sine (sine (half, xy) + ...).
+        per = 1.0 / (1.0 + q * q)
+        sine, cosine = 2.0 * q * per, (1.0 - q * q) * per
+        lost = 2.0 * sine * (sine * half + cosine * xy)
+        won = 2.0 * sine * (cosine * half - sine * xy)
+        volumetric = lame * (gxx + gyy)
+        return (
+            xx - lost + volumetric + 2.0 * shear * gxx,
+            yy + lost + volumetric + 2.0 * shear * gyy,
+            zz + volumetric,
+            xy + won + shear * (gxy + gyx),
+        )
+    else:
+        gxx, gxy, gxz, gyx, gyy, gyz, gzx, gzy, gzz = gradient
+        xx, yy, zz, xy, yz, zx = turned(stress, 0.25 * (gzy - gyz), 0.25 * (gxz - gzx), 0.25 * (gyx - gxy))
+        volumetric = lame * (gxx + gyy + gzz)
+        return (
+            xx + volumetric + 2.0 * shear * gxx,
+            yy + volumetric + 2.0 * shear * gyy,
+            zz + volumetric + 2.0 * shear * gzz,
+            xy + shear * (gxy + gyx),
+            yz + shear * (gyz + gzy),
+            zx + shear * (gzx + gxz),
+        )
+
+
+@ti.func
+def turned(stress: ti.template(), qx, qy, qz):
+    """R sigma R^T in 3D [Pa] of Cayley's rotation R = I + C with the vector q = W's axial vector / 2 [-].
+
+    Summed as sigma + C sigma + (C sigma)^T + C sigma C^T: in single precision R itself would lose C's small part.
+    """
+    xx, yy, zz, xy, yz, zx = stress
+    twice = 2.0 / (1.0 + (qx * qx + qy * qy + qz * qz))
+    sx, sy, sz = twice * qx, twice * qy, twice * qz
+    sxx, syy, szz = sx * qx, sy * qy, sz * qz
+    sxy, syz, szx = sx * qy, sy * qz, sz * qx
+    # The rows of C, then those of C sigma.
+    cxx, cxy, cxz = 0.0 - (syy + szz), sxy - sz, szx + sy
+    cyx, cyy, cyz = sxy + sz, 0.0 - (szz + sxx), syz - sx
+    czx, czy, czz = szx - sy, syz + sx, 0.0 - (sxx + syy)
+    mxx, mxy, mxz = cxx * xx + cxy * xy + cxz * zx, cxx * xy + cxy * yy + cxz * yz, cxx * zx + cxy * yz + cxz * zz
+    myx, myy, myz = cyx * xx + cyy * xy + cyz * zx, cyx * xy + cyy * yy + cyz * yz, cyx * zx + cyy * yz + cyz * zz
+    mzx, mzy, mzz = czx * xx + czy * xy + czz * zx, czx * xy + czy * yy + czz * yz, czx * zx + czy * yz + czz * zz
+    return (
+        xx + (2.0 * mxx + (mxx * cxx + mxy * cxy + mxz * cxz)),
+        yy + (2.0 * myy + (myx * cyx + myy * cyy + myz * cyz)),
+        zz + (2.0 * mzz + (mzx * czx + mzy * czy + mzz * czz)),
+        xy + (mxy + myx + (mxx * cyx + mxy * cyy + mxz * cyz)),
+        yz + (myz + mzy + (myx * czx + myy * czy + myz * czz)),
+        zx + (mzx + mxz + (mzx * cxx + mzy * cxy + mzz * cxz)),
+    )
+
+
+@ti.func
+def stress_step(
+    old: ti.template(),
+    gradient: ti.template(),
+    opened,
+    sin_phi,
+    sin_psi,
+    strength,
+    limit,
+    lame,
+    shear,
+    features: ti.template(),
+):
+    """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
+
+    `opened` is what the last step's return gave as such [Pa], read where `features.corrected`: volume correction
+    (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
+    """
+    cracked = with_cracks(old, opened, limit, lame, shear, features)
+    trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
+    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    if ti.static(features.corrected and features.cohesive and features.strained):
+        # The strain of open cracks was plastic once, when they opened.
+        bare = trial_stress(old, gradient, lame, shear, features.dimension)
+        d = [bare[k] - new[k] for k in ti.static(range(features.stresses))]
+        mean = (d[0] + d[1] + d[2]) / 3.0
+        xx, yy, zz = d[0] - mean, d[1] - mean, d[2] - mean
+        square = xx * xx + yy * yy + zz * zz
+        for k in ti.static(range(3, features.stresses)):
+            square = square + 2.0 * d[k] * d[k]
+        strain = ti.sqrt(square / 6.0) / shear
+        if ti.static(features.dimension == 2):
+            return new[0], new[1], new[2], new[3], strain, new[5]
+        else:
+            return new[0], new[1], new[2], new[3], new[4], new[5], strain, new[7]
+    else:
+        return new
+
+
+@ti.func
+def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.template()):
+    """Stress [Pa]; with volume correction plus what the strain e N of the opened cracks would elastically add to it.
+
+    That is lambda e I + 2 mu e N; `opened` is their volume e, as the mean stress K e [Pa]. N = sum n n^T / m of the m
+    principal axes n whose stress stands at T: all directions in a loose fragment, as wherever cohesionless material
+    opens, one in a crack beside compression. The return takes that stress away again, unless strain closes the crack:
+    alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes; with its invariants
+    P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3.
+    """
+    if ti.static(features.corrected and features.cohesive):
+        xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
+        xy, yz, zx = 0.0 - stress[3], 0.0 * stress[3], 0.0 * stress[3]
+        if ti.static(features.dimension == 3):
+            yz, zx = 0.0 - stress[4], 0.0 - stress[5]
+        first = xx + yy + zz
+        cxx, cyy, czz = yy * zz - yz * yz, zz * xx - zx * zx, xx * yy - xy * xy
+        second = cxx + cyy + czz
+        # What counts as 0: a ten-thousandth of the opening, for rounding in single precision.
+        least = 1.0e-4 * opened
+        two, three = second <= least * first, first <= least
+        bulk3 = 3.0 * lame + 2.0 * shear
+        around, along = 3.0 * lame / bulk3 * opened, 6.0 * shear / bulk3 * opened
+        third = around + along / 3.0
+        one = along / larger(second, TINY)
+        pair = 0.5 * along / larger(first, TINY)
+        rxx = stress[0] + ti.select(three, third, around + ti.select(two, pair * (yy + zz), one * cxx))
+        ryy = stress[1] + ti.select(three, third, around + ti.select(two, pair * (zz + xx), one * cyy))
+        rzz = stress[2] + ti.select(three, third, around + ti.select(two, pair * (xx + yy), one * czz))
+        rxy = stress[3] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
+        if ti.static(features.dimension == 2):
+            return rxx, ryy, rzz, rxy
+        else:
+            ryz = stress[4] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
+            rzx = stress[5] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
+            return rxx, ryy, rzz, rxy, ryz, rzx
+    elif ti.static(not features.corrected):
+        if ti.static(features.dimension == 2):
+            return stress[0], stress[1], stress[2], stress[3]
+        else:
+            return stress[0], stress[1], stress[2], stress[3], stress[4], stress[5]
+    else:
+        if ti.static(features.dimension == 2):
+            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3]
+        else:
+            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3], stress[4], stress[5]
+
+
+@ti.func
+def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
+    """The stress [Pa] that Mohr-Coulomb with tension cutoff admits in place of a trial stress.
+
+    Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
+    e = dev(sigma_trial - sigma) / (2 mu); and the mean stress that opening cost [Pa].
+    """
+    if ti.static(features.dimension == 2):
+        xx, yy, z, xy = stress
+        half = 0.5 * (xx - yy)
+        centre = xx - half
+        radius = ti.sqrt(half * half + xy * xy)
+        a, b = centre + radius, centre - radius
+        s1, s2, s3 = larger(a, z), larger(b, smaller(a, z)), smaller(b, z)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
+        above, below = z > a, z < b
+        top = ti.select(above, t2, t1)
+        bottom = ti.select(below, t2, t3)
+        out = ti.select(above, t1, ti.select(below, t3, t2))
+        scale = 0.5 * (top - bottom) / larger(radius, TINY)
+        middle = 0.5 * (top + bottom)
+        return (
+            ti.select(yielded, middle + scale * half, xx),
+            ti.select(yielded, middle - scale * half, yy),
+            ti.select(yielded, out, z),
+            ti.select(yielded, scale * xy, xy),
+            equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear),
+            opened,
+        )
+    else:
+        xx, yy, zz, xy, yz, zx = stress
+        p = (xx + yy + zz) / 3.0
+        dxx, dyy, dzz = xx - p, yy - p, zz - p
+        a1, a2, a3 = principal_deviator(dxx, dyy, dzz, xy, yz, zx, features.precision)
+        s1, s2, s3 = p + a1, p + a2, p + a3
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
+        # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
+        g12 = between((g1 - g2) / larger(a1 - a2, TINY), -1.0, 0.0)
+        g23 = between((g2 - g3) / larger(a2 - a3, TINY), -1.0, 0.0)
+        g123 = (g12 - g23) / larger(a1 - a3, TINY)
+        # In powers of the deviator d, with a1 + a2 + a3 = 0.
+        constant = g1 - g12 * a1 + g123 * a1 * a2
+        linear = g12 + g123 * a3
+        return (
+            xx + constant + linear * dxx + g123 * (dxx * dxx + xy * xy + zx * zx),
+            yy + constant + linear * dyy + g123 * (xy * xy + dyy * dyy + yz * yz),
+            zz + constant + linear * dzz + g123 * (zx * zx + yz * yz + dzz * dzz),
+            xy + linear * xy + g123 * (dxx * xy + xy * dyy + zx * yz),
+            yz + linear * yz + g123 * (xy * zx + dyy * yz + yz * dzz),
+            zx + linear * zx + g123 * (dxx * zx + xy * yz + zx * dzz),
+            equivalent_strain(g1, g2, g3, shear),
+            opened,
+        )
+
+
+@ti.func
+def equivalent_strain(g1, g2, g3, shear):
+    """Equivalent deviatoric plastic strain [-] behind changes `g` of the principal stresses [Pa]."""
+    mean = (g1 + g2 + g3) / 3.0
+    square = (g1 - mean) * (g1 - mean) + (g2 - mean) * (g2 - mean) + (g3 - mean) * (g3 - mean)
+    return ti.sqrt(square / 6.0) / shear

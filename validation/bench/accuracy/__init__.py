@@ -1,0 +1,1 @@
+"""Error against cost of the MPM, and whether --tolerance keeps its promise."""

@@ -1,0 +1,172 @@
+"""A case history: a scene on real ground, a runout that was observed, and the bed friction that explains it.
+
+Where no deposit was surveyed, the runout is that of a twin: the same release on the same ground, computed with a bed
+friction that the back-analysis is not told and another initial jitter, and then rounded to the raster of a survey.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.measures import Positions, front
+from datasets.records import Strict, from_mapping, read_toml
+from datasets.scene import Scene
+from validation.bench.experiments.angle import Inferred, Search, search_all
+from validation.bench.experiments.computed import Simulate
+from validation.experiments.experiment import Unsaid
+
+FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin(Strict):
+    """How the observed runout was made."""
+
+    bed_friction: float
+    """Coulomb coefficient that the back-analysis is not told [-]."""
+    seed: int
+    """Of its initial jitter."""
+    cell: float
+    """Its grid cell [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class History(Strict):
+    """The contents of a `history.toml`."""
+
+    title: str
+    what: str
+    source: str
+    licence: str
+    scene: str
+    """File of the scene, beside the history."""
+    bed: str
+    """Key of the bed friction in the scene, such as solids[0].friction."""
+    cells: tuple[float, float]
+    """Grid cells, the coarse and the fine one [m]."""
+    raster: float
+    """Size of a survey's pixel [m], to whose middle the runout is rounded."""
+    spread: float
+    """One unit of the runout's uncertainty [m]."""
+    spread_from: str
+    """Where it comes from."""
+    twin: Twin
+    unsaid: tuple[Unsaid, ...] = ()
+
+    def __post_init__(self) -> None:
+        for key in ("raster", "spread"):
+            if getattr(self, key) <= 0.0:
+                raise InputError(f"expected a positive length in m, got {getattr(self, key):g}", key=key)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadHistory:
+    """A case history and the folder it was read from."""
+
+    name: str
+    folder: Path
+    history: History
+
+    @property
+    def ground(self) -> NDArray[np.float64]:
+        """The line of the first terrain of the scene [m], shape [P, 2]; no points where it has none."""
+        solids = read_toml(self.folder / self.history.scene).get("solids", [])
+        lines = [each["points"] for each in solids if "points" in each]
+        return np.array(lines[0] if lines else np.zeros((0, 2)), dtype=np.float64)
+
+    def scene(self, bed_friction: float, cell: float, seed: int) -> Scene:
+        """The scene with another bed friction [-], cell [m] and jitter. Raises InputError."""
+        path = self.folder / self.history.scene
+        data = read_toml(path)
+        data["domain"]["cell"] = cell
+        data["seed"] = seed
+        put(data, self.history.bed, bed_friction, path)
+        try:
+            return from_mapping(Scene, data)
+        except InputError as error:
+            raise error if error.where else error.at(str(path)) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackAnalysis:
+    """What the back-analysis of a case history came to."""
+
+    read: ReadHistory
+    observed: float
+    """Runout that was observed [m]."""
+    twin: Positions
+    """The deposit that it was observed on [m], shape [N, D]."""
+    inferred: tuple[Inferred, Inferred]
+    """Angle of the bed friction on the coarse and the fine cells."""
+    deposit: Positions
+    """The deposit at the inferred friction on the fine cells [m], shape [N, D]."""
+    start: Positions
+    """Particles of the release [m], shape [N, D]."""
+
+    @property
+    def truth_deg(self) -> float:
+        """Angle of the twin's bed friction [deg]."""
+        return math.degrees(math.atan(self.read.history.twin.bed_friction))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval on the fine cells holds the truth."""
+        fine = self.inferred[1]
+        return abs(fine.deg - self.truth_deg) <= fine.half_width_deg
+
+    @property
+    def travel_deg(self) -> float:
+        """Travel angle [deg] of the twin: slope of the line between the centres of mass of release and deposit."""
+        drop, way = (self.start.mean(axis=0) - self.twin.mean(axis=0))[[1, 0]]
+        return math.degrees(math.atan2(drop, -way))
+
+
+def put(data: dict[str, Any], key: str, value: float, path: Path) -> None:
+    """Set `key`, such as solids[0].friction, in parsed TOML. Raises InputError, which names the file and the key."""
+    *parents, last = key.replace("]", "").replace("[", ".").split(".")
+    place: Any = data
+    try:
+        for part in parents:
+            place = place[int(part)] if isinstance(place, list) else place[part]
+        place[last] = value
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise InputError("expected what the bed of the history names", where=str(path), key=key) from None
+
+
+def read_history(folder: Path) -> ReadHistory:
+    """Read `folder`/history.toml. Raises InputError, which names the file and the key."""
+    path = folder / "history.toml"
+    try:
+        return ReadHistory(name=folder.name, folder=folder, history=from_mapping(History, read_toml(path)))
+    except InputError as error:
+        raise error if error.where else error.at(str(path)) from None
+
+
+def rounded(runout: float, raster: float) -> float:
+    """A runout [m] as a survey on pixels of `raster` [m] shows it: the middle of its pixel."""
+    return (math.floor(runout / raster) + 0.5) * raster
+
+
+def analyse(read: ReadHistory, simulate: Simulate, start: Positions) -> BackAnalysis:
+    """Make the twin, forget its friction, and find it again from the runout alone; start: of the release [m]."""
+    history = read.history
+    (twin,) = simulate([read.scene(history.twin.bed_friction, history.twin.cell, history.twin.seed)])
+    observed = rounded(front(twin), history.raster)
+    searches = {cell: Search(target=observed, spread=history.spread) for cell in history.cells}
+
+    def extents(asked: Sequence[tuple[float, float]]) -> list[float]:
+        scenes = [read.scene(math.tan(math.radians(angle)), cell, history.twin.seed + 1) for cell, angle in asked]
+        return [front(deposit) for deposit in simulate(scenes)]
+
+    search_all(searches, extents)
+    coarse, fine = (searches[cell].inferred() for cell in history.cells)
+    deposit: Positions = np.zeros((0, twin.shape[1]))
+    if not math.isnan(fine.deg):
+        (deposit,) = simulate([read.scene(math.tan(math.radians(fine.deg)), history.cells[1], history.twin.seed + 1)])
+    return BackAnalysis(read=read, observed=observed, twin=twin, inferred=(coarse, fine), deposit=deposit, start=start)

@@ -1,0 +1,1 @@
+"""Measured experiments, forward and backward."""

@@ -1,0 +1,1 @@
+"""Every inverse problem that ships, gathered on one page."""

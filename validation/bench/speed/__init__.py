@@ -1,0 +1,1 @@
+"""Seconds and memory of the MPM and of the surrogate."""

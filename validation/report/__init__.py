@@ -1,0 +1,1 @@
+"""How every page and picture is made: tables, plots, renderings, and the machine that a figure is from."""

@@ -1,0 +1,62 @@
+"""One style for all plots, and how they get to disk."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from datasets import files
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+
+INK, BLUE, LIGHT_BLUE, ORANGE, GREEN, GREY = "#222222", "#1b6ca8", "#9ecae1", "#d9730d", "#3a8c55", "#8a8a8a"
+STYLE: Any = {
+    "figure.constrained_layout.use": True,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, INK, LIGHT_BLUE, GREY]),
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+}
+DPI = 140
+
+
+@contextmanager
+def figure(
+    path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float] = (5.0, 3.6)
+) -> Iterator[NDArray[np.object_]]:
+    """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved into it.
+
+    size: of one pane [inch].
+    """
+    with plt.rc_context(STYLE):
+        drawn, axes = plt.subplots(rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False)
+        try:
+            yield axes
+            with files.replacing(path) as part:
+                drawn.savefig(part, dpi=DPI, format=path.suffix[1:])
+        finally:
+            plt.close(drawn)
+
+
+def pane(axes: NDArray[np.object_], row: int = 0, column: int = 0) -> Axes:
+    """One of the axes of `figure`, with its type."""
+    axis: Axes = axes[row, column]
+    return axis

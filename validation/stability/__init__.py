@@ -1,1 +1,0 @@
-"""Scenes that break other solvers, each with what has to hold in it: `python -m validation.stability`."""
