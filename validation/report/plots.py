@@ -7,7 +7,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from cycler import cycler
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -27,7 +26,7 @@ STYLE: Any = {
     "axes.titlelocation": "left",
     "axes.titlesize": 10,
     "axes.labelsize": 9,
-    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, INK, LIGHT_BLUE, GREY]),
+    "axes.prop_cycle": f"cycler('color', {[BLUE, ORANGE, GREEN, INK, LIGHT_BLUE, GREY]!r})",
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
     "legend.fontsize": 8,
