@@ -1,5 +1,6 @@
 """Pages of figures in Markdown: a conclusion, the command and the machine, then text, tables and pictures."""
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -34,6 +35,16 @@ def table(rows: Sequence[Row], *, formats: Mapping[str, str] | None = None) -> s
     return tabulate(shown, headers="keys", tablefmt="pipe", disable_numparse=True) if shown else ""
 
 
+def percent(fraction: float) -> str:
+    """0.0213 as 2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2g} %"
+
+
+def signed(fraction: float) -> str:
+    """0.0213 as +2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:+.1f} %"
+
+
 class Page:
     """A page that is written once everything on it has been measured.
 
@@ -55,7 +66,8 @@ class Page:
         """
         if not 0 < len(conclusion) <= CONCLUSION:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
-        self._parts = [f"# {title}", "\n".join(f"- {sentence}" for sentence in conclusion)]
+        self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
+        self._parts = [f"# {title}", self.conclusion]
         self.text(f"`{command}`, {date.today().isoformat()}, on {machine(packages)}.")
         if quick:
             self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
@@ -65,7 +77,7 @@ class Page:
         self._parts.append(f"{'#' * level} {title}")
 
     def text(self, text: str) -> None:
-        """One or more paragraphs or lists; the indentation of a triple-quoted string goes, its line breaks stay."""
+        """Paragraphs or lists; the indentation of a triple-quoted string is removed, its line breaks are kept."""
         self._parts.append(textwrap.dedent(text).strip())
 
     def table(self, rows: Sequence[Row], *, formats: Mapping[str, str] | None = None) -> None:
@@ -79,6 +91,7 @@ class Page:
     def __str__(self) -> str:
         return "\n\n".join(part for part in self._parts if part) + "\n"
 
-    def write(self, path: Path) -> None:
-        """Write the page, beside its place and moved into it."""
+    def write(self, path: Path) -> str:
+        """Write the page, beside its place and moved into it, and return its conclusion, for the terminal."""
         write_text(path, str(self))
+        return self.conclusion
