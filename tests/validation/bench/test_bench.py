@@ -69,3 +69,5 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
 def test_numbers_are_written_in_one_way() -> None:
     assert (percent(0.0213), signed(0.0213), percent(math.nan)) == ("2.1 %", "+2.1 %", "-")
     assert table([]) == ""
+    rows = table([("a", 0.25, 0.1), ("b", None, math.nan)], formats={"": "", "x": ".1f", "error": percent})
+    assert [line.replace(" ", "") for line in rows.splitlines()[2:]] == ["|a|0.2|10%|", "|b||-|"]
