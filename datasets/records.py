@@ -1,4 +1,4 @@
-"""TOML or JSON into frozen dataclasses, strictly: an unknown key or a wrong type is an error that names it."""
+"""TOML or JSON into frozen dataclasses: an unknown key or a wrong type is an error that names it."""
 
 import difflib
 import json
@@ -6,12 +6,13 @@ import math
 import tomllib
 import warnings
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from datasets.errors import InputError
+from datasets.errors import InputError, OutOfRange
 
 T = TypeVar("T")
 
@@ -33,11 +34,13 @@ class Record:
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
 
-    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`.
+    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and
+    types are right.
     """
     try:
-        # JSON mode is the strict one that still takes an array for a tuple.
-        return TypeAdapter(kind).validate_json(json.dumps(with_new_names(data), default=str))
+        # JSON mode converts nothing either, but still takes an array for a tuple.
+        record: T = adapter(kind).validate_json(json.dumps(with_new_names(data), default=str))  # type: ignore[arg-type]
+        return record
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
         # A misspelt key is also a missing one; "did you mean" helps more.
@@ -48,7 +51,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
             key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
-            raise InputError(cause.message, key=".".join(part for part in (path, key) if part)) from None
+            raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
             known = _names(kind)
             near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
@@ -58,6 +61,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+
+
+@cache
+def adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """The validator of a dataclass; making one takes longer than a thousand uses."""
+    return TypeAdapter(kind)
 
 
 def with_new_names(data: Any) -> Any:
@@ -101,6 +110,6 @@ def dotted(location: tuple[int | str, ...]) -> str:
 
 def _names(kind: type) -> list[str]:
     """Every field name of a dataclass and of the dataclasses in it, for "did you mean"."""
-    schema = TypeAdapter(kind).json_schema()
+    schema = adapter(kind).json_schema()
     parts = [schema, *schema.get("$defs", {}).values()]
     return [name for part in parts for name in part.get("properties", {})]

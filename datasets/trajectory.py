@@ -1,4 +1,4 @@
-"""Trajectory: the motion of all points of one scene, in memory and as a plain NPZ file."""
+"""Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ file."""
 
 import json
 import zipfile
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.particles import initial_volumes, particle_count
 from datasets.scene import Scene
 
 Floats = NDArray[np.float32]
@@ -28,18 +29,28 @@ FIELDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """What a simulation saw, frame by frame; from the MPM or from the GNS alike."""
+    """The motion of the particles of a scene, frame by frame; from the MPM or from the GNS alike.
+
+    For example:
+
+        flow = mpm.simulate(scene)
+        flow.save(Path("flow.npz"))
+        flow = read_trajectory("flow.npz")
+        x = flow.positions[-1, :, 0]  # of every particle of the deposit [m]
+    """
 
     positions: Floats
     """Positions [m], shape [T, N, D]; T counts the frames that were kept, which need not begin at the start."""
     time: NDArray[np.float64]
     """Time of each of these frames [s], shape [T]."""
     velocity0: Floats
-    """Initial velocity of each point [m/s], shape [N, D]."""
+    """Initial velocity of each particle [m/s], shape [N, D]."""
     friction: Floats
-    """tan(phi) of each point [-], shape [N]."""
+    """tan(phi) of each particle [-], shape [N]."""
     scene: Scene
-    """The scene it came from."""
+    """The scene it came from; its `frame_dt` is that of `time`, unless not all frames were kept."""
+    volume: Floats | None = None
+    """Initial volume that each particle stands for [m^D], shape [N]; None where they are the scene's own particles."""
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.summary`."""
     velocities: Floats | None = None
@@ -59,6 +70,32 @@ class Trajectory:
     """
 
     @property
+    def volumes(self) -> NDArray[np.float64]:
+        """Initial volume of each particle [m^D], shape [N]: as given, else that of the scene's own particles.
+
+        Of other particles than these (another code's) only the mean is known: the scene's volume over their number.
+        """
+        count = self.positions.shape[1]
+        if self.volume is not None:
+            return self.volume.astype(np.float64)
+        if particle_count(self.scene) == count:
+            return initial_volumes(self.scene)
+        return np.full(count, initial_volumes(self.scene).sum() / count)
+
+    @property
+    def frame_dt(self) -> float:
+        """Time between two frames that were kept [s], the scene's where there is one frame alone.
+
+        Raises InputError where the frames are not evenly spaced in time.
+        """
+        if len(self.time) == 1:
+            return self.scene.frame_dt
+        steps = np.diff(self.time)
+        if np.ptp(steps) > 1.0e-6 * steps[0]:
+            raise InputError("expected frames evenly spaced in time, they are not", key="time")
+        return float((self.time[-1] - self.time[0]) / len(steps))
+
+    @property
     def baffle_impulse(self) -> NDArray[np.float64] | None:
         """Of `solid_impulse` that of the baffles, which come first, shape [T, B, D]."""
         return None if self.solid_impulse is None else self.solid_impulse[:, : len(self.scene.baffles)]
@@ -67,6 +104,7 @@ class Trajectory:
         """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
         fields = {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        fields["volume"] = self.volume, np.float32
         with replacing(path) as part:
             np.savez(
                 part,
@@ -88,20 +126,21 @@ class Trajectory:
                 raise InputError("expected an array, the key is missing", where=str(path), key=key)
         positions = arrays["positions"]
         if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
-            expected = "shape [T, N, 2 or 3], at least one frame of one point"
+            expected = "shape [T, N, 2 or 3], at least one frame of one particle"
             raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
-        frames, points, dimension = positions.shape
+        frames, particles, dimension = positions.shape
         scene = scene_in(arrays["scene"], path)
         shapes: dict[str, tuple[int, ...]] = {
             "positions": positions.shape,
             "time": (frames,),
-            "velocity0": (points, dimension),
-            "friction": (points,),
+            "velocity0": (particles, dimension),
+            "friction": (particles,),
+            "volume": (particles,),
             "velocities": positions.shape,
-            "stress": (frames, points, 4 if dimension == 2 else 6),
-            "pressure": (frames, points),
-            "density": (frames, points),
-            "plastic_strain": (frames, points),
+            "stress": (frames, particles, 4 if dimension == 2 else 6),
+            "pressure": (frames, particles),
+            "density": (frames, particles),
+            "plastic_strain": (frames, particles),
             impulse_key(scene): (frames, len(solid_names(scene)), dimension),
         }
         for key, shape in shapes.items():
@@ -126,6 +165,7 @@ class Trajectory:
             time=arrays["time"].astype(np.float64, copy=False),
             velocity0=arrays["velocity0"].astype(np.float32, copy=False),
             friction=arrays["friction"].astype(np.float32, copy=False),
+            volume=arrays["volume"].astype(np.float32, copy=False) if "volume" in arrays else None,
             scene=scene,
             summary=summary,
             **{
@@ -147,10 +187,22 @@ def impulse_key(scene: Scene) -> str:
     return "solid_impulse" if scene.solids else "baffle_impulse"
 
 
-def read_trajectory(place: Path) -> tuple[Path, Trajectory]:
-    """The trajectory at a path, or in the folder of a run, and its file. Raises InputError."""
-    path = place / "trajectory.npz" if place.is_dir() else place
-    return path, Trajectory.load(path)
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read the trajectory at a path, or in the folder of a run.
+
+    For example:
+
+        flow = read_trajectory("results")  # results/trajectory.npz
+
+    Raises InputError, which names the file and the key.
+    """
+    return Trajectory.load(trajectory_file(path))
+
+
+def trajectory_file(path: str | Path) -> Path:
+    """The file of a trajectory: at a path, or in the folder of a run."""
+    path = Path(path)
+    return path / "trajectory.npz" if path.is_dir() else path
 
 
 def stored_scene(path: Path) -> Scene:
