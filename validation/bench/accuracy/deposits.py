@@ -17,11 +17,12 @@ from tqdm import tqdm
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate_many
 from mpm.arrays.layout import Precision
 from mpm.output.request import LAST
-from mpm.processors import processors
+from mpm.process import processors
 from mpm.resolution import particle_steps
-from mpm.simulate import LARGE, simulate_many
+from mpm.simulation import LARGE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +71,7 @@ def compute(runs: Sequence[Run], folder: Path) -> None:
                 flows = simulate_many(
                     [run.scene for run in batch],
                     precision=batch[0].precision,
-                    until_rest=batch[0].until_rest,
-                    record=LAST,
+                    record=dataclasses.replace(LAST, until_rest=batch[0].until_rest),
                 )
                 for run, flow in zip(batch, flows, strict=True):
                     flow.save(run.path(folder))

@@ -14,8 +14,7 @@ from datasets.measures import front, toe
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.report.markdown import table
-from mpm.output.request import LAST
-from mpm.simulate import simulate, simulate_each
+from mpm import LAST, WITH_FIELDS, simulate, simulate_each
 from validation.bench.contact.cases import (
     CELL,
     DEPTH,
@@ -72,7 +71,7 @@ def rest(kind: str, dimension: int, offsets: tuple[float, ...], duration: float)
     settlement = SAND.density * GRAVITY * DEPTH**2 / (3.0 * modulus)
     heights, gains, forces = [], [], []
     for scene in scenes:
-        flow = simulate(scene, fields=True)
+        flow = simulate(scene, record=WITH_FIELDS)
         half = len(flow.time) // 2
         mean = flow.positions[:, :, 1].mean(axis=1, dtype=float)
         heights.append((mean[half:].mean() - mean[0] + settlement) / CELL)

@@ -14,8 +14,8 @@ from datasets.measures import front
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate
 from mpm.output.request import Recording
-from mpm.simulate import simulate
 
 SCENE = "flume-35"
 SHOWN = (0.0, 0.4, 0.8, 2.0)
