@@ -14,7 +14,7 @@ from datasets.files import write_text
 from gns.model import checkpoint
 from gns.rollout import shipped
 from inverse.problem import Problem, read_problem
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import kept, sizes
 from validation.bench.efficiency.cuts import CUTS, over_unknowns

@@ -25,7 +25,7 @@ from inverse.observations.deposit import Values
 from inverse.observations.target import read_target
 from inverse.parameters.parameters import Vector
 from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, Unknown
-from mpm.simulate import simulate, simulate_many
+from mpm import simulate, simulate_many
 from validation.bench.efficiency.race import WARM_S
 from validation.bench.efficiency.rows import Gradient
 

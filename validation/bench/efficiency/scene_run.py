@@ -26,7 +26,7 @@ from inverse.gradient import automatic
 from inverse.observations import deposit as observations
 from inverse.parameters.parameters import Vector
 from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
-from mpm.simulate import simulate_many
+from mpm import simulate_many
 from validation.bench.efficiency.race import WARM_S
 from validation.report.memory import forgotten, peak, resident
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import mpm.simulate
 from datasets.measures import Positions
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate as simulate_scene
 from validation.bench.experiments.angle import ROUNDS, Search, search_all
 from validation.bench.experiments.scores import AngleScore, Score
 from validation.experiments.experiment import Angle, Case, Course, Shipped, Variant
@@ -82,7 +82,7 @@ def with_cells(shipped: Shipped, factor: float) -> Shipped:
 
 
 def compute(
-    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = mpm.simulate.simulate, rounds: int = ROUNDS
+    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = simulate_scene, rounds: int = ROUNDS
 ) -> Findings:
     """Run everything; follow: for extents over time; rounds: of the search for the angles."""
     forward = run_forward(shipped, simulate)
