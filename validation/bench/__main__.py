@@ -34,6 +34,10 @@ BENCHES = {
         says="the friction of a bed back-analysed from a runout at field scale",
         module="validation.bench.case_history.bench",
     ),
+    "efficiency": Bench(
+        says="cost and quality of a gradient by each method, on problems, over unknowns and over particles",
+        module="validation.bench.efficiency.bench",
+    ),
 }
 
 
