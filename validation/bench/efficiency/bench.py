@@ -13,8 +13,8 @@ from mpm.processors import processors
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods
-from validation.bench.efficiency.page import page, write
-from validation.bench.efficiency.records import Origin, OverUnknowns, Part, Parts, ProblemResult
+from validation.bench.efficiency.page import write
+from validation.bench.efficiency.records import Origin, OverUnknowns, Part, ProblemResult
 from validation.bench.efficiency.search import CHECKS, Models, search_all
 
 LIMITS = {"friction-tall-42": 25.0, "velocity-layers-10": 45.0, "baffles-2": 45.0, "cohesion-friction": 25.0}
@@ -23,23 +23,27 @@ QUICK_LIMIT, QUICK_FLOW_S = 5.0, 0.25
 """Seconds for each method, and how long flows last [s], with `--quick`."""
 
 
-def bench(out: Path | None, *, quick: bool = False, keep: Path | None = None) -> str:
+def bench(out: Path, *, quick: bool, keep: Path) -> str:
     """Compare AD, differences and searches without gradients, with the GNS and the MPM; about 20 minutes.
 
-    keep: folder of efficiency.json with the parts that are done; those that were measured with the same weights,
-    processors and `quick` are not measured again. With `out` the page, its pictures and efficiency.json are there.
+    Parameters
+    ----------
+    out
+        Folder for efficiency.md, its pictures and efficiency.json.
+    quick
+        Short flows, one problem, few unknowns and particles.
+    keep
+        Folder of efficiency.json with the parts that are done; those that were measured with the same weights, number
+        of processors and `quick` are not measured again.
     """
     torch.set_num_threads(processors())
     origin = Origin.here(quick=quick)
-    parts = records.read(keep) if keep is not None else Parts()
+    parts = records.read(keep)
     for name in parts_to_measure(quick):
         done = parts.get(name)
         if done is None or done.origin.key != origin.key:
             parts = parts.with_part(measure(name, origin))
-            if keep is not None:
-                records.write(keep, parts)
-    if out is None:
-        return str(page(parts))
+            records.write(keep, parts)
     records.write(out, parts)
     return write(out, parts)
 

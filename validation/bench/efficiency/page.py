@@ -39,16 +39,14 @@ PARTICLES_TEXT = """
 
 
 def write(out: Path, parts: Parts) -> str:
-    """Write OUT/efficiency.md with its pictures; returns the page."""
-    text = page(parts)
+    """Write OUT/efficiency.md with its pictures; returns the conclusion."""
     for result in parts.problems.values():
         draw_problem(out / PICTURES / f"efficiency-{result.problem}.png", result)
     if parts.unknowns is not None:
         draw_unknowns(out / PICTURES / "efficiency-unknowns.png", parts.unknowns)
     if parts.particles is not None:
         draw_particles(out / PICTURES / "efficiency-particles.png", parts.particles)
-    text.write(out / "efficiency.md")
-    return str(text)
+    return page(parts).write(out / "efficiency.md")
 
 
 def page(parts: Parts) -> Page:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 from gns.rollout import shipped
 from mpm.processors import processors
 from validation.report.machine import GNS, MPM, machine
@@ -21,7 +21,7 @@ AD, FD_GNS, FD_MPM, FD_JITTER = "AD, GNS", "differences, GNS", "differences, MPM
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin(Strict):
+class Origin(Record):
     """On what a part was measured, and when."""
 
     machine: str
@@ -45,7 +45,7 @@ class Origin(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckedLoss(Strict):
+class CheckedLoss(Record):
     """What the MPM shows at the best iterate that a search had after some time."""
 
     seconds: float
@@ -54,7 +54,7 @@ class CheckedLoss(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodResult(Strict):
+class MethodResult(Record):
     """The search of one method on one problem."""
 
     method: str
@@ -96,7 +96,7 @@ class MethodResult(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProblemResult(Strict):
+class ProblemResult(Record):
     """All methods on one problem."""
 
     origin: Origin
@@ -112,7 +112,7 @@ class ProblemResult(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gradient(Strict):
+class Gradient(Record):
     """One gradient by one method."""
 
     method: str
@@ -132,7 +132,7 @@ class Gradient(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverUnknowns(Strict):
+class OverUnknowns(Record):
     """The same column of sand cut into more and more blocks."""
 
     origin: Origin
@@ -143,7 +143,7 @@ class OverUnknowns(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost(Strict):
+class Cost(Record):
     """Seconds and memory of one gradient in a scene of some size."""
 
     method: str
@@ -160,7 +160,7 @@ class Cost(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverParticles(Strict):
+class OverParticles(Record):
     """The tall column, larger and larger on the same cells."""
 
     origin: Origin
@@ -171,7 +171,7 @@ Part = ProblemResult | OverUnknowns | OverParticles
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parts(Strict):
+class Parts(Record):
     """All that is measured."""
 
     problems: dict[str, ProblemResult] = field(default_factory=dict)
