@@ -11,8 +11,8 @@ import torch
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.files import write_text
+from gns.inference import shipped
 from gns.model import checkpoint
-from gns.rollout import shipped
 from inverse.problem import Problem, read_problem
 from mpm.processors import processors
 from validation.bench.columns.paper import read_paper

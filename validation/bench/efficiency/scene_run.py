@@ -17,9 +17,9 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
+from gns.inference import SHIPPED
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
-from gns.rollout import SHIPPED
 from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.gradient import automatic
@@ -92,7 +92,7 @@ def asked(scene: Scene) -> Problem:
         unknowns=(Unknown(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observation=ObservationSettings(kind=Observable.FRONT),
         target=TargetSettings(value=0.5),
-        optimiser=OptimiserSettings(start=Start.REST),
+        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
@@ -125,7 +125,7 @@ def took(work: Work, scene: Scene, *, model: Path = SHIPPED, runs: int = 2, memo
         automatic(surrogate(short, simulator, memory_gib), target)(start)
         gns = surrogate(scene, simulator, memory_gib)
         points, followed, steps = particle_count(scene), len(gns.indices), gns.steps
-        state = gns.launch.state.positions.nbytes + gns.launch.state.displacements.nbytes
+        state = gns.initial.state.positions.nbytes + gns.initial.state.displacements.nbytes
         forgotten()
         before = resident() or peak()
         if work is Work.AD:
