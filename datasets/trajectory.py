@@ -42,7 +42,7 @@ class Trajectory:
     scene: Scene
     """The scene it came from."""
     summary: dict[str, Any] = field(default_factory=dict)
-    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.summary`."""
+    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     volume: Floats | None = None
     """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles.
 
