@@ -187,7 +187,7 @@ def conclusion(plan: Plan, found: Found) -> list[str]:
     corrected = [found[on].front / found[off].front - 1.0 for off, on in plan.corrected() if off.relaxation == DEFAULT]
     lines.append(
         f"Over {', '.join(f'{each.relaxation:g}' for each in some)} times the default relaxation time fronts spread by"
-        f" {percent(spread(some, found))}; volume correction moves a front by up to {percent(max(map(abs, corrected)))}."
+        f" {percent(spread(some, found))}; volume correction moves one by up to {percent(max(map(abs, corrected)))}."
     )
     return lines
 
