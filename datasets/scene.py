@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.solid import Rows, Solid, Triangles, check_solid
 from datasets.material import Material
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 
 Vector = tuple[float, ...]
 
@@ -26,7 +26,7 @@ RELAXATION = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Domain(Strict):
+class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
 
     size: Vector
@@ -36,8 +36,8 @@ class Domain(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mass(Strict):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.bodies`)."""
+class Mass(Record):
+    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.masses`)."""
 
     kind: str = "box"
     """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `particles`."""
@@ -84,7 +84,7 @@ class Mass(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baffle(Strict):
+class Baffle(Record):
     """A fixed rigid box that stands in the flow's way."""
 
     lower: Vector
@@ -98,7 +98,7 @@ class Baffle(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene(Strict):
+class Scene(Record):
     """Domain, material, masses, baffles and how long to watch them."""
 
     domain: Domain
@@ -148,7 +148,7 @@ class Scene(Strict):
 
     def __post_init__(self) -> None:
         if any(mass.kind != "box" for mass in self.masses):
-            from datasets.geometry.bodies import with_boxes
+            from datasets.geometry.masses import with_boxes
 
             object.__setattr__(self, "masses", with_boxes(self))
         check(self)
@@ -316,9 +316,9 @@ def check(scene: Scene) -> None:
         first, second = np.argwhere(shared)[0]
         raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
     if has_shapes(scene):
-        from datasets.geometry.placing import check_places
+        from datasets.geometry.overlaps import check_overlaps
 
-        check_places(scene)
+        check_overlaps(scene)
 
 
 def has_shapes(scene: Scene) -> bool:
@@ -375,11 +375,11 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
     if shaped:
-        from datasets.geometry.placing import heights_above_solids
+        from datasets.geometry.overlaps import heights_above_solids
 
         height = np.minimum(height, heights_above_solids(scene))
-    reach = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
-    body = np.asarray(reach & reach.T, dtype=bool)
+    in_contact = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
+    body = np.asarray(in_contact & in_contact.T, dtype=bool)
     for _ in range(count.bit_length()):
         body = np.matmul(body, body)
     return np.asarray(np.where(body, height, np.inf).min(axis=1))

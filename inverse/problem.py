@@ -16,7 +16,7 @@ from datasets.geometry.ground import elevation
 from datasets.geometry.margins import Box
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
-from datasets.records import Strict, fraction, from_mapping, read_toml
+from datasets.records import Record, fraction, from_mapping, read_toml
 from datasets.scene import Scene
 from inverse import checks
 from inverse.parameters.initial_state import Start, untouched
@@ -54,7 +54,7 @@ PROBLEMS = Path(__file__).parent / "problems"
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(Strict):
+class _File(Record):
     """A problem as it stands in its file."""
 
     scene: str

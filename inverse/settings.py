@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from datasets.records import Strict
+from datasets.records import Record
 from inverse.parameters.initial_state import Start
 
 
@@ -103,7 +103,7 @@ class Sampler(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unknown(Strict):
+class Unknown(Record):
     """A number to be found, in the units of its name."""
 
     name: str
@@ -121,7 +121,7 @@ class Unknown(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationSettings(Strict):
+class ObservationSettings(Record):
     """Which part of the deposit is compared."""
 
     kind: Observable
@@ -134,7 +134,7 @@ class ObservationSettings(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeasurementSettings(Strict):
+class MeasurementSettings(Record):
     """One of several observations: what was measured, where and when, what came out, and how well.
 
     What came out is a `value`, `values` or a `csv`; none of them where the target is hidden or a trajectory.
@@ -179,7 +179,7 @@ class MeasurementSettings(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetSettings(Strict):
+class TargetSettings(Record):
     """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `hidden` and `least`.
 
     Beside several observations that bring their own numbers there is none.
@@ -214,7 +214,7 @@ class TargetSettings(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OptimiserSettings(Strict):
+class OptimiserSettings(Record):
     """How the surrogate is inverted."""
 
     method: Method = Method.LBFGSB
@@ -249,7 +249,7 @@ class Surrogate(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopSettings(Strict):
+class LoopSettings(Record):
     """How the MPM confirms or corrects (`validation.loop`)."""
 
     confirm_within: float = 0.003

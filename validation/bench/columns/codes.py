@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from validation.bench.columns.collapse import FRICTION_DEG, STEP, STIFFNESS, half_column, measured
 from validation.bench.columns.laws import Law, aspect_axis, draw_laws, read_laws
 from validation.report.page import Page, percent, signed
@@ -31,7 +31,7 @@ BREAK = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Code(Strict):
+class Code(Record):
     """Another code."""
 
     name: str
@@ -41,7 +41,7 @@ class Code(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Front(Strict):
+class Front(Record):
     """A column that came to rest, in units of its length L."""
 
     code: str
@@ -65,7 +65,7 @@ class Front(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherCodes(Strict):
+class OtherCodes(Record):
     """The contents of `codes.toml`."""
 
     codes: tuple[Code, ...]

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from validation.bench.columns.collapse import Deposit
 from validation.report.plots import GREEN, GREY, INK, ORANGE
 from validation.report.power_law import PowerLaw, fit, prefactor
@@ -26,7 +26,7 @@ SMALLEST, LARGEST = 0.5, 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law(Strict):
+class Law(Record):
     """A published law prefactor a^exponent, in some range of the aspect ratio a."""
 
     source: str
@@ -63,7 +63,7 @@ class Law(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Laws(Strict):
+class Laws(Record):
     """The contents of `laws.toml`."""
 
     laws: tuple[Law, ...]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import mpm.simulate
 from datasets.measures import Positions
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate as simulate_scene
 from validation.bench.experiments.angle import ROUNDS, AngleSearch, search_all
 from validation.bench.experiments.scores import AngleScore, Score, SeriesScore, VariantScore
 from validation.experiments.experiment import MeasuredScene, Shipped, TimeSeries
@@ -55,7 +55,7 @@ def with_cells(shipped: Shipped, factor: float) -> Shipped:
 
 
 def compute(
-    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = mpm.simulate.simulate, rounds: int = ROUNDS
+    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = simulate_scene, rounds: int = ROUNDS
 ) -> Findings:
     """Run everything; follow: for extents over time; rounds: of the search for the angles."""
     pairs = [(each, case) for each in shipped for case in each.experiment.cases]
