@@ -168,8 +168,9 @@ def write(out: Path, fronts: Fronts, codes: Sequence[Code], *, quick: bool = Fal
     page.picture("codes.png", "fronts over the aspect ratio")
     for cells in fronts.cells:
         page.section(f"{cells} cells")
-        page.table([front_row(fronts, name, cells) for name in fronts.names(cells)])
-        page.table([law_row(fronts, law, cells) for law in laws if law.source == LAW and law.prefactor is not None])
+        rows = [front_row(fronts, name, cells) for name in fronts.names(cells)]
+        rows += [law_row(fronts, law, cells) for law in laws if law.source == LAW and law.prefactor is not None]
+        page.table(rows)
     page.section("Exponents")
     page.table(exponent_rows(fronts, laws))
     page.section("The other codes")
