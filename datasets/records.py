@@ -31,6 +31,12 @@ class Record:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    """Building one costs a hundred times as much as a validation with it."""
+    return TypeAdapter(kind)
+
+
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
 
@@ -39,7 +45,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
-        record: T = adapter(kind).validate_json(json.dumps(with_new_names(data), default=str))  # type: ignore[arg-type]
+        text = json.dumps(with_new_names(data), default=str)
+        record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
@@ -61,12 +68,6 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
-
-
-@cache
-def adapter(kind: type[Any]) -> TypeAdapter[Any]:
-    """The validator of a dataclass; making one takes longer than a thousand uses."""
-    return TypeAdapter(kind)
 
 
 def with_new_names(data: Any) -> Any:
@@ -110,6 +111,6 @@ def dotted(location: tuple[int | str, ...]) -> str:
 
 def _names(kind: type) -> list[str]:
     """Every field name of a dataclass and of the dataclasses in it, for "did you mean"."""
-    schema = adapter(kind).json_schema()
+    schema = _adapter(kind).json_schema()
     parts = [schema, *schema.get("$defs", {}).values()]
     return [name for part in parts for name in part.get("properties", {})]

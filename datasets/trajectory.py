@@ -17,6 +17,7 @@ from datasets.scene import Scene
 Floats = NDArray[np.float32]
 
 FIELDS = {
+    "volume": np.float32,
     "velocities": np.float32,
     "stress": np.float32,
     "pressure": np.float32,
@@ -49,10 +50,13 @@ class Trajectory:
     """tan(phi) of each particle [-], shape [N]."""
     scene: Scene
     """The scene it came from; its `frame_dt` is that of `time`, unless not all frames were kept."""
-    volume: Floats | None = None
-    """Initial volume that each particle stands for [m^D], shape [N]; None where they are the scene's own particles."""
     summary: dict[str, Any] = field(default_factory=dict)
-    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.summary`."""
+    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
+    volume: Floats | None = None
+    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles.
+
+    A learned simulator follows some of them, each with the volume of those that it stands for.
+    """
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None
@@ -104,7 +108,6 @@ class Trajectory:
         """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
         fields = {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
-        fields["volume"] = self.volume, np.float32
         with replacing(path) as part:
             np.savez(
                 part,
@@ -165,7 +168,6 @@ class Trajectory:
             time=arrays["time"].astype(np.float64, copy=False),
             velocity0=arrays["velocity0"].astype(np.float32, copy=False),
             friction=arrays["friction"].astype(np.float32, copy=False),
-            volume=arrays["volume"].astype(np.float32, copy=False) if "volume" in arrays else None,
             scene=scene,
             summary=summary,
             **{

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.errors import InputError
+from gns.inference import shipped
 from gns.model import card, checkpoint
-from gns.rollout import shipped
 from inverse.finite_difference import central
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.mpm import MpmForward
@@ -24,7 +24,7 @@ from inverse.parameters.parameters import kind, with_unknowns
 from inverse.problem import Method, Problem, Surrogate, read_problem
 from inverse.report import markdown as report
 from inverse.result import Result
-from mpm.simulate import simulate, simulate_many
+from mpm import simulate, simulate_many
 
 
 class Gradient(StrEnum):

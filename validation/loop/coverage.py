@@ -14,8 +14,8 @@ import numpy as np
 from datasets import files
 from datasets.command_line import run
 from datasets.errors import InputError
+from gns.inference import shipped
 from gns.model import checkpoint
-from gns.rollout import shipped
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.observations import deposit as observations
@@ -24,7 +24,7 @@ from inverse.observations.target import Target, read_target
 from inverse.problem import Observable, Problem, read_problem
 from inverse.report.markdown import quantity, table
 from inverse.result import Result
-from mpm.simulate import simulate_many
+from mpm import simulate_many
 from validation.loop.__main__ import solve
 from validation.loop.runs import KeptRuns
 

@@ -9,8 +9,8 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from datasets.scene import Scene
+from mpm import ALL, Recording, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.simulate import simulate_many
 
 Key = TypeVar("Key")
 Found = TypeVar("Found")
@@ -23,8 +23,7 @@ class Run:
     scenes: tuple[Scene, ...]
     precision: Precision = "f32"
     threads: int = 1
-    fields: bool = False
-    until_rest: bool = False
+    record: Recording = ALL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +88,10 @@ def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> di
 def timed(run: Run) -> Took:
     """Simulate once."""
     flows = simulate_many(
-        run.scenes, precision=run.precision, threads=run.threads, fields=run.fields, until_rest=run.until_rest
+        run.scenes,
+        precision=run.precision,
+        threads=run.threads,
+        record=run.record,
     )
     summaries = [flow.summary for flow in flows]
     return Took(
