@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,11 @@ BANNED = {
 PICKLERS = {"dill", "cloudpickle", "joblib", "shelve", "marshal"}
 PICKLE_ERRORS = {"PickleError", "UnpicklingError"}
 """The part of `pickle` that one may name: what torch raises for a file that is none of its own."""
+RESTRICTED = {
+    "datasets/exchange/untrusted.py": {"_Unpickler", "REDUCE", "BUILD", "FRAME"},
+    "datasets/exchange/geoelements.py": {"_Pickler", "GLOBAL"},
+}
+"""The two modules that may name more of it: an unpickler that can make arrays alone, and a pickler."""
 SAFE_LOADS = {
     "np.load": ("allow_pickle", False),
     "numpy.load": ("allow_pickle", False),
@@ -51,7 +56,7 @@ def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
                 yield node.lineno, module.split(".")[0]
 
 
-def breaches(text: str, house: str) -> list[str]:
+def breaches(text: str, house: str, restricted: Set[str] = frozenset()) -> list[str]:
     """What a module of `house` does against the design, one line each."""
     tree = ast.parse(text)
     found = []
@@ -62,7 +67,7 @@ def breaches(text: str, house: str) -> list[str]:
             found.append(f"{line}: {house} imports {package}")
     for node in ast.walk(tree):
         match node:
-            case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS:
+            case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS | restricted:
                 found.append(f"{node.lineno}: uses pickle.{name}")
             case ast.ImportFrom(module="pickle", names=names) if {each.name for each in names} - PICKLE_ERRORS:
                 found.append(f"{node.lineno}: imports from pickle")
@@ -78,7 +83,8 @@ def breaches(text: str, house: str) -> list[str]:
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_the_arrows(path: Path) -> None:
-    assert breaches(path.read_text(), path.relative_to(ROOT).parts[0]) == []
+    relative = path.relative_to(ROOT)
+    assert breaches(path.read_text(), relative.parts[0], RESTRICTED.get(relative.as_posix(), frozenset())) == []
 
 
 @pytest.mark.parametrize(
@@ -123,6 +129,7 @@ def test_nothing_banned_comes_in_by_the_back_door(house: str, banned: str) -> No
 
 def test_every_package_that_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = {re.split(r"[^\w-]", name)[0].replace("-", "_") for name in project["dependencies"]}
+    packages = [*project["dependencies"], *project["optional-dependencies"]["cluster"]]
+    declared = {re.split(r"[^\w-]", name)[0].replace("-", "_") for name in packages}
     used = {package for path in MODULES for _, package in imports(ast.parse(path.read_text()))}
     assert used - set(sys.stdlib_module_names) - set(MAY_IMPORT) - declared == set()

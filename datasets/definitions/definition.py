@@ -36,7 +36,7 @@ class Definition:
     size: int
     """Number of scenes in the whole dataset."""
     connectivity_radius: float
-    """The radius [m] that goes into `metadata.json` for readers of the peers' format; Talus itself does not read it."""
+    """The radius [m] that goes into `metadata.json` for readers of other formats; Talus itself does not read it."""
     split: Callable[[int], Split]
     """Number of a scene -> its split."""
     draw: Callable[[np.random.Generator, int], Scene]

@@ -126,10 +126,10 @@ def _draw_relief(
         axis.clabel(lines, levels[::2], fontsize=7, fmt=lambda level: f"{level:g} m")
 
 
-def nice_step(least: float) -> float:
-    """The least of 1, 2 and 5 times a power of ten that is at least `least`."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1.0 - 1e-9))
+def nice_step(minimum: float) -> float:
+    """The smallest of 1, 2 and 5 times a power of ten not below `minimum`."""
+    power = 10.0 ** math.floor(math.log10(minimum))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= minimum * (1.0 - 1e-9))
 
 
 def boxes_in_plan(scene: Scene) -> list[Floats]:

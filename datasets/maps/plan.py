@@ -233,7 +233,7 @@ def maps_of(
     if threshold is not None and not threshold > 0.0:
         raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
     mapper = Mapper(trajectory, edges)
-    least = mapper.spacing if threshold is None else threshold
+    smallest = mapper.spacing if threshold is None else threshold
     last = len(trajectory.time) - 1
     thickness, depth = np.zeros(mapper.shape), np.zeros(mapper.shape)
     fastest, known, start = np.zeros(mapper.shape), False, None
@@ -241,7 +241,7 @@ def maps_of(
         thickness, speed = mapper.at(frame, moving=True)
         depth = np.maximum(depth, thickness)
         if speed is not None:
-            known, fastest = True, np.where(thickness > least, np.maximum(fastest, speed), fastest)
+            known, fastest = True, np.where(thickness > smallest, np.maximum(fastest, speed), fastest)
         if frame == 0 and trajectory.time[0] == 0.0:
             start = thickness
     inside = mapper.inside(last)
@@ -252,7 +252,7 @@ def maps_of(
         depth=depth,
         velocity=fastest if known else None,
         ground=ground(trajectory.scene, edges),
-        threshold=least,
+        threshold=smallest,
         volume=float(mapper.volumes[inside].sum()),
         left=float(mapper.volumes[~inside].sum()),
     )
@@ -303,8 +303,8 @@ def _ground_map(corners: Floats, coordinates: list[Floats]) -> Floats:
         """Of triangles in plan, signed."""
         return np.asarray((q[:, 0] - p[:, 0]) * (r[:, 2] - p[:, 2]) - (q[:, 2] - p[:, 2]) * (r[:, 0] - p[:, 0]))
 
-    place = np.stack([x[i], np.zeros(len(i)), z[k]], axis=1)
-    parts = np.stack([twice_area(place, b, c), twice_area(a, place, c), twice_area(a, b, place)], axis=1)
+    centre = np.stack([x[i], np.zeros(len(i)), z[k]], axis=1)
+    parts = np.stack([twice_area(centre, b, c), twice_area(a, centre, c), twice_area(a, b, centre)], axis=1)
     whole = parts.sum(axis=1)
     # Faces that stand upright cover nothing.
     lies = np.abs(whole) > UPRIGHT * (high[face] - low[face]).max(axis=1) ** 2

@@ -70,7 +70,7 @@ class MotionStatistics:
         )
 
     def metadata(self) -> dict[str, list[float]]:
-        """The peers' keys `vel_mean`, `vel_std`, `acc_mean`, `acc_std`, one number per axis."""
+        """The keys of geoelements `vel_mean`, `vel_std`, `acc_mean`, `acc_std`, one number per axis."""
         return {
             "vel_mean": self.velocity.mean.tolist(),
             "vel_std": self.velocity.std.tolist(),

@@ -38,9 +38,9 @@ def command(scene: str, *, out: Path, count: int = 1) -> int | None:
 )
 def test_exit_status(arguments: list[str], status: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "do", arguments) == status
-    told = capsys.readouterr().err
-    assert line in told
-    assert told.count("\n") == (1 if line else 0)
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == (1 if line else 0)
 
 
 def test_a_mistake_of_ours_keeps_its_traceback() -> None:

@@ -264,8 +264,8 @@ def test_baffles_stand_in_the_way_and_apart() -> None:
 
 
 def test_baffles_stand_anywhere_between_the_nodes() -> None:
-    places = np.array([baffle.lower for entry in all_entries(OBSTACLE3D) for baffle in entry.scene.baffles])
-    within = places[:, [0, 2]] / 0.03125 % 1.0
+    corners = np.array([baffle.lower for entry in all_entries(OBSTACLE3D) for baffle in entry.scene.baffles])
+    within = corners[:, [0, 2]] / 0.03125 % 1.0
     shares = np.histogram(within, bins=10, range=(0.0, 1.0))[0] / within.size
     assert np.all((shares > 0.06) & (shares < 0.14))
 

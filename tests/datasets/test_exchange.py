@@ -18,7 +18,7 @@ from datasets.files import write_json
 from datasets.geometry.solid import Solid
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
-from tests.datasets.toys import FRAMES, peer_dataset, peer_metadata, strewn, toy, toy_dataset, toy_scene
+from tests.datasets.toys import FRAMES, foreign_dataset, foreign_metadata, strewn, toy, toy_dataset, toy_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "exchange.md"
 SPLITS = ("train", "valid", "test")
@@ -75,7 +75,7 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
 
 
 @pytest.mark.parametrize("layout", ["geoelements", "lagrangebench"])
-def test_what_the_peers_metadata_says(tmp_path: Path, layout: str) -> None:
+def test_what_the_metadata_of_other_codes_says(tmp_path: Path, layout: str) -> None:
     toy_dataset(tmp_path / "ours", 3)
     exchange(tmp_path / "ours", "--to", layout, "--out", tmp_path / "theirs")
     written = json.loads((tmp_path / "theirs" / "metadata.json").read_text())
@@ -164,7 +164,7 @@ def test_trajectories_that_do_not_go_together(tmp_path: Path, capsys: pytest.Cap
     assert not (tmp_path / "theirs").exists()
 
 
-def test_solids_have_no_place_in_the_peers_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_solids_are_refused_by_the_other_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = toy_dataset(tmp_path / "ours", 2)
     flow = toy(2)
     wall = Solid(lower=(0.45, 0.0), size=(0.02, 0.1))
@@ -187,15 +187,15 @@ def foreign(folder: Path, dimension: int, *, material: Any = 0.7, **more: Any) -
     step[: len(sand), 0] = 0.0025
     positions = points + step * np.arange(FRAMES)[:, None, None]
     trajectories = [(positions, types, material), (positions[:, : len(sand)], 6, material)]
-    return peer_dataset(
+    return foreign_dataset(
         folder,
         [each if material is not None else each[:2] for each in trajectories],
-        {"train": peer_metadata(dimension, **more), "rollout": peer_metadata(dimension, **more)},
+        {"train": foreign_metadata(dimension, **more), "rollout": foreign_metadata(dimension, **more)},
     )
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_set_of_the_peers_own_making(tmp_path: Path, dimension: int) -> None:
+def test_a_set_that_geoelements_generated(tmp_path: Path, dimension: int) -> None:
     source = foreign(tmp_path / "theirs", dimension)
     assert exchange(source, "--from", "geoelements", "--out", tmp_path / "back") == 0
     first, second = (Trajectory.load(tmp_path / "back" / "train" / f"{name}.npz") for name in ("00000", "00001"))
@@ -243,8 +243,8 @@ def test_names_that_are_no_file_names(tmp_path: Path) -> None:
     exchange(source, "--to", "geoelements", "--out", tmp_path / "theirs")
     (particles,) = geoelements.read(tmp_path / "theirs" / "test.npz", {"toy-0003"})
     data = np.empty(3, dtype=object)
-    for place, part in enumerate((particles.positions, np.where(particles.stationary, 3, 6), particles.friction)):
-        data[place] = part
+    for index, part in enumerate((particles.positions, np.where(particles.stationary, 3, 6), particles.friction)):
+        data[index] = part
     np.savez(tmp_path / "theirs" / "test.npz", **{"../../results/column": data, "b c": data})
     assert exchange(tmp_path / "theirs", "--from", "geoelements", "--out", tmp_path / "back") == 0
     assert sorted(path.name for path in (tmp_path / "back" / "test").iterdir()) == ["00000.npz", "00001.npz"]
@@ -266,10 +266,10 @@ def test_metadata_that_makes_no_scene(
 ) -> None:
     toy_dataset(tmp_path / "ours", 2)
     exchange(tmp_path / "ours", "--to", "lagrangebench", "--out", tmp_path / "theirs")
-    place = tmp_path / "theirs" / "metadata.json"
-    write_json(place, {**json.loads(place.read_text()), **change})
+    described = tmp_path / "theirs" / "metadata.json"
+    write_json(described, {**json.loads(described.read_text()), **change})
     line = refused(capsys, tmp_path / "theirs", "--from", "lagrangebench", "--out", tmp_path / "back")
-    assert str(place) in line
+    assert str(described) in line
     assert expected in line
     assert not (tmp_path / "back").exists()
 
@@ -301,7 +301,7 @@ def test_mistakes(
 
 
 def test_a_folder_without_trajectories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_json(tmp_path / "metadata.json", peer_metadata(2))
+    write_json(tmp_path / "metadata.json", foreign_metadata(2))
     assert "expected trajectories" in refused(capsys, tmp_path, "--from", "geoelements", "--out", tmp_path / "o")
     assert "expected trajectories" in refused(capsys, tmp_path, "--to", "geoelements", "--out", tmp_path / "o")
 

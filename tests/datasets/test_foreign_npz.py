@@ -166,16 +166,16 @@ def damage(path: Path, *, stream: np.random.Generator, whole: bytes) -> None:
 def damaged(stream: np.random.Generator, content: bytes) -> bytes:
     changed = bytearray(content)
     for _ in range(int(stream.integers(1, 4))):
-        place = int(stream.integers(len(changed)))
+        index = int(stream.integers(len(changed)))
         match int(stream.integers(4)):
             case 0:
-                changed[place] = int(stream.integers(256))
+                changed[index] = int(stream.integers(256))
             case 1:
-                changed[place] ^= 1 << int(stream.integers(8))
+                changed[index] ^= 1 << int(stream.integers(8))
             case 2:
-                del changed[place : place + int(stream.integers(1, 20))]
+                del changed[index : index + int(stream.integers(1, 20))]
             case _:
-                changed[place:place] = changed[place : place + int(stream.integers(1, 20))]
+                changed[index:index] = changed[index : index + int(stream.integers(1, 20))]
     return bytes(changed)
 
 

@@ -58,8 +58,8 @@ def test_every_key_of_a_scene(kind: type) -> None:
             continue
         (row, *_) = [row for row in rows if f"`{field.name}`" in row[1]]
         if isinstance(field.default, int | float):
-            place = re.findall(r"`(\w+)`", row[1]).index(field.name)
-            assert json.loads(row[2].split(",")[place]) == field.default
+            index = re.findall(r"`(\w+)`", row[1]).index(field.name)
+            assert json.loads(row[2].split(",")[index]) == field.default
 
 
 def test_the_scene_on_the_page_loads() -> None:

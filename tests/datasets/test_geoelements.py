@@ -21,8 +21,8 @@ FRICTION = np.array([0.5, 0.0, 0.6, 0.7, 0.0], np.float32)
 
 def stored(path: Path, *parts: Any, key: str = "simulation_trajectory_0") -> Path:
     data = np.empty(len(parts), dtype=object)
-    for place, part in enumerate(parts):
-        data[place] = part
+    for index, part in enumerate(parts):
+        data[index] = part
     np.savez(path, **{key: data})
     return path
 

@@ -34,9 +34,9 @@ def test_positions_are_a_map_of_the_file_that_nobody_can_write_to(saved: Path, t
     assert not positions.flags.writeable
     # What happens to the file is seen through the map: nothing was read before.
     content = saved.read_bytes()
-    place = content.index(trajectory.positions[2].tobytes())
+    index = content.index(trajectory.positions[2].tobytes())
     with saved.open("r+b") as file:
-        file.seek(place)
+        file.seek(index)
         file.write(np.float32(7.0).tobytes())
     assert positions[2, 0, 0] == 7.0
 

@@ -23,7 +23,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 
-PLACE = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
+ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
 
 
 @pytest.fixture
@@ -76,20 +76,20 @@ def band(path: Path) -> tuple[np.ndarray, Any]:
 
 
 @pytest.mark.parametrize("kind", ["tif", "asc"])
-@pytest.mark.parametrize("place", [LOCAL, PLACE])
-def test_a_raster_read_back(tmp_path: Path, flow: Trajectory, kind: Any, place: Georeference) -> None:
+@pytest.mark.parametrize("georeference", [LOCAL, ALPS])
+def test_a_raster_read_back(tmp_path: Path, flow: Trajectory, kind: Any, georeference: Georeference) -> None:
     maps = maps_of(flow, map_edges(flow.scene, 0.025))
-    write_raster(tmp_path / f"map.{kind}", maps.thickness, 0.025, place, kind=kind, name="thickness", unit="m")
+    write_raster(tmp_path / f"map.{kind}", maps.thickness, 0.025, georeference, kind=kind, name="thickness", unit="m")
     values, profile = band(tmp_path / f"map.{kind}")
     assert values.shape == (20, 40)
     np.testing.assert_allclose(values[::-1].T, maps.thickness, rtol=1e-6, atol=1e-9)
     assert values.astype(float).sum() * 0.025**2 == pytest.approx(maps.volume, rel=1e-6)
     transform = profile["transform"]
     # The north-western corner of the raster, and its cells.
-    assert (transform.c, transform.f) == pytest.approx((place.east, place.north + 0.5))
+    assert (transform.c, transform.f) == pytest.approx((georeference.east, georeference.north + 0.5))
     assert (transform.a, transform.e) == pytest.approx((0.025, -0.025))
-    assert (profile["crs"] is None) == (place.crs is None)
-    if place.crs:
+    assert (profile["crs"] is None) == (georeference.crs is None)
+    if georeference.crs:
         assert profile["crs"].to_epsg() == 25832
     # What lies at large z lies in the north, in the first rows; at the end the block is between x = 0.5 and 0.7.
     rows, columns = np.nonzero(values > 0.05)
@@ -98,16 +98,18 @@ def test_a_raster_read_back(tmp_path: Path, flow: Trajectory, kind: Any, place: 
     with rasterio.open(tmp_path / f"map.{kind}") as raster:
         if kind == "tif":
             assert (raster.units[0], raster.descriptions[0]) == ("m", "thickness")
-        assert raster.bounds == pytest.approx((place.east, place.north, place.east + 1.0, place.north + 0.5))
+        assert raster.bounds == pytest.approx(
+            (georeference.east, georeference.north, georeference.east + 1.0, georeference.north + 0.5)
+        )
 
 
 def test_an_outline_is_a_disc_with_a_hole() -> None:
     """In anticlockwise and clockwise rings, closed, whose area is that of the disc to second order."""
-    cell, place = 0.01, Georeference(east=1000.0, north=2000.0)
+    cell, georeference = 0.01, Georeference(east=1000.0, north=2000.0)
     x, z = np.meshgrid(*[(np.arange(100) + 0.5) * cell] * 2, indexing="ij")
     distance = np.hypot(x - 0.5, z - 0.4)
     values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
-    (rings,) = polygons = outline(values, cell, place, 0.05)
+    (rings,) = polygons = outline(values, cell, georeference, 0.05)
     assert len(rings) == 2
     assert area(polygons) == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
     assert all(ring[0] == ring[-1] for ring in rings)
@@ -135,22 +137,22 @@ def test_the_extent_is_that_of_the_largest_part(flow: Trajectory) -> None:
     assert summary(lost, maps, LOCAL)["extent"] == pytest.approx(0.7, abs=0.05)
 
 
-@pytest.mark.parametrize("place", [LOCAL, PLACE])
-def test_outlines_as_geojson(tmp_path: Path, place: Georeference) -> None:
-    found = outline(np.full((10, 4), 0.2), 0.1, place, 0.05)
-    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": []}, 0.05, place)
+@pytest.mark.parametrize("georeference", [LOCAL, ALPS])
+def test_outlines_as_geojson(tmp_path: Path, georeference: Georeference) -> None:
+    found = outline(np.full((10, 4), 0.2), 0.1, georeference, 0.05)
+    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": []}, 0.05, georeference)
     text = json.loads((tmp_path / "outline.geojson").read_text())
     deposit, release = text["features"]
     assert deposit["properties"] == {"name": "deposit", "threshold_m": 0.05, "area_m2": pytest.approx(0.4, rel=1e-5)}
     assert shape(deposit["geometry"]).area == pytest.approx(0.4, rel=1e-5)
     assert release["geometry"] == {"type": "MultiPolygon", "coordinates": []}
     named = text.get("crs", {}).get("properties")
-    assert named == (None if place is LOCAL else {"name": "urn:ogc:def:crs:EPSG::25832"})
+    assert named == (None if georeference is LOCAL else {"name": "urn:ogc:def:crs:EPSG::25832"})
 
 
 def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     maps = maps_of(flow, map_edges(flow.scene, 0.05), threshold=0.02)
-    write_maps(flow, maps, tmp_path, ("tif", "asc", "geojson"), PLACE)
+    write_maps(flow, maps, tmp_path, ("tif", "asc", "geojson"), ALPS)
     names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "asc", "prj")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"outline.geojson", "maps.json"}
     said = json.loads((tmp_path / "maps.json").read_text())

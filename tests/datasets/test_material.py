@@ -12,7 +12,7 @@ from datasets.material import TENSION_SHARE, Material
 from datasets.records import from_mapping
 
 
-def test_tresca_needs_a_cohesion_and_has_no_apex() -> None:
+def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:
     clay = Material(friction_deg=0.0, cohesion=2.0e4, tension_cutoff=3.0e4)
     assert clay.friction == 0.0
     assert clay.tension_limit == 3.0e4

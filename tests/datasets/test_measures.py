@@ -55,7 +55,7 @@ def test_toe_has_as_many_axes_as_the_points() -> None:
     assert toe(points) == pytest.approx(tuple(furthest.mean(axis=0)))
 
 
-def test_stations_reach_from_wall_to_wall(scene: Scene) -> None:
+def test_stations_span_wall_to_wall(scene: Scene) -> None:
     np.testing.assert_allclose(profile_stations(scene, 0.05), [0.0, 0.05, 0.1, 0.15, 0.2])
 
 
@@ -88,10 +88,10 @@ def test_profile_is_continuous() -> None:
 
 
 def test_profile_error_of_equal_shorter_and_disjoint_deposits() -> None:
-    wanted = np.array([2.0, 2.0, 0.0, 0.0])
-    assert profile_error(wanted, wanted) == 0.0
-    assert profile_error(np.array([4.0, 0.0, 0.0, 0.0]), wanted) == 1.0
-    assert profile_error(wanted[::-1], wanted) == 2.0
+    expected = np.array([2.0, 2.0, 0.0, 0.0])
+    assert profile_error(expected, expected) == 0.0
+    assert profile_error(np.array([4.0, 0.0, 0.0, 0.0]), expected) == 1.0
+    assert profile_error(expected[::-1], expected) == 2.0
 
 
 def before_baffles(*, dimension: int) -> Scene:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.exchange.baffle_particles import baffles_in, clusters, obstacle_points
+from datasets.exchange.baffle_particles import baffles_in, clusters, obstacle_particles
 from datasets.scene import Baffle
 from tests.datasets.toys import strewn, toy_scene
 
@@ -13,13 +13,13 @@ from tests.datasets.toys import strewn, toy_scene
 def test_baffles_survive_single_precision(dimension: int) -> None:
     scene = toy_scene(dimension, seed=0)
     share = scene.particle_spacing
-    points = np.concatenate([obstacle_points(baffle, share) for baffle in scene.baffles])
+    points = np.concatenate([obstacle_particles(baffle, share) for baffle in scene.baffles])
     again = baffles_in(points.astype(np.float32).astype(np.float64), share)
     assert sorted(again, key=lambda baffle: baffle.lower) == sorted(scene.baffles, key=lambda baffle: baffle.lower)
 
 
 def test_the_lattice_fills_the_box() -> None:
-    points = obstacle_points(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), 0.005)
+    points = obstacle_particles(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), 0.005)
     assert len(points) == 10 * 20
     np.testing.assert_allclose(points.min(axis=0), [0.3025, 0.0025])
     np.testing.assert_allclose(points.max(axis=0), [0.3475, 0.0975])
@@ -27,7 +27,7 @@ def test_the_lattice_fills_the_box() -> None:
 
 def test_a_baffle_thinner_than_the_spacing_keeps_its_thickness() -> None:
     thin = Baffle(lower=(0.3, 0.0), size=(0.001, 0.1))
-    assert baffles_in(obstacle_points(thin, 0.005), 0.005) == (thin,)
+    assert baffles_in(obstacle_particles(thin, 0.005), 0.005) == (thin,)
 
 
 def test_a_single_layer_is_a_spacing_thick() -> None:
@@ -53,7 +53,7 @@ def ball(dimension: int) -> np.ndarray:
 
 
 def corner() -> np.ndarray:
-    points = obstacle_points(Baffle(lower=(0.0, 0.0), size=(0.2, 0.2)), 0.01)
+    points = obstacle_particles(Baffle(lower=(0.0, 0.0), size=(0.2, 0.2)), 0.01)
     return points[(points > 0.1).any(axis=1)]
 
 

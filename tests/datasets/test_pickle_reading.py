@@ -264,6 +264,6 @@ def test_too_many_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at most 100 pieces" in refused(op("EMPTY_LIST", "MARK", *["NEWTRUE"] * 100, "APPENDS"))
 
 
-def test_refusals_are_told_apart_from_broken_pickles() -> None:
+def test_refusals_differ_from_broken_pickles() -> None:
     with pytest.raises(Refused):
         read(op("EMPTY_DICT"))

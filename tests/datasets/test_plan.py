@@ -166,8 +166,8 @@ def test_the_ground_of_terrain_and_baffles() -> None:
     )
     maps = maps_of(still(scene, initial_particles(scene).positions), map_edges(scene, 0.05))
     x, z = np.meshgrid(*maps.coordinates, indexing="ij")
-    wanted = np.where((x > 0.6) & (x < 0.7) & (z < 0.2), 0.4, 0.3 - 0.2 * x)
-    np.testing.assert_allclose(maps.ground, wanted, atol=1e-6)
+    expected = np.where((x > 0.6) & (x < 0.7) & (z < 0.2), 0.4, 0.3 - 0.2 * x)
+    np.testing.assert_allclose(maps.ground, expected, atol=1e-6)
 
 
 def test_the_ground_line_in_two_dimensions() -> None:
@@ -179,8 +179,8 @@ def test_the_ground_line_in_two_dimensions() -> None:
     maps = maps_of(still(scene, initial_particles(scene).positions), station_edges(scene, 0.03125))
     (x,) = maps.coordinates
     assert (x[0], x[-1]) == (0.0, 1.0)
-    wanted = np.where((x >= 0.7) & (x <= 0.8), 0.2, np.maximum(0.0, 0.3 - 0.6 * x))
-    np.testing.assert_allclose(maps.ground, wanted, atol=1e-9)
+    expected = np.where((x >= 0.7) & (x <= 0.8), 0.2, np.maximum(0.0, 0.3 - 0.6 * x))
+    np.testing.assert_allclose(maps.ground, expected, atol=1e-9)
     bare = dataclasses.replace(scene, solids=(), baffles=())
     assert not maps_of(still(bare, initial_particles(bare).positions), station_edges(bare, 0.03125)).ground.any()
 

@@ -102,7 +102,7 @@ def test_masses_apart_have_their_own_velocity_and_friction() -> None:
     assert scene.masses[0].material is None
 
 
-def test_boxes_that_meet_become_one() -> None:
+def test_boxes_that_overlap_become_one() -> None:
     around = lattice((0.2, 0.1), (0.3, 0.3))
     ring = around[((around < [0.25, 0.0]) | (around > [0.45, 0.2])).any(axis=1)]
     inner = lattice((0.33, 0.12), (0.04, 0.04))

@@ -1,4 +1,4 @@
-"""Scene files: what ships is right, and what is wrong is told in one line with file and key."""
+"""Scene files: what ships is right, and what is wrong is one line with file and key."""
 
 import math
 from pathlib import Path

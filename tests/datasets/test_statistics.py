@@ -70,7 +70,7 @@ def test_a_stop_counts_as_an_acceleration() -> None:
     np.testing.assert_allclose(statistics.acceleration.mean, [-step / 2, 0.0])
 
 
-def test_metadata_has_the_peers_keys_and_ours() -> None:
+def test_metadata_has_the_keys_of_geoelements_and_ours() -> None:
     entries = FLOW2D.entries(seed=5, count=15)
     written = metadata(FLOW2D, entries, seed=5, statistics=motion_statistics(walk(0, 6, 40), FRAME_DT))
     read = json.loads(json.dumps(written))

@@ -169,8 +169,8 @@ def test_a_damaged_array(tmp_path: Path, trajectory: Trajectory) -> None:
     path = tmp_path / "trajectory.npz"
     trajectory.save(path)
     content = bytearray(path.read_bytes())
-    place = content.index(trajectory.positions.tobytes())
-    content[place] ^= 0xFF
+    index = content.index(trajectory.positions.tobytes())
+    content[index] ^= 0xFF
     path.write_bytes(content)
     assert "whole NPZ" in refused(path).message
 

@@ -52,10 +52,10 @@ def frames_in(reader: Any, path: Path) -> dict[float, Any]:
     return frames
 
 
-def same(found: Any, wanted: pyvista.PolyData) -> None:
-    np.testing.assert_array_equal(found.points, wanted.points)
+def same(found: Any, expected: pyvista.PolyData) -> None:
+    np.testing.assert_array_equal(found.points, expected.points)
     for kind in ("point_data", "cell_data"):
-        arrays, others = getattr(found, kind), getattr(wanted, kind)
+        arrays, others = getattr(found, kind), getattr(expected, kind)
         assert set(arrays) == set(others)
         for name in others:
             np.testing.assert_array_equal(arrays[name], others[name])
@@ -73,9 +73,9 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
     for frame, blocks in zip(kept, frames.values(), strict=True):
         assert blocks.keys() == ["particles", "baffles", "solids", "domain"]
         for name in ("particles", "baffles", "solids", "domain"):
-            wanted = meshes.part(name, frame, since)
-            same(blocks[name], wanted)
-            cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], wanted)]
+            expected = meshes.part(name, frame, since)
+            same(blocks[name], expected)
+            cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], expected)]
             for found, known in zip(*cells, strict=True):
                 np.testing.assert_array_equal(found, known)
         assert blocks["particles"].point_data.active_vectors_name == "velocity"
@@ -134,9 +134,9 @@ def test_xdmf_by_meshio(tmp_path: Path, flow: Trajectory, monkeypatch: pytest.Mo
             assert time == flow.time[frame]
             np.testing.assert_array_equal(points[:, : flow.scene.dimension], flow.positions[frame])
             np.testing.assert_array_equal(cells[0].data.ravel(), np.arange(len(points)))
-            wanted = meshes.arrays("particles", frame, 0)
-            assert arrays.keys() == wanted.keys()
-            for name, values in wanted.items():
+            expected = meshes.arrays("particles", frame, 0)
+            assert arrays.keys() == expected.keys()
+            for name, values in expected.items():
                 np.testing.assert_array_equal(arrays[name], values)
 
 
@@ -145,9 +145,9 @@ def test_xdmf_by_vtk(tmp_path: Path, flow: Trajectory) -> None:
     frames = frames_in(vtkXdmfReader(), tmp_path / "trajectory.xdmf")
     assert list(frames) == flow.time.tolist()
     for frame, points in enumerate(frames.values()):
-        wanted = Meshes(flow).part("particles", frame, 0)
-        np.testing.assert_array_equal(points.points, wanted.points)
-        np.testing.assert_array_equal(points["displacement"], wanted["displacement"])
+        expected = Meshes(flow).part("particles", frame, 0)
+        np.testing.assert_array_equal(points.points, expected.points)
+        np.testing.assert_array_equal(points["displacement"], expected["displacement"])
         assert points.n_cells == points.n_points
 
 
@@ -156,9 +156,9 @@ def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
     assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == flow.time.tolist()
     meshes = Meshes(flow)
     for part, kind in (("particles", "point_data"), ("baffles", "cell_data"), ("solids", "cell_data")):
-        found, wanted = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
-        np.testing.assert_array_equal(found.points, wanted.points)
-        for name, values in getattr(wanted, kind).items():
+        found, expected = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
+        np.testing.assert_array_equal(found.points, expected.points)
+        for name, values in getattr(expected, kind).items():
             array = found.point_data[name] if kind == "point_data" else np.concatenate(found.cell_data[name])
             np.testing.assert_array_equal(array, values)
     # A series of one kind takes the place of one of the other.

@@ -92,7 +92,7 @@ def strewn(
     return np.array(lower) + stream.random((count, len(size))) * np.array(size)
 
 
-def peer_metadata(dimension: int, **more: Any) -> dict[str, Any]:
+def foreign_metadata(dimension: int, **more: Any) -> dict[str, Any]:
     """What a peer's `metadata.json` holds, the box away from the origin."""
     return {
         "bounds": [[0.1, 0.9]] * dimension,
@@ -105,7 +105,7 @@ def peer_metadata(dimension: int, **more: Any) -> dict[str, Any]:
     }
 
 
-def peer_dataset(folder: Path, trajectories: list[tuple[Any, ...]], described: dict[str, Any]) -> Path:
+def foreign_dataset(folder: Path, trajectories: list[tuple[Any, ...]], described: dict[str, Any]) -> Path:
     """A training set as geoelements' generator writes it: all trajectories in one array, compressed."""
     data = np.empty(len(trajectories), dtype=object)
     for index, trajectory in enumerate(trajectories):

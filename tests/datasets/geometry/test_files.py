@@ -115,8 +115,8 @@ def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Pat
     write_tiff(tmp_path / "dem.tif", np.full((10, 20), 0.2))
     write_tiff(tmp_path / "mu.tif", 0.3 + 0.05 * (0.05 + 0.1 * np.arange(20))[None] + np.zeros((10, 1)))
     # 0.4 x 0.3 m of release, 1.0 and 0.5 m from the corner.
-    place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
-    write_tiff(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=place)
+    transform = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
+    write_tiff(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
     found = scene(
         tmp_path,
         SPACE

@@ -125,8 +125,8 @@ def sphere(centre: Floats, radius: float, level: int) -> tuple[Floats, NDArray[n
         def middle(a: int, b: int, known: dict[tuple[int, int], int] = middles) -> int:
             key = (min(a, b), max(a, b))
             if key not in known:
-                place = vertices[a] + vertices[b]
-                vertices.append(place / np.linalg.norm(place))
+                middle = vertices[a] + vertices[b]
+                vertices.append(middle / np.linalg.norm(middle))
                 known[key] = len(vertices) - 1
             return known[key]
 

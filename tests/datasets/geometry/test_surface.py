@@ -155,7 +155,7 @@ def test_it_is_made_once() -> None:
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_it_follows_the_place_of_a_baffle(dimension: int) -> None:
+def test_it_follows_the_position_of_a_baffle(dimension: int) -> None:
     point = np.array([[0.45, 0.1, 0.5]])[:, :dimension]
     for x in (0.5, 0.5 + 1e-7, 0.5 + 1.3e-4):
         wall = Baffle(lower=(x, 0.0, 0.2)[:dimension], size=(0.1, 0.3, 0.5)[:dimension])
