@@ -13,7 +13,7 @@ from datasets.library import read_scene
 from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
+from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.accuracy import extent as bodies
 from validation.bench.accuracy import flows, studies, tolerance
@@ -87,7 +87,7 @@ SCENES = [flow.scene() for group in (flows.MEASURED, flows.UNSEEN) for kind in g
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("cells", [4.0, 7.0, 14.0, 80.0])
 def test_every_whole_number_of_cells_fits_the_box_of_a_flow(scene: Scene, cells: float) -> None:
-    finer = at(scene, studies.own(cells))
+    finer = with_resolution(scene, studies.own(cells))
     assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
 
 
@@ -174,7 +174,7 @@ def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() 
     scenes = [flow.scene() for flow in flows.MEASURED[2].values()]
     trials = [
         Trial(scene=finer, error=finer.domain.cell / (0.05 * finer.masses[0].size[0]))
-        for finer in (at(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0))
+        for finer in (with_resolution(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0))
     ]
     found = {name: bodies.spread(name, of, trials) for name, of in bodies.LENGTHS.items()}
     assert found["length"].exponent == pytest.approx(-1.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.scene import Scene
-from mpm.resolution import at, characteristic_length
+from mpm.resolution import characteristic_length, with_resolution
 from validation.bench.accuracy.studies import Findings, own
 
 LENGTHS: dict[str, Callable[[Scene], float]] = {
@@ -40,7 +40,7 @@ def compare(findings: Findings) -> list[Spread]:
     """The errors of a study against the cells across each length, the one that brings them closest together first."""
     study = findings.study
     trials = [
-        Trial(scene=at(scene, own(cells)), error=findings.lasting(own(cells))[name])
+        Trial(scene=with_resolution(scene, own(cells)), error=findings.lasting(own(cells))[name])
         for name, scene in study.scenes.items()
         for cells in study.cells
     ]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from datasets.scene import Scene
-from mpm.resolution import COVERAGE, Measured, Resolution, at
+from mpm.resolution import COVERAGE, Measured, Resolution, with_resolution
 from validation.bench.accuracy.flows import MEASURED, OWN_STEP
 from validation.bench.accuracy.scores import Outcome, Truth, score, truth
 from validation.runs import Run, RunStore
@@ -135,7 +135,7 @@ def promise(errors: Sequence[float]) -> float:
 
 def trials(scene: Scene, resolution: Resolution, seeds: int) -> list[Run]:
     """Runs of `scene` at a resolution, one per seed."""
-    finer = at(scene, resolution)
+    finer = with_resolution(scene, resolution)
     return [Run(scene=dataclasses.replace(finer, seed=seed), precision=resolution.precision) for seed in range(seeds)]
 
 

@@ -12,7 +12,7 @@ from datasets.files import write_text
 from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from inverse.report.markdown import table
-from mpm.resolution import COVERAGE, MEASURED, Measurements, Resolved, at, resolved
+from mpm.resolution import COVERAGE, MEASURED, Measurements, Resolved, resolved, with_resolution
 from validation.bench.accuracy.flows import UNSEEN, shortened
 from validation.bench.accuracy.page import paragraph, percent
 from validation.bench.accuracy.scores import score, truth
@@ -86,13 +86,13 @@ def carry_out(
             except InputError:
                 refused[asked, dimension] = "no resolution that was measured promises it"
                 continue
-            best = at(scene, own(references[dimension]))
+            best = with_resolution(scene, own(references[dimension]))
             # Particles times steps go with the cells to the dimension plus one.
             if (best.domain.cell / found.scene.domain.cell) ** (dimension + 1) > DEAREST:
                 refused[asked, dimension] = "so fine a grid that the reference is no judge of it"
                 continue
             picks.append((dimension, name, asked, found))
-    best_runs = {key: Run(scene=at(scene, own(references[key[0]]))) for key, scene in scenes.items()}
+    best_runs = {key: Run(scene=with_resolution(scene, own(references[key[0]]))) for key, scene in scenes.items()}
     runs = [trial(found) for *_, found in picks]
     store = RunStore(folder)
     store.run([*runs, *best_runs.values()])

@@ -8,7 +8,7 @@ from itertools import product
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.resolution import Resolution, at, particle_steps
+from mpm.resolution import Resolution, particle_steps, with_resolution
 from validation.bench.accuracy.flows import Flow
 
 YOUNG = 2.0e6
@@ -67,7 +67,7 @@ class Case:
         """`CUBE` at this stiffness."""
         stiff = dataclasses.replace(CUBE, stiffness=CUBE.stiffness * self.stiffness)
         what = Resolution(cells=self.cells, particles_per_axis=2, step_fraction=self.step, precision="f32")
-        return at(stiff.scene(), what)
+        return with_resolution(stiff.scene(), what)
 
     @property
     def cost(self) -> int:
