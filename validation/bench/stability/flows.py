@@ -39,7 +39,7 @@ def simulate_scenes(
     flows: dict[str, Flow] = {}
     for needs, group in groups.items():
         outcomes = simulate_each(
-            list(group.values()), precision=precision, record=dataclasses.replace(WITH_FIELDS, until_rest=needs.rests)
+            list(group.values()), precision=precision, record=dataclasses.replace(WITH_FIELDS, until_rest=needs.until_rest)
         )
         flows.update(zip(group, outcomes, strict=True))
         bar.update(len(group))
