@@ -1,1 +1,0 @@
-"""The learned simulator on scenes that it never saw: what it gets wrong, and when it is worth its seconds."""
