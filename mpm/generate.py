@@ -29,7 +29,7 @@ from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
-from mpm.processors import processors
+from mpm.process import processors
 
 DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
 
@@ -132,7 +132,7 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
 def simulate_one(scene: Scene, path: Path) -> None:
     """Simulate `scene` and save its trajectory to `path`; runs in a process of the pool."""
     # Taichi belongs to the processes that simulate: the one that directs them neither needs nor waits for it.
-    from mpm.simulate import simulate
+    from mpm import simulate
 
     trajectory = simulate(scene, precision="f32", threads=1)
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}

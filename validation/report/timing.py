@@ -10,8 +10,9 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from datasets.scene import Scene
+from mpm import simulate_many
 from mpm.arrays.layout import Precision
-from mpm.simulate import simulate_many
+from mpm.output.request import ALL, Recording
 
 Key = TypeVar("Key")
 Found = TypeVar("Found")
@@ -24,8 +25,7 @@ class TimedRun:
     scenes: tuple[Scene, ...]
     precision: Precision = "f32"
     threads: int = 1
-    fields: bool = False
-    until_rest: bool = False
+    record: Recording = ALL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +96,7 @@ def seconds_of(action: Callable[[], object]) -> float:
 
 def timed(run: TimedRun) -> Timing:
     """Simulate once."""
-    flows = simulate_many(
-        run.scenes, precision=run.precision, threads=run.threads, fields=run.fields, until_rest=run.until_rest
-    )
+    flows = simulate_many(run.scenes, precision=run.precision, threads=run.threads, record=run.record)
     summaries = [flow.summary for flow in flows]
     return Timing(
         seconds=summaries[0]["wall_s"],

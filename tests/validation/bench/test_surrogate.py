@@ -42,7 +42,7 @@ BLOCK = Scene(
 def sliding(scene: Scene, speed: float) -> Trajectory:
     """The masses of `scene` slide along x at `speed` [m/s], as one."""
     particles = initial_particles(scene)
-    time = np.arange(scene.frames) * scene.frame_dt
+    time = np.arange(scene.frames, dtype=np.float64) * scene.frame_dt
     along = np.eye(scene.dimension)[0]
     moved = particles.positions + along * speed * time[:, None, None]
     return Trajectory(
@@ -232,9 +232,7 @@ def test_the_page_has_its_conclusion_from_the_numbers(
     assert "3 of 4 at all angles meet their criterion." in text
     assert "a rollout takes 0.5 times the MPM's seconds, its gradient 3.5 times (`tiny`)" in text
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    assert ["`model`", "from rest", "trained", "2.1 % (**-5.0 %**)", "2.9 %", "2 of 3"] in [
-        row[:6] for row in cells
-    ]
+    assert ["`model`", "from rest", "trained", "2.1 % (**-5.0 %**)", "2.9 %", "2 of 3"] in [row[:6] for row in cells]
     assert ["33°", "**5.0 %** (**-5.0 %**)", "0.0 %"] in cells
     assert ["falling", "0.00", "0.10", "`model`", "from first frames"] in [row[:5] for row in cells]
     assert ["updates", "3,000"] in cells

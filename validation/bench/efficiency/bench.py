@@ -9,7 +9,7 @@ import torch
 from gns.model import checkpoint
 from gns.rollout import shipped
 from inverse.problem import Problem, read_problem
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods

@@ -20,8 +20,8 @@ from inverse.forward.mpm import MpmForward
 from inverse.gradient import automatic
 from inverse.observations import deposit as observations
 from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
-from mpm.processors import processors
-from mpm.simulate import simulate_many
+from mpm.process import processors
+from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
 from validation.bench.efficiency.search import WARM_UP_S
 from validation.report.memory import forgotten, peak, resident

@@ -23,7 +23,7 @@ from inverse.observations.deposit import Values
 from inverse.observations.target import read_target
 from inverse.parameters.parameters import Vector
 from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, Unknown
-from mpm.simulate import simulate, simulate_many
+from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_JITTER, FD_MPM, Gradient, Origin, OverUnknowns
 from validation.bench.efficiency.search import WARM_UP_S
 

@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping
 from gns.rollout import shipped
-from mpm.processors import processors
+from mpm.process import processors
 from validation.report.machine import GNS, MPM, machine
 
 FILE = "efficiency.json"

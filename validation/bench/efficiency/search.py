@@ -21,8 +21,8 @@ from inverse.observations.target import Target, read_target
 from inverse.optimise import Bounds, minimise
 from inverse.parameters.parameters import Vector, kind, with_unknowns
 from inverse.problem import Method, Problem
-from mpm.processors import processors
-from mpm.simulate import simulate, simulate_many
+from mpm.process import processors
+from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.methods import ForwardModel, GradientBy, SearchMethod
 from validation.bench.efficiency.records import CheckedLoss, MethodResult
 

@@ -16,14 +16,13 @@ import torch
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
-from datasets.definitions import DEFINITIONS
 from datasets.errors import InputError
 from datasets.training.samples import load_flows
 from gns.model import checkpoint
 from gns.score import Score, evaluate
 from gns.train import pick
-from mpm.generate import generate
-from mpm.processors import processors
+from mpm.generate import DEFINITIONS, generate
+from mpm.process import processors
 from validation.report.machine import GNS
 from validation.report.page import Page, Row
 
@@ -90,9 +89,7 @@ class VariantScore:
         return mean([score.profile_error for score in self.scores])
 
 
-def bench(
-    out: Path, *, quick: bool, keep: Path, data: Path = Path("data"), minutes: float = 3.0, jobs: int = 1
-) -> str:
+def bench(out: Path, *, quick: bool, keep: Path, data: Path = Path("data"), minutes: float = 3.0, jobs: int = 1) -> str:
     """Train each variant for some minutes of processor time and score it.
 
     Parameters
@@ -188,13 +185,14 @@ def row(found: VariantScore) -> Row:
 def conclusion(found: Sequence[VariantScore]) -> list[str]:
     """The best and the worst variant by front and by profile, beside the first one."""
     base, sentences = found[0], []
-    for name, value in (("front", lambda each: each.front), ("profile", lambda each: each.profile)):
-        ordered = sorted(found, key=value)
-        better = sum(value(each) < value(base) for each in found)
+    for name in ("front", "profile"):
+        errors = {each.change: float(getattr(each, name)) for each in found}
+        ordered = sorted(errors, key=lambda change: errors[change])
+        better = sum(error < errors[base.change] for error in errors.values())
         sentences.append(
-            f"Mean {name} error {value(base):.1%} with {base.change}; {better} of {len(found) - 1} changes lower it, most"
-            f" of all {ordered[0].change} ({value(ordered[0]):.1%}), the highest is that of {ordered[-1].change}"
-            f" ({value(ordered[-1]):.1%})."
+            f"Mean {name} error {errors[base.change]:.1%} with {base.change}; {better} of {len(found) - 1} changes"
+            f" lower it. The lowest is {errors[ordered[0]]:.1%} ({ordered[0]}), the highest {errors[ordered[-1]]:.1%}"
+            f" ({ordered[-1]})."
         )
     return sentences
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from datasets.library import read_scene
 from datasets.scene import Baffle, Domain, Mass, Scene
+from mpm import ALL, WITH_FIELDS
 from validation.bench.speed.rates import column
 from validation.report.page import Row
 from validation.report.timing import TimedRun, Timing, ratio, spread
@@ -69,7 +70,7 @@ def switches(dimension: int) -> dict[str, TimedRun]:
         "two materials": two_materials(scene),
         "a baffle outside the flow": with_corner_baffle(scene),
     }
-    recorded = {"velocity, pressure and plastic strain recorded": TimedRun(scenes=(scene,), fields=True)}
+    recorded = {"velocity, pressure and plastic strain recorded": TimedRun(scenes=(scene,), record=WITH_FIELDS)}
     return {name: TimedRun(scenes=(each,)) for name, each in scenes.items()} | recorded
 
 
@@ -99,7 +100,7 @@ def shortcut_runs(names: Sequence[str]) -> dict[tuple[str, str], TimedRun]:
     for name in names:
         scene = read_scene(name)
         found[name, FULL] = TimedRun(scenes=(scene,))
-        found[name, REST] = TimedRun(scenes=(scene,), until_rest=True)
+        found[name, REST] = TimedRun(scenes=(scene,), record=replace(ALL, until_rest=True))
         found[name, SHORT] = TimedRun(scenes=(replace(scene, step_fraction=0.4),))
     return found
 

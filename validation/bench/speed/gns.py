@@ -1,6 +1,7 @@
 """`python -m validation.bench speed-gns`: a step of the GNS beside the textbook's network, and a whole second."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -128,8 +129,8 @@ def page(
         text.section(each.name, level=3)
         weights = ", ".join(f"{kind} {each.parameters(kind):,}" for kind in each.networks)
         text.text(
-            f"{settings.dimension}D, {settings.width} x {settings.layers}, radius {1000.0 * settings.radius:g} mm, steps"
-            f" of {1000.0 * settings.step:g} ms. Weights: {weights}."
+            f"{settings.dimension}D, {settings.width} x {settings.layers}, radius {1000.0 * settings.radius:g} mm,"
+            f" steps of {1000.0 * settings.step:g} ms. Weights: {weights}."
         )
         text.table(time_rows(each, costs))
         text.text("Peak memory [MB] of the same above what was held before:")
@@ -147,10 +148,11 @@ def conclusion(several: Sequence[Family], costs: Costs, seconds: Sequence[Rollou
     ]
     for each in several[:4]:
         ratios = [
-            ratio(costs[case], costs[one]).median
-            for case in costs
-            if case.family == each.name and case.kind is Kind.TEXTBOOK and costs[case].seconds
-            if costs[one := StepCase(family=case.family, kind=Kind.OURS, measure=case.measure, nodes=case.nodes)].seconds
+            ratio(theirs, ours).median
+            for case, theirs in costs.items()
+            if case.family == each.name and case.kind is Kind.TEXTBOOK
+            for ours in [costs[replace(case, kind=Kind.OURS)]]
+            if theirs.seconds and ours.seconds
         ]
         found.append(
             f"The textbook's network of the size of `{each.name}` takes {min(ratios):.1f} to {max(ratios):.1f} times as"
@@ -184,7 +186,7 @@ def cost(each: Family, costs: Costs, kind: Kind, measure: Measure, nodes: int) -
 
 def time_rows(each: Family, costs: Costs) -> list[Row]:
     """A line per size: our seconds of each measure, and the others' ratios to them."""
-    rows = []
+    rows: list[Row] = []
     for nodes in sizes(each, costs):
         row = {"nodes": f"{nodes:,}", "edges": f"{edges(each.settings, nodes):,}"}
         for measure in Measure:

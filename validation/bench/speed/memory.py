@@ -156,9 +156,7 @@ def run_case(case: GradientCase, model: Path, threads: int) -> GradientCost:
     )
 
 
-def gradient(
-    simulator: Simulator, state: State, conditions: Conditions, steps: int, kept: int
-) -> tuple[float, float]:
+def gradient(simulator: Simulator, state: State, conditions: Conditions, steps: int, kept: int) -> tuple[float, float]:
     """Seconds forward and backward of the gradient of the last mean position with respect to one friction for all."""
     began = time.perf_counter()
     friction = conditions.friction[0].clone().requires_grad_()

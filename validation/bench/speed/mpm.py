@@ -6,7 +6,7 @@ from pathlib import Path
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.errors import InputError
 from mpm.generate import generate
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.speed import features, rates
 from validation.bench.speed.features import FULL, PLAIN, REST, SHORT, Features, Shortcuts
 from validation.bench.speed.rates import Rates
@@ -32,14 +32,14 @@ SHORTCUTS = """
     front. Ending at rest is on request (`until_rest`): below a thousandth of the greatest kinetic energy.
 """
 METHODS = """
-    - **Vectors of lanes** (`mpm/arrays/lanes.py`). Particles are stored in blocks as wide as a vector register, 16 in
+    - **Vectors of lanes** (`mpm/arrays/access.py`). Particles are stored in blocks as wide as a vector register, 16 in
       f32 and 8 in f64. Stress, return mapping, weights and motion of a block are computed at once, without branches;
       with `real_matrix_scalarize=False` Taichi leaves its vectors whole, so LLVM uses the registers.
     - **Nodes as short vectors** (`mpm/physics/transfer.py`). In the transfer a node (momentum, mass, force) is one
       vector of four or eight numbers. What a particle adds is linear in the node's position: a value at the lowest node
       and one slope per axis. What it gathers is summed along the innermost axis first, since those nodes share the
       other weights.
-    - **Bounded indices** (`mpm/arrays/lanes.py`). Taichi counts in 32 bits, and each sum of an index and a constant
+    - **Bounded indices** (`mpm/arrays/access.py`). Taichi counts in 32 bits, and each sum of an index and a constant
       would be extended anew; cut to 30 bits, which changes none, it becomes part of an address.
     - **No atomics, few launches** (`mpm/kernel.py`). A small scene runs on one thread, many small ones side by side; a
       large one has a grid per thread, summed where they overlap. Up to 20 frames with all their steps are one launch.
@@ -97,9 +97,7 @@ def page(
     speeds: Rates, switched: Features, short: Shortcuts, *, command: str, training: str = "", quick: bool = False
 ) -> Page:
     """The page; `training` is a section of its own."""
-    text = Page(
-        "The speed of the MPM", command=command, conclusion=conclusion(speeds, switched, short), quick=quick
-    )
+    text = Page("The speed of the MPM", command=command, conclusion=conclusion(speeds, switched, short), quick=quick)
     text.text("""
         Medians of rounds in which all are measured in turn, in brackets minimum and maximum. Compilation is not
         included: 0.5 to 3 s the first time, cached on disk from then on.

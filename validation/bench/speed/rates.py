@@ -11,7 +11,7 @@ from datasets.particles import particle_count
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm.arrays.layout import Precision
-from mpm.simulate import LARGE
+from mpm.simulation import LARGE
 from validation.report.page import Row
 from validation.report.timing import Spread, TimedRun, Timing, spread
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm.generate import pool
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.surrogate import long_rollouts, pictures, scenes, speed
 from validation.bench.surrogate.comparison import Map, compare_all
 from validation.bench.surrogate.page import Columns, Measured, Scenes, page

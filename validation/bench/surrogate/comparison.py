@@ -15,8 +15,8 @@ from datasets.scene import Scene
 from datasets.training.samples import frames_per_step
 from datasets.trajectory import Floats, Trajectory
 from gns.score import SPACING
-from mpm.output.request import LAST
-from mpm.simulate import LARGE, simulate, simulate_many
+from mpm import LAST, simulate, simulate_many
+from mpm.simulation import LARGE
 from validation.bench.surrogate.rollouts import Rollout, RolloutTask, ShippedModel, Start, first_frames, run_task
 
 Key = TypeVar("Key")

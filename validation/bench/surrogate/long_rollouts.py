@@ -10,7 +10,7 @@ from datasets import measures
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.simulate import simulate
+from mpm import simulate
 from validation.bench.stability.invariants import inside_box, outside_baffles
 from validation.bench.surrogate.comparison import Map, Series, flow_series
 from validation.bench.surrogate.rollouts import Rollout, RolloutTask, ShippedModel, run_task

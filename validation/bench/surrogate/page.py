@@ -72,7 +72,7 @@ def page(found: Measured, *, quick: bool) -> Page:
 
 def conclusion(found: Measured) -> list[str]:
     """At most five sentences."""
-    sentences = []
+    sentences: list[str] = []
     for name, group in by_variant(joined(found.columns.values())).items():
         if name[1] is Start.REST and len(sentences) < 2:
             sentences.append(columns_said(name[0], group))
@@ -157,7 +157,7 @@ def both(errors: Sequence[float], limit: float = inf) -> str:
     return f"{percent(mean(errors), limit)} ({with_sign(worst(errors), limit)})"
 
 
-def metrics(each: Comparison, limit: float) -> Row:
+def metrics(each: Comparison, limit: float) -> dict[str, str]:
     """All errors of one comparison."""
     return {
         "model": f"`{each.model}`",
@@ -308,7 +308,7 @@ def layers_section(text: Page, found: Scenes) -> None:
                 "velocities, lowest layer first": name,
                 "MSE [1e-4 m²]": f"{1e4 * each.mse:.2f}",
                 "MPM's own": f"{1e4 * each.mpm_mse:.2f}",
-                **dict(metrics(each, COLUMN_CRITERIA[True]).items()),
+                **metrics(each, COLUMN_CRITERIA[True]),
             }
             for name, group in found.items()
             for each in group
@@ -333,7 +333,7 @@ def baffles_section(text: Page, found: Scenes) -> None:
                 "scene": f"`{name}`",
                 "the paper's runout": percent(PAPER_BAFFLES.get(name, float("nan"))),
                 "upstream depth": f"{percent(each.depth_errors[0])} ({percent(each.depth_errors[1])})",
-                **dict(metrics(each, BAFFLES_CRITERION).items()),
+                **metrics(each, BAFFLES_CRITERION),
             }
             for name, group in found.items()
             for each in group

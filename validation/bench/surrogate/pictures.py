@@ -1,6 +1,6 @@
 """Pictures: front errors, profiles and energies of 2D flows; deposits from above and series over time in 3D."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +90,7 @@ def draw_times(path: Path, found: Scenes) -> None:
         pane(axes).legend()
 
 
-SERIES = {
+SERIES: dict[str, Callable[[FlowSeries], Series]] = {
     "front [m]": lambda flow: flow.front,
     "upstream depth [cm]": lambda flow: 100.0 * flow.depth,
     "kinetic energy [%]": lambda flow: 100.0 * flow.kinetic,
@@ -103,14 +103,15 @@ def draw_series(axis: Axes, group: Sequence[Comparison], title: str) -> None:
     name = title.split(": ")[-1]
     shades = colours(group)
 
-    def times(flow: FlowSeries, step: float) -> tuple[Series, Series]:
+    def over_time(flow: FlowSeries, step: float) -> tuple[Series, Series]:
         values = SERIES[name](flow)
         # A mean over a step belongs to its middle.
-        return step * (np.arange(len(values)) + 0.5 * (len(values) < len(flow.front))), values
+        times: Series = step * (np.arange(len(values), dtype=np.float64) + 0.5 * (len(values) < len(flow.front)))
+        return times, values
 
-    axis.plot(*times(group[0].mpm, group[0].step), color=BLUE, linewidth=2.2, alpha=0.5, label="MPM")
+    axis.plot(*over_time(group[0].mpm, group[0].step), color=BLUE, linewidth=2.2, alpha=0.5, label="MPM")
     for each in group:
-        line(axis, *times(each.surrogate, each.step), each, shades)
+        line(axis, *over_time(each.surrogate, each.step), each, shades)
     axis.set_title(title)
     axis.set_xlabel("time [s]")
 
