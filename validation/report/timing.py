@@ -79,11 +79,11 @@ def in_turn(runs: Mapping[Key, TimedRun], rounds: int, what: str) -> dict[Key, l
 def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> dict[Key, list[Found]]:
     """All work once, then all of it once more, `rounds` times in all."""
     found: dict[Key, list[Found]] = {key: [] for key in work}
-    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as bar:
+    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
             for key, each in work.items():
                 found[key].append(each())
-                bar.update()
+                progress.update()
     return found
 
 

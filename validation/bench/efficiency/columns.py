@@ -24,7 +24,7 @@ from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
 from validation.bench.efficiency.search import WARM_UP_S
-from validation.report.memory import forgotten, peak, resident
+from validation.report.memory import peak, reset_peak, resident
 from validation.report.process import isolated
 
 SCENE = "column-tall-42"
@@ -137,7 +137,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         mpm = MpmForward(problem, observation, simulate_many)
         MpmForward(short, observation, simulate_many).observe([start])
         nodes, steps, state = particles, 0, 0
-        forgotten()
+        reset_peak()
         before, began = resident() or peak(), time.perf_counter()
         mpm.observe([start])
         middle = time.perf_counter()
@@ -150,7 +150,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         gns = GnsForward(simulator, None, problem, observation, task.memory_gib)
         nodes, steps = len(gns.indices), gns.steps
         state = gns.launch.state.positions.nbytes + gns.launch.state.displacements.nbytes
-        forgotten()
+        reset_peak()
         before, began = resident() or peak(), time.perf_counter()
         if task.work is Work.AD:
             evaluated = automatic(gns, target)(start)
@@ -170,12 +170,12 @@ def in_process(task: Task) -> Usage:
 def over_particles(origin: Origin, *, sizes: Sequence[Size] = SIZES, run: Run = in_process) -> OverParticles:
     """Every gradient in every size, one after the other."""
     found: list[Cost] = []
-    with tqdm(total=len(sizes) * 3, desc="particles", unit="case", dynamic_ncols=True) as bar:
+    with tqdm(total=len(sizes) * 3, desc="particles", unit="case", dynamic_ncols=True) as progress:
         for size in sizes:
             for costs in (_by_ad, _by_gns, _by_mpm):
-                bar.set_postfix_str(f"{size.scale:g} times the column")
+                progress.set_postfix_str(f"{size.scale:g} times the column")
                 found += costs(run, size)
-                bar.update()
+                progress.update()
     return OverParticles(origin=origin, costs=tuple(found))
 
 

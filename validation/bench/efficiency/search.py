@@ -182,9 +182,9 @@ def search_all(
 ) -> tuple[MethodResult, ...]:
     """Every method, one after the other, `limit` seconds each."""
     rows = []
-    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as bar:
-        for method in bar:
-            bar.set_postfix_str(method.name)
+    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as progress:
+        for method in progress:
+            progress.set_postfix_str(method.name)
             rows.append(search(method, models, limit, checks=checks))
     return tuple(rows)
 

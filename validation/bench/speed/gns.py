@@ -85,16 +85,16 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 3, longest: float
     rounds = 1 if quick else rounds
     torch.set_num_threads(threads)
     torch.manual_seed(0)
-    several = families()
-    costs = measured(several, rounds, longest, QUICK_SIZES if quick else SIZES)
+    models = families()
+    costs = measured(models, rounds, longest, QUICK_SIZES if quick else SIZES)
     command = f"python -m validation.bench speed-gns --rounds {rounds} --longest {longest:g} --threads {threads}"
-    text = page(several, costs, rollout_costs(several, rounds), command=command, longest=longest, quick=quick)
-    draw(out / PICTURE, several, costs)
+    text = page(models, costs, rollout_costs(models, rounds), command=command, longest=longest, quick=quick)
+    draw(out / PICTURE, models, costs)
     return text.write(out / "speed-gns.md")
 
 
 def page(
-    several: Sequence[Family],
+    models: Sequence[Family],
     costs: Costs,
     seconds: Sequence[RolloutCost],
     *,
@@ -106,7 +106,7 @@ def page(
     text = Page(
         "The speed of the graph network simulator",
         command=command,
-        conclusion=conclusion(several, costs, seconds),
+        conclusion=conclusion(models, costs, seconds),
         packages=GNS,
         quick=quick,
     )
@@ -124,7 +124,7 @@ def page(
         Left out is what would take more than {MOST_BYTES / 1.0e9:g} GB, and of the textbook's what would take more than
         {longest:g} s; there the cost expected from the next smaller size is given (~).
     """)
-    for each in several:
+    for each in models:
         settings = each.settings
         text.section(each.name, level=3)
         weights = ", ".join(f"{kind} {each.parameters(kind):,}" for kind in each.networks)
@@ -138,7 +138,7 @@ def page(
     return text
 
 
-def conclusion(several: Sequence[Family], costs: Costs, seconds: Sequence[RolloutCost]) -> list[str]:
+def conclusion(models: Sequence[Family], costs: Costs, seconds: Sequence[RolloutCost]) -> list[str]:
     """A whole second, beside the paper's network; ratios of steps per model."""
     ours, paper = min((each for each in seconds if each.run), key=lambda each: each.forward.median), seconds[-1]
     found = [
@@ -146,7 +146,7 @@ def conclusion(several: Sequence[Family], costs: Costs, seconds: Sequence[Rollou
         f" {ours.gradient.median:.2g} s; {paper.name} {paper.forward.median:,.0f} s and"
         f" {paper.gradient.median:,.0f} s, extrapolated."
     ]
-    for each in several[:4]:
+    for each in models[:4]:
         ratios = [
             ratio(theirs, ours).median
             for case, theirs in costs.items()
@@ -219,10 +219,10 @@ def megabytes(size: int | None) -> str:
     return "-" if size is None else f"{size / 1.0e6:,.0f}"
 
 
-def draw(path: Path, several: Sequence[Family], costs: Costs) -> None:
+def draw(path: Path, models: Sequence[Family], costs: Costs) -> None:
     """Seconds per step over nodes, a row per model and a panel per measure."""
-    with figure(path, rows=len(several), columns=len(Measure), size=(3.4, 3.0)) as axes:
-        for row, each in enumerate(several):
+    with figure(path, rows=len(models), columns=len(Measure), size=(3.4, 3.0)) as axes:
+        for row, each in enumerate(models):
             for number, measure in enumerate(Measure):
                 axis = pane(axes, row, number)
                 for kind in each.networks:

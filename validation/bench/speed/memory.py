@@ -21,7 +21,7 @@ from gns.unroll import step_activation_bytes, unroll
 from validation.bench.speed import columns
 from validation.bench.speed.columns import column
 from validation.report.machine import GNS
-from validation.report.memory import forgotten, peak, resident
+from validation.report.memory import peak, reset_peak, resident
 from validation.report.page import Page, Row
 from validation.report.plots import ORANGE, figure, pane
 from validation.report.process import OutOfMemory, isolated
@@ -120,9 +120,9 @@ def study(cases: Iterable[GradientCase], run: Run, *, budget: float) -> list[Gra
     """
     found: list[GradientCost] = []
     began = time.perf_counter()
-    with tqdm(list(cases), desc="memory", unit="case", dynamic_ncols=True) as bar:
-        for case in bar:
-            bar.set_postfix_str(f"{case.nodes:,} nodes, {case.steps} steps")
+    with tqdm(list(cases), desc="memory", unit="case", dynamic_ncols=True) as progress:
+        for case in progress:
+            progress.set_postfix_str(f"{case.nodes:,} nodes, {case.steps} steps")
             rates = [each.seconds / (each.case.nodes * each.case.steps) for each in found if not each.left_out]
             expected = START + max(rates, default=0.0) * case.nodes * case.steps
             if time.perf_counter() - began + expected > budget:
@@ -146,7 +146,7 @@ def run_case(case: GradientCase, model: Path, threads: int) -> GradientCost:
     simulator = checkpoint.load(model).simulator.requires_grad_(False)
     gradient(simulator, *column(simulator.settings, min(case.nodes, 200)), 2, 1)
     state, conditions = column(simulator.settings, case.nodes)
-    forgotten()
+    reset_peak()
     before = resident() or peak()
     forward, backward = gradient(simulator, state, conditions, case.steps, case.kept)
     most = peak()

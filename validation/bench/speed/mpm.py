@@ -128,10 +128,10 @@ def conclusion(speeds: Rates, switched: Features, short: Shortcuts) -> list[str]
     for dimension in sorted({case.dimension for case in cases}):
         some = [case for case in cases if case.dimension == dimension]
         values = [rates.best(speeds, case).median for case in some]
-        met = sum(case.aim is not None and value >= case.aim for case, value in zip(some, values, strict=True))
+        attained = sum(case.aim is not None and value >= case.aim for case, value in zip(some, values, strict=True))
         found.append(
             f"In {dimension}D {min(values):.1f} to {max(values):.1f} million particle-steps a second from"
-            f" {some[0].particles:,} to {some[-1].particles:,} particles; {met} of"
+            f" {some[0].particles:,} to {some[-1].particles:,} particles; {attained} of"
             f" {sum(case.aim is not None for case in some)} aims are met."
         )
     ratios = {

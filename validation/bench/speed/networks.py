@@ -119,14 +119,14 @@ def family(name: str, simulator: Simulator) -> Family:
     """A model and the textbook's networks: of its own width, layers and hidden layers, and of the paper's."""
     settings = simulator.settings
 
-    def textbook(width: int, layers: int, hidden: int) -> Textbook:
+    def textbook(width: int, layers: int, hidden_layers: int) -> Textbook:
         return Textbook(
             dimension=settings.dimension,
             radius=settings.radius,
             history=settings.history,
             width=width,
             layers=layers,
-            hidden=hidden,
+            hidden_layers=hidden_layers,
         )
 
     networks: dict[Kind, nn.Module] = {
@@ -206,7 +206,7 @@ def edges(settings: ModelSettings, nodes: int) -> int:
 
 
 def measured(
-    several: Sequence[Family], rounds: int, longest: float, sizes: Mapping[int, Sequence[int]] = SIZES
+    models: Sequence[Family], rounds: int, longest: float, sizes: Mapping[int, Sequence[int]] = SIZES
 ) -> dict[StepCase, StepCost]:
     """All cases, those of up to `ONCE` seconds in turn in `rounds` rounds.
 
@@ -214,7 +214,7 @@ def measured(
     """
     costs: dict[StepCase, StepCost] = {}
     again: dict[StepCase, Callable[[], float]] = {}
-    variants = [(each, kind, measure) for each in several for kind in each.networks for measure in Measure]
+    variants = [(each, kind, measure) for each in models for kind in each.networks for measure in Measure]
     for each, kind, measure in tqdm(variants, desc="first round", unit="column", dynamic_ncols=True):
         # What is compiled at the first call is no part of a step.
         step_of(each, StepCase(family=each.name, kind=kind, measure=measure, nodes=WARM_UP))()
@@ -332,10 +332,10 @@ def extrapolated_cost(name: str, network: nn.Module, settings: ModelSettings) ->
     )
 
 
-def rollout_costs(several: Sequence[Family], rounds: int) -> list[RolloutCost]:
+def rollout_costs(models: Sequence[Family], rounds: int) -> list[RolloutCost]:
     """Our 2D models, the textbook's networks of their size, and the paper's network at the paper's resolution."""
     found = []
-    for each in several:
+    for each in models:
         simulator = each.networks[Kind.OURS]
         if each.settings.dimension == 2 and isinstance(simulator, Simulator):
             found.append(rollout_cost(each.name, simulator, rounds))

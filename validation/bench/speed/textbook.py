@@ -19,10 +19,10 @@ from torch import Tensor, nn
 from gns.model.state import Conditions, State
 
 
-def perceptron(inputs: int, width: int, hidden: int, outputs: int, *, norm: bool = True) -> nn.Sequential:
-    """A network of `hidden` hidden layers, normalised at its end unless it decodes."""
+def perceptron(inputs: int, width: int, hidden_layers: int, outputs: int, *, norm: bool = True) -> nn.Sequential:
+    """A network of `hidden_layers` hidden layers, normalised at its end unless it decodes."""
     modules: list[nn.Module] = []
-    for _ in range(hidden):
+    for _ in range(hidden_layers):
         modules += [nn.Linear(inputs, width), nn.ReLU()]
         inputs = width
     return nn.Sequential(*modules, nn.Linear(inputs, outputs), *([nn.LayerNorm(outputs)] if norm else []))
@@ -31,10 +31,10 @@ def perceptron(inputs: int, width: int, hidden: int, outputs: int, *, norm: bool
 class MessagePassing(nn.Module):
     """One layer of message passing."""
 
-    def __init__(self, width: int, hidden: int) -> None:
+    def __init__(self, width: int, hidden_layers: int) -> None:
         super().__init__()
-        self.edge = perceptron(3 * width, width, hidden, width)
-        self.node = perceptron(2 * width, width, hidden, width)
+        self.edge = perceptron(3 * width, width, hidden_layers, width)
+        self.node = perceptron(2 * width, width, hidden_layers, width)
 
     def forward(self, x: Tensor, e: Tensor, senders: Tensor, receivers: Tensor) -> tuple[Tensor, Tensor]:
         """Latents of nodes [N, C] and of edges [E, C], after one layer."""
@@ -47,17 +47,17 @@ class Textbook(nn.Module):
     """One step of a flow: x(t + dt) from x(t) and the last displacements; the interface of `gns.model.simulator`."""
 
     def __init__(
-        self, *, dimension: int, radius: float, history: int, width: int = 128, layers: int = 10, hidden: int = 2
+        self, *, dimension: int, radius: float, history: int, width: int = 128, layers: int = 10, hidden_layers: int = 2
     ) -> None:
-        """radius: [m]; history: past displacements; hidden: hidden layers of every perceptron."""
+        """radius: [m]; history: past displacements; hidden_layers: of every perceptron."""
         super().__init__()
         self.radius = radius
         # displacements, distances to the walls, tan(phi)
         features = history * dimension + 2 * dimension + 1
-        self.encode_nodes = perceptron(features, width, hidden, width)
-        self.encode_edges = perceptron(dimension + 1, width, hidden, width)
-        self.layers = nn.ModuleList(MessagePassing(width, hidden) for _ in range(layers))
-        self.decoder = perceptron(width, width, hidden, dimension, norm=False)
+        self.encode_nodes = perceptron(features, width, hidden_layers, width)
+        self.encode_edges = perceptron(dimension + 1, width, hidden_layers, width)
+        self.layers = nn.ModuleList(MessagePassing(width, hidden_layers) for _ in range(layers))
+        self.decoder = perceptron(width, width, hidden_layers, dimension, norm=False)
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step. Differentiable in the state and in friction; its output is small, for it is never trained."""

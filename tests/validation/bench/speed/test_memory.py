@@ -17,7 +17,7 @@ from validation.bench.speed import memory
 from validation.bench.speed.columns import column
 from validation.bench.speed.memory import GradientCase, GradientCost, draw, page, study
 from validation.report import plots
-from validation.report.memory import forgotten
+from validation.report.memory import reset_peak
 from validation.report.process import OutOfMemory, isolated
 
 SETTINGS = ModelSettings(width=8, layers=2, rounds=2, grid_channels=4, grid_layers=1)
@@ -50,7 +50,7 @@ def test_a_gradient_is_run_and_kept_steps_take_memory(model: Path) -> None:
     assert few.forward > 0.0
     assert few.backward > 0.0
     assert few.activations > 2_000 * 8 * 4
-    if forgotten():
+    if reset_peak():
         assert few.extra > few.activations
         assert kept.extra > few.extra + 3 * few.activations
 

@@ -73,7 +73,7 @@ def test_a_message_travels_one_radius_per_layer() -> None:
     conditions = Conditions(
         friction=torch.full((6,), 0.5), cohesion=torch.zeros(6), volume=torch.full((6,), 1e-4), size=(1.0, 1.0)
     )
-    model = Textbook(dimension=2, radius=RADIUS, history=3, width=8, layers=2, hidden=1)
+    model = Textbook(dimension=2, radius=RADIUS, history=3, width=8, layers=2, hidden_layers=1)
     changed = conditions.friction.clone()
     changed[0] = 0.7
     after = [model(state, dataclasses.replace(conditions, friction=each)) for each in (changed, conditions.friction)]
