@@ -48,7 +48,7 @@ def test_our_transfers_differ_in_nothing_but_the_relaxation_time() -> None:
     assert default.relaxation_time is None
     assert apic.relaxation_time == 0.0
     assert dataclasses.replace(apic, relaxation_time=None) == default
-    assert all(run.until_rest for run in runs.values())
+    assert all(run.record.until_rest for run in runs.values())
 
 
 def test_differences_are_computed() -> None:

@@ -15,14 +15,16 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from gns.initial import Start, first_frames
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
+from validation.bench.speed.networks import RolloutCost
 from validation.bench.surrogate import bench, comparison, scenes
 from validation.bench.surrogate.comparison import Comparison, MpmRuns, compare, compare_all
 from validation.bench.surrogate.long_rollouts import bounds
 from validation.bench.surrogate.page import Measured, page
-from validation.bench.surrogate.rollouts import Rollout, ShippedModel, Start, first_frames, load, roll_out
+from validation.bench.surrogate.rollouts import Rollout, ShippedModel, load, roll_out
 from validation.bench.surrogate.scenes import HeldOutColumn
 from validation.bench.surrogate.speed import ModelRun, MpmRun, WholeSecond
 from validation.bench.surrogate.speed_page import speed_said
@@ -68,7 +70,7 @@ def rolled(flow: Trajectory, every: int = 1) -> Rollout:
 
 
 def compared(
-    rollout: Rollout, flow: Trajectory, fronts: Sequence[float] = (1.0, 1.0), start: Start = Start.REST
+    rollout: Rollout, flow: Trajectory, fronts: Sequence[float] = (1.0, 1.0), start: Start = Start.FROM_REST
 ) -> Comparison:
     return compare("model", start, rollout, MpmRuns(flow=flow, fronts=tuple(fronts), mse=1e-5))
 
@@ -142,7 +144,7 @@ def test_a_rollout_from_rest_and_from_first_frames(tiny: ShippedModel) -> None:
 def test_every_scene_by_every_model_from_both_starts(tiny: ShippedModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "simulate_many", lambda them: [sliding(each, 0.1 * each.seed) for each in them])
     found = compare_all({"block": BLOCK}, [tiny], 3, map, "test")
-    assert [each.start for each in found["block"]] == [Start.REST, Start.FRAMES]
+    assert [each.start for each in found["block"]] == [Start.FROM_REST, Start.FROM_MPM_FRAMES]
     # The other seeds end 20 and 40 mm further.
     assert found["block"][0].scatter == pytest.approx(0.02 / found["block"][0].front, rel=0.1)
     assert found["block"][0].mpm_mse == pytest.approx((0.02**2 + 0.04**2) / 2, rel=0.1)
@@ -153,7 +155,7 @@ def test_models_have_names_of_their_own(tiny: ShippedModel) -> None:
         load([tiny.path, tiny.path])
 
 
-def with_front_error(error: float, angle: float, start: Start = Start.REST) -> Comparison:
+def with_front_error(error: float, angle: float, start: Start = Start.FROM_REST) -> Comparison:
     """A comparison whose front, of all particles, has this error."""
     flow = sliding(BLOCK.with_friction_deg(angle), 1.0)
     each = compared(rolled(flow), flow, start=start)
@@ -207,9 +209,9 @@ def test_the_page_has_its_conclusion_from_the_numbers(
 ) -> None:
     errors = {21.0: 0.006, 33.0: -0.05, 48.0: 0.055}
     paper = HeldOutColumn(aspect=2.0, friction_deg=21.0)
-    second = WholeSecond(
-        model="tiny", nodes=100, mpm=spread([1.0]), forward=spread([0.5]), gradient=spread([3.5]), kept_steps=4
-    )
+    forward, gradient = spread([0.5]), spread([3.5])
+    cost = RolloutCost(name="tiny", nodes=100, steps=50, run=True, forward=forward, gradient=gradient, peak=None)
+    second = WholeSecond(cost=cost, mpm=spread([1.0]))
     found = Measured(
         models=[tiny],
         seeds=2,
@@ -218,7 +220,7 @@ def test_the_page_has_its_conclusion_from_the_numbers(
             for angle, error in errors.items()
         }
         | {paper: [with_front_error(0.006, 21.0)]},
-        layers={"falling": [with_front_error(0.04, 30.0, Start.FRAMES)]},
+        layers={"falling": [with_front_error(0.04, 30.0, Start.FROM_MPM_FRAMES)]},
         baffles={},
         long=(),
         seconds=[second],
@@ -232,8 +234,8 @@ def test_the_page_has_its_conclusion_from_the_numbers(
     assert "3 of 4 at all angles meet their criterion." in text
     assert "a rollout takes 0.5 times the MPM's seconds, its gradient 3.5 times (`tiny`)" in text
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    assert ["`model`", "from rest", "trained", "2.1 % (**-5.0 %**)", "2.9 %", "2 of 3"] in [row[:6] for row in cells]
+    assert ["`model`", "rest", "trained", "2.1 % (**-5.0 %**)", "2.9 %", "2 of 3"] in [row[:6] for row in cells]
     assert ["33°", "**5.0 %** (**-5.0 %**)", "0.0 %"] in cells
-    assert ["falling", "0.00", "0.10", "`model`", "from first frames"] in [row[:5] for row in cells]
+    assert ["falling", "0.00", "0.10", "`model`", "frames"] in [row[:5] for row in cells]
     assert ["updates", "3,000"] in cells
     assert next(row for row in cells if row[0] == "`tiny`")[-1] == "3"

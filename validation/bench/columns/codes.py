@@ -7,6 +7,7 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.files import write_text
+from mpm import AT_REST
 from validation.bench.columns import codes_page as peers_report
 from validation.bench.columns.collapse import half_column, measured
 from validation.bench.columns.fronts import Front, read_peers
@@ -41,7 +42,7 @@ def our_runs(aspects: Sequence[float], seeds: Mapping[int, int]) -> dict[Front, 
                         height=0.0,
                     )
                     scene = dataclasses.replace(half_column(aspect, cells, seed=seed), relaxation_time=relaxation)
-                    runs[what] = Run(scene=scene, until_rest=True)
+                    runs[what] = Run(scene=scene, record=AT_REST)
     return runs
 
 

@@ -13,13 +13,14 @@ from tqdm import tqdm
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
+from gns.inference import SHIPPED
+from gns.initial import Start
 from gns.model import checkpoint
-from gns.rollout import SHIPPED
 from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.gradient import automatic
 from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
+from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, TargetSettings, Unknown
 from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
@@ -122,7 +123,7 @@ def friction_problem(scene: Scene) -> Problem:
         unknowns=(Unknown(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observation=ObservationSettings(kind=Observable.FRONT),
         target=TargetSettings(value=0.5),
-        optimiser=OptimiserSettings(start=Start.REST),
+        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
@@ -149,7 +150,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         automatic(GnsForward(simulator, None, short, observation, task.memory_gib), target)(start)
         gns = GnsForward(simulator, None, problem, observation, task.memory_gib)
         nodes, steps = len(gns.indices), gns.steps
-        state = gns.launch.state.positions.nbytes + gns.launch.state.displacements.nbytes
+        state = gns.initial.state.positions.nbytes + gns.initial.state.displacements.nbytes
         reset_peak()
         before, began = resident() or peak(), time.perf_counter()
         if task.work is Work.AD:

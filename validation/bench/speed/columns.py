@@ -26,7 +26,7 @@ def column(settings: ModelSettings, nodes: int, *, samples: int = 1, seed: int =
     The number of neighbours per node does not depend on `nodes`: only the length grows with it.
     """
     dimension, across = settings.dimension, ACROSS[settings.dimension]
-    spacing = settings.point_volume ** (1.0 / dimension)
+    spacing = settings.particle_volume ** (1.0 / dimension)
     slices = math.ceil(nodes / across ** (dimension - 1))
     axes = [torch.arange(float(slices)), *[torch.arange(float(across))] * (dimension - 1)]
     lattice = torch.cartesian_prod(*axes)[:nodes].repeat(samples, 1)
@@ -34,11 +34,11 @@ def column(settings: ModelSettings, nodes: int, *, samples: int = 1, seed: int =
     jitter = JITTER * (torch.rand(lattice.shape, generator=generator) - 0.5)
     positions = spacing * (lattice + 0.5 + jitter)
     height, count = across * spacing, nodes * samples
-    state = State.launched(positions, torch.zeros_like(positions), step=settings.step, history=settings.history)
+    state = State.moving(positions, torch.zeros_like(positions), step=settings.step, history=settings.history)
     conditions = Conditions(
         friction=torch.full((count,), FRICTION),
         cohesion=torch.full((count,), COHESION),
-        volume=torch.full((count,), settings.point_volume),
+        volume=torch.full((count,), settings.particle_volume),
         size=(slices * spacing + FREE * height, ABOVE * height, *[height] * (dimension - 2)),
         batch=None if samples == 1 else torch.arange(samples).repeat_interleave(nodes),
         samples=samples,

@@ -13,10 +13,10 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from gns.inference import SHIPPED
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
-from gns.rollout import SHIPPED
 from gns.unroll import step_activation_bytes, unroll
 from validation.bench.speed import columns
 from validation.bench.speed.columns import column

@@ -10,19 +10,18 @@ from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional
 from tqdm import tqdm
 
 from datasets.library import read_scene
+from gns.inference import WEIGHTS
+from gns.initial import InitialState, initial_state
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
-from gns.rollout import WEIGHTS
-from gns.start import InitialValueProblem, at_rest
 from gns.unroll import step_activation_bytes, unroll
 from inverse.forward.gns import MEMORY_GIB
 from validation.bench.speed.columns import column
@@ -131,7 +130,7 @@ def family(name: str, simulator: Simulator) -> Family:
 
     networks: dict[Kind, nn.Module] = {
         Kind.OURS: simulator,
-        Kind.TEXTBOOK: textbook(settings.width, settings.layers, settings.hidden_layers),
+        Kind.TEXTBOOK: textbook(settings.width, settings.layers, settings.mlp_layers),
         Kind.PAPER: textbook(PAPER_WIDTH, PAPER_LAYERS, 2),
     }
     return Family(name=name, settings=settings, networks=networks)
@@ -142,7 +141,7 @@ def families(folder: Path = WEIGHTS) -> list[Family]:
     found, known = [], set()
     for path in sorted(folder.glob("*.pt"), key=lambda path: path.stem):
         each = family(path.stem, checkpoint.load(path).simulator)
-        key = (each.settings.dimension, each.settings.radius, each.settings.point_volume, each.settings.history)
+        key = (each.settings.dimension, each.settings.radius, each.settings.particle_volume, each.settings.history)
         networks = {kind: net for kind, net in each.networks.items() if kind is not Kind.PAPER or key not in known}
         found.append(dataclasses.replace(each, networks=networks))
         known.add(key)
@@ -270,9 +269,9 @@ class RolloutCost:
     """Of the gradient, above what was held before [bytes]."""
 
 
-def initial(settings: ModelSettings) -> InitialValueProblem:
+def initial(settings: ModelSettings) -> InitialState:
     """The tall column at rest, at a model's resolution."""
-    return at_rest(read_scene(SCENE), settings, np.random.default_rng(0))
+    return initial_state(read_scene(SCENE), settings)
 
 
 def rollout_cost(name: str, simulator: Simulator, rounds: int) -> RolloutCost:

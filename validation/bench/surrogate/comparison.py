@@ -14,10 +14,11 @@ from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.training.samples import frames_per_step
 from datasets.trajectory import Floats, Trajectory
+from gns.initial import Start, first_frames
 from gns.score import SPACING
 from mpm import LAST, simulate, simulate_many
 from mpm.simulation import LARGE
-from validation.bench.surrogate.rollouts import Rollout, RolloutTask, ShippedModel, Start, first_frames, run_task
+from validation.bench.surrogate.rollouts import Rollout, RolloutTask, ShippedModel, run_task
 
 Key = TypeVar("Key")
 Map = Callable[[Callable[[RolloutTask], Rollout], Sequence[RolloutTask]], Iterable[Rollout]]
@@ -162,7 +163,7 @@ def compare_all(
         runs = mpm_runs(scene, seeds)
         frames = first_frames(runs.flow)
         tasks = [
-            RolloutTask(model=model.path, scene=scene, beginning=frames if start is Start.FRAMES else None)
+            RolloutTask(model=model.path, scene=scene, frames=frames if start is Start.FROM_MPM_FRAMES else None)
             for model, start in variants
         ]
         found[key] = [

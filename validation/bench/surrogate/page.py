@@ -7,10 +7,11 @@ from math import inf
 import numpy as np
 
 from datasets.measures import UPSTREAM
+from gns.initial import Start
 from validation.bench.columns.paper import read_paper
 from validation.bench.surrogate.comparison import Comparison, by_variant
 from validation.bench.surrogate.long_rollouts import CREEP, MOTION, LongRollout
-from validation.bench.surrogate.rollouts import ShippedModel, Start
+from validation.bench.surrogate.rollouts import ShippedModel
 from validation.bench.surrogate.scenes import ANGLES, AREA, ASPECTS, TRAINED, HeldOutColumn, paper_columns
 from validation.bench.surrogate.speed import MpmRun, WholeSecond
 from validation.bench.surrogate.speed_page import speed_said, speed_section
@@ -74,14 +75,14 @@ def conclusion(found: Measured) -> list[str]:
     """At most five sentences."""
     sentences: list[str] = []
     for name, group in by_variant(joined(found.columns.values())).items():
-        if name[1] is Start.REST and len(sentences) < 2:
+        if name[1] is Start.FROM_REST and len(sentences) < 2:
             sentences.append(columns_said(name[0], group))
     if found.baffles:
         fronts = [
             f"{signed(each.front_error)} ({scene})"
             for scene, group in found.baffles.items()
             for each in group
-            if each.start is Start.REST
+            if each.start is Start.FROM_REST
         ]
         sentences.append(f"Front error against baffles in 3D: {', '.join(fronts)}.")
     if found.long:
@@ -92,8 +93,8 @@ def conclusion(found: Measured) -> list[str]:
         )
     if found.seconds:
         ratios = [
-            f"{each.forward.median / each.mpm.median:.1f} times the MPM's seconds, its gradient"
-            f" {each.gradient.median / each.mpm.median:.1f} times (`{each.model}`)"
+            f"{each.cost.forward.median / each.mpm.median:.1f} times the MPM's seconds, its gradient"
+            f" {each.cost.gradient.median / each.mpm.median:.1f} times (`{each.cost.name}`)"
             for each in found.seconds
         ]
         sentences.append(f"On the cells of its data a rollout takes {'; '.join(ratios)}.")
@@ -189,7 +190,7 @@ def models_section(text: Page, models: Sequence[ShippedModel]) -> None:
         "parameters": lambda each: f"{sum(weight.numel() for weight in each.simulator.parameters()):,}",
         "file": lambda each: f"{each.path.stat().st_size / 1e6:.2f} MB",
         "cell": lambda each: f"{1000 * each.settings.cell:g} mm",
-        "nodes per cell": lambda each: str(each.settings.points_per_cell),
+        "nodes per cell": lambda each: str(each.settings.particles_per_cell),
         "step": lambda each: f"{1000 * each.settings.step:g} ms",
         "radius": lambda each: f"{1000 * each.settings.radius:g} mm",
         "width x layers": lambda each: f"{each.settings.width} x {each.settings.layers}",
@@ -272,7 +273,7 @@ def paper_row(name: str, group: Sequence[Comparison]) -> Row:
     """One of the paper's columns."""
     stated = {scenario.name: scenario.runout for scenario in read_paper().scenarios}
     return {"column": name, "the paper's surrogate: runout": signed(PAPER_RUNOUT[name] / stated[name] - 1.0)} | {
-        f"`{each.model}` {each.start}": f"{signed(each.runout_error)}, {signed(each.front_error)}" for each in group
+        f"`{each.model}`, {each.start}": f"{signed(each.runout_error)}, {signed(each.front_error)}" for each in group
     }
 
 
@@ -284,7 +285,7 @@ def front_rows(found: Columns, title: str, label: Callable[[HeldOutColumn], str]
         limit = max(COLUMN_CRITERIA[column.trained] for column in some)
         comparisons = joined(some.values())
         cells = {
-            f"`{model}` {start}": both([each.front_error for each in group], limit)
+            f"`{model}`, {start}": both([each.front_error for each in group], limit)
             for (model, start), group in by_variant(comparisons).items()
         }
         scatter = percent(float(np.mean([each.scatter for each in comparisons])))

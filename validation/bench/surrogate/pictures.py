@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Floats
+from gns.initial import Start
 from gns.score import SPACING
 from validation.bench.surrogate.comparison import Comparison, FlowSeries, Series, by_variant
 from validation.bench.surrogate.page import COLUMN_CRITERIA, Columns, Scenes, joined
-from validation.bench.surrogate.rollouts import Start
 from validation.bench.surrogate.scenes import TRAINED
 from validation.report.plots import BLUE, GREEN, GREY, INK, LIGHT_BLUE, ORANGE, figure, pane
 
 COLOURS = (ORANGE, GREEN, GREY)
 """By model."""
-STYLES = {Start.REST: "--", Start.FRAMES: "-"}
+STYLES = {Start.FROM_REST: "--", Start.FROM_MPM_FRAMES: "-"}
 PIXEL = 0.05
 """Edge of a cell of the map of depths [m], so that a few nodes of the surrogate are in one."""
 
@@ -123,11 +123,11 @@ def line(axis: Axes, x: Series, y: Series, each: Comparison, shades: Mapping[str
 
 def draw_maps(path: Path, found: Scenes) -> None:
     """Depth of the deposits from above, the MPM's and each model's from rest, same particles; a row per scene."""
-    rest = {name: [each for each in group if each.start is Start.REST] for name, group in found.items()}
+    rest = {name: [each for each in group if each.start is Start.FROM_REST] for name, group in found.items()}
     with figure(path, rows=len(rest), columns=1 + max(map(len, rest.values())), size=(4.2, 2.9)) as axes:
         for row, (name, group) in enumerate(rest.items()):
             flows = [(f"{name}, MPM", group[0], group[0].mpm)]
-            flows += [(f"{name}, {each.model} {each.start}", each, each.surrogate) for each in group]
+            flows += [(f"{name}, {each.model}, {each.start}", each, each.surrogate) for each in group]
             top = 100.0 * float(depth_map(group[0].mpm.deposit, group[0].volume, group[0].scene).max())
             for column, (title, each, flow) in enumerate(flows):
                 axis = pane(axes, row, column)

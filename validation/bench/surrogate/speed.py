@@ -1,9 +1,7 @@
 """Seconds of the surrogate beside those of the MPM, one thread each, nothing beside them."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from tqdm import tqdm
@@ -12,17 +10,13 @@ from datasets import measures
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Scene
-from gns.unroll import step_activation_bytes, unroll
-from inverse.forward.gns import MEMORY_GIB
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings
+from validation.bench.speed.networks import SCENE, RolloutCost, rollout_cost
 from validation.bench.surrogate.long_rollouts import sparse
-from validation.bench.surrogate.rollouts import ShippedModel, initial, roll_out
+from validation.bench.surrogate.rollouts import ShippedModel, roll_out
 from validation.bench.surrogate.scenes import BAFFLES, on_cells, scaled
 from validation.report import timing
-from validation.report.timing import Spread, TimedRun, seconds_of, spread, turns
+from validation.report.timing import Spread, TimedRun, spread
 
-TALL = "column-tall-42"
 CELLS = (56, 100, 200, 400, 560)
 """Across the box of 1 m: about 1, 3, 13, 51 and 100 thousand particles."""
 FACTORS = (0.5, 2.0)
@@ -35,16 +29,9 @@ FINER = 2
 class WholeSecond:
     """One second of the tall column by one model, beside the MPM."""
 
-    model: str
-    nodes: int
+    cost: RolloutCost
     mpm: Spread
     """[s]."""
-    forward: Spread
-    """[s]."""
-    gradient: Spread
-    """Forward and backward [s]."""
-    kept_steps: int
-    """Steps whose activations stay in memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,66 +60,24 @@ class MpmRun:
 
 
 def whole_seconds(models: Sequence[ShippedModel], rounds: int) -> list[WholeSecond]:
-    """Time the MPM, the rollouts and the gradients in turn."""
+    """Rollouts and gradients of the models, and runs of the MPM."""
     torch.set_num_threads(1)
-    scene = read_scene(TALL)
-    kept = {model.name: kept_steps(model, scene) for model in models}
-    work = {("MPM", ""): lambda: timing.timed(TimedRun(scenes=(scene,))).seconds}
-    for model in models:
-        work["forward", model.name] = partial(forward_seconds, model, scene)
-        work["gradient", model.name] = partial(gradient_seconds, model, scene, kept[model.name])
-    found = {key: spread(values) for key, values in turns(work, rounds, "one second of flow").items()}
-    return [
-        WholeSecond(
-            model=model.name,
-            nodes=len(initial(model.simulator, scene).indices),
-            mpm=found["MPM", ""],
-            forward=found["forward", model.name],
-            gradient=found["gradient", model.name],
-            kept_steps=kept[model.name],
-        )
-        for model in models
-    ]
-
-
-def forward_seconds(model: ShippedModel, scene: Scene) -> float:
-    """Of one rollout."""
-    return roll_out(model.simulator, scene).seconds
-
-
-def kept_steps(model: ShippedModel, scene: Scene) -> int:
-    """How many steps keep their activations in the memory that the inversion allows."""
-    start = initial(model.simulator, scene)
-    size = step_activation_bytes(model.simulator, start.state, start.conditions)
-    return min(start.steps, int(MEMORY_GIB * 2**30 / size))
-
-
-def gradient_seconds(model: ShippedModel, scene: Scene, kept: int) -> float:
-    """Of the front and its slope over tan(phi)."""
-    start = initial(model.simulator, scene)
-    observation = observations.build(ObservationSettings(kind=Observable.FRONT), scene)
-
-    def gradient() -> None:
-        friction = torch.tensor(scene.material.friction, requires_grad=True)
-        conditions = dataclasses.replace(start.conditions, friction=friction.expand_as(start.conditions.friction))
-        deposit = unroll(model.simulator, start.state, conditions, start.steps, kept_steps=kept)[-1]
-        (front,) = observation.smooth(deposit, start.conditions.volume)
-        torch.autograd.grad(front, friction)
-
-    return seconds_of(gradient)
+    run = TimedRun(scenes=(read_scene(SCENE),))
+    mpm = spread(timing.timed(run).seconds for _ in range(rounds))
+    return [WholeSecond(cost=rollout_cost(each.name, each.simulator, rounds), mpm=mpm) for each in models]
 
 
 def runs_2d(models: Sequence[ShippedModel], *, quick: bool) -> list[MpmRun]:
     """The tall column: the MPM on other cells, and columns of other sizes on the same cells."""
-    tall = read_scene(TALL)
+    tall = read_scene(SCENE)
     own = {model.name: model_run(model, tall) for model in models}
     found = []
     for cells in tqdm(CELLS[:3] if quick else CELLS, desc="cells of the MPM", unit="run", dynamic_ncols=True):
-        found.append(mpm_run(f"`{TALL}`", sparse(on_cells(tall, cells)), own))
+        found.append(mpm_run(f"`{SCENE}`", sparse(on_cells(tall, cells)), own))
     for factor in () if quick else FACTORS:
         scene = scaled(tall, factor)
         others = {model.name: model_run(model, scene) for model in models}
-        found.append(mpm_run(f"`{TALL}`, {factor:g} times as large", scene, others))
+        found.append(mpm_run(f"`{SCENE}`, {factor:g} times as large", scene, others))
     return found
 
 

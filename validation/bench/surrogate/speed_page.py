@@ -5,7 +5,8 @@ from itertools import groupby
 from math import ceil
 
 from inverse.forward.gns import MEMORY_GIB
-from validation.bench.surrogate.speed import TALL, ModelRun, MpmRun, WholeSecond
+from validation.bench.speed.networks import SCENE
+from validation.bench.surrogate.speed import ModelRun, MpmRun, WholeSecond
 from validation.report.page import Page, Row, signed
 
 
@@ -15,22 +16,20 @@ def speed_section(text: Page, seconds: Sequence[WholeSecond], runs: Sequence[Mpm
     text.text("One thread each, nothing beside it, without compilation.")
     if seconds:
         text.text(f"""
-            One second of `{TALL}`, timed in turn, median (minimum to maximum). The gradient is that of the front with
-            respect to tan φ; {MEMORY_GIB:g} GiB of activations stay in memory, those of the kept steps. Differences of
-            K unknowns take K + 1 runs of the MPM: the gradient is cheaper from the number of unknowns in the last
-            column on.
+            One second of `{SCENE}`, median (minimum to maximum). The gradient is that of the mean position with respect
+            to tan φ; {MEMORY_GIB:g} GiB of activations stay in memory. Differences of K unknowns take K + 1 runs of the
+            MPM: the gradient is cheaper from the number of unknowns in the last column on.
         """)
         text.table(
             [
                 {
-                    "model": f"`{each.model}`",
-                    "nodes": each.nodes,
+                    "model": f"`{each.cost.name}`",
+                    "nodes": each.cost.nodes,
                     "MPM [s]": each.mpm.written(2),
-                    "forward [s]": each.forward.written(2),
-                    "with the gradient [s]": each.gradient.written(2),
-                    "forward over the MPM's": f"{each.forward.median / each.mpm.median:.1f}",
-                    "kept steps": each.kept_steps,
-                    "unknowns": max(1, ceil(each.gradient.median / each.mpm.median - 1.0)),
+                    "forward [s]": each.cost.forward.written(2),
+                    "with the gradient [s]": each.cost.gradient.written(2),
+                    "forward over the MPM's": f"{each.cost.forward.median / each.mpm.median:.1f}",
+                    "unknowns": max(1, ceil(each.cost.gradient.median / each.mpm.median - 1.0)),
                 }
                 for each in seconds
             ]
