@@ -81,15 +81,25 @@ BENCHES = {
         module="validation.bench.problems.coverage",
         says="how often the intervals of an inverse problem hold the truth",
     ),
-    "speed": Bench(module="validation.bench.speed.mpm", says="rates of the MPM and what its choices gain"),
-    "speed-gns": Bench(module="validation.bench.speed.gns", says="rates of the GNS: rollout, gradient, training step"),
-    "memory": Bench(module="validation.bench.speed.memory", says="memory of rollout and gradient, and what bounds it"),
+    "speed": Bench(
+        module="validation.bench.speed.mpm", says="rates of the MPM, cost of its features, gain of shortcuts"
+    ),
+    "speed-gns": Bench(
+        module="validation.bench.speed.gns",
+        says="rates of the GNS beside a textbook's network: rollout, gradient, training step",
+    ),
+    "memory": Bench(
+        module="validation.bench.speed.memory", says="memory of a gradient through a rollout, over nodes and steps"
+    ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
         says="cost and quality of a gradient by every method: on problems, over unknowns, over particles",
     ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", says="the shipped GNS weights against the MPM"),
-    "ablation": Bench(module="validation.bench.speed.ablation", says="what each part of the solver's speed is due to"),
+    "ablation": Bench(
+        module="validation.bench.speed.ablation",
+        says="which choices of the network and its training lower the error soonest",
+    ),
 }
 
 
