@@ -1,4 +1,4 @@
-"""How much memory a piece of work takes at its peak."""
+"""The peak of the memory of a piece of work."""
 
 import ctypes
 import gc
@@ -10,23 +10,23 @@ from pathlib import Path
 STATUS = Path("/proc/self/status")
 CLEAR = Path("/proc/self/clear_refs")
 FORGET_PEAK = "5"
-"""What Linux is told to begin its record of the peak anew."""
+"""Written to `CLEAR`, it resets the peak that Linux records."""
 
 
 def resident() -> int | None:
-    """Memory that this process holds now [bytes], where Linux tells it."""
-    return told("VmRSS")
+    """Resident memory of this process now [bytes]; None elsewhere than on Linux."""
+    return status_field("VmRSS")
 
 
 def peak() -> int:
     """The most memory that this process ever held, or held since `forgotten` [bytes].
 
-    Elsewhere than on Linux it is taken from getrusage, which a process begins with the peak of the one that began it.
+    Elsewhere than on Linux it is that of getrusage, which starts from the peak of the parent process.
     """
-    return told("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return status_field("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def told(key: str) -> int | None:
+def status_field(key: str) -> int | None:
     """A size from Linux's description of this process [bytes]."""
     if not STATUS.exists():
         return None
@@ -38,7 +38,7 @@ def forgotten() -> bool:
     """Give back what is free and begin the record of the peak anew; whether the system could."""
     gc.collect()
     try:
-        # Free memory that the process keeps would hide the same amount in use later.
+        # Free memory that stays with the process would not count when it is used again.
         ctypes.CDLL(None).malloc_trim(0)
         CLEAR.write_text(FORGET_PEAK, encoding="utf-8")
     except (AttributeError, OSError):
@@ -47,7 +47,7 @@ def forgotten() -> bool:
 
 
 def extra(work: Callable[[], object]) -> int | None:
-    """The most memory that `work` took above what the process held before [bytes], where the system can tell."""
+    """Peak memory during `work` above what was resident before [bytes]; None where the system does not record it."""
     before = resident() if forgotten() else None
     work()
     return None if before is None else max(0, peak() - before)

@@ -1,4 +1,4 @@
-"""Power laws from made-up points, the columns' scenes, and what is measured on a deposit of known shape."""
+"""Power laws from made-up points, the columns' scenes, and the quantities of a deposit of known shape."""
 
 import dataclasses
 import math

@@ -15,17 +15,7 @@ from validation.bench.columns.collapse import (
     quarter_cylinder,
     volume_error,
 )
-from validation.bench.columns.laws import (
-    HIGH,
-    LARGEST,
-    LOW,
-    SMALLEST,
-    Law,
-    Series,
-    aspect_axis,
-    draw_laws,
-    read_laws,
-)
+from validation.bench.columns.laws import HIGH, LARGEST, LOW, SMALLEST, Law, Series, aspect_axis, draw_laws, read_laws
 from validation.report.page import Page, Row, signed
 from validation.report.plots import BLUE, figure
 from validation.report.power_law import PowerLaw
@@ -76,13 +66,7 @@ def collapse(store: RunStore, dimension: int, cells: int, seeds: int, *, frictio
 
 
 def write(
-    out: Path,
-    main: Sequence[Series],
-    others: Sequence[Series],
-    laws: Sequence[Law],
-    seeds: int,
-    *,
-    quick: bool = False,
+    out: Path, main: Sequence[Series], others: Sequence[Series], laws: Sequence[Law], seeds: int, *, quick: bool = False
 ) -> str:
     """Write scaling.md and its picture, and return the conclusion. main: in 2D, then in 3D."""
     flat, cylinder = main
