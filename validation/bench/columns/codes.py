@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.records import Record, from_mapping, read_toml
+from mpm import AT_REST
 from validation.bench.columns.collapse import FRICTION_DEG, STEP, STIFFNESS, half_column, measured
 from validation.bench.columns.laws import Law, aspect_axis, draw_laws, read_laws
 from validation.report.page import Page, percent, signed
@@ -120,7 +121,7 @@ def our_runs(aspects: Sequence[float], seeds: Mapping[int, int]) -> list[tuple[s
     for (name, time), (cells, count), aspect in itertools.product(RELAXATION_TIMES.items(), seeds.items(), aspects):
         for seed in range(count if aspect <= BREAK else 1):
             scene = dataclasses.replace(half_column(aspect, cells, seed=seed), relaxation_time=time)
-            runs.append((name, aspect, cells, seed, Run(scene=scene, until_rest=True)))
+            runs.append((name, aspect, cells, seed, Run(scene=scene, record=AT_REST)))
     return runs
 
 

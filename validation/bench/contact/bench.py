@@ -12,8 +12,7 @@ from datasets.geometry.nearest import nearest
 from datasets.geometry.surface import surface_of
 from datasets.measures import front, toe
 from datasets.trajectory import Trajectory
-from mpm.output.request import LAST, WITH_FIELDS
-from mpm.simulation import simulate, simulate_many
+from mpm import LAST, WITH_FIELDS, simulate, simulate_many
 from validation.bench.contact.flume import SCENE, draw, run_flume
 from validation.bench.contact.scenes import (
     CELL,
