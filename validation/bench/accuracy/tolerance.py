@@ -89,7 +89,13 @@ def compute(
 
 
 def write(
-    path: Path, trials: Sequence[Trial], untried: Mapping[tuple[float, int], str], scenes: int, *, quick: bool = False
+    path: Path,
+    trials: Sequence[Trial],
+    untried: Mapping[tuple[float, int], str],
+    references: Mapping[int, float],
+    scenes: int,
+    *,
+    quick: bool = False,
 ) -> str:
     """Write the page, and return its conclusion."""
     lines = []
