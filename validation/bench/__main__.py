@@ -81,12 +81,15 @@ BENCHES = {
         module="validation.bench.problems.coverage",
         summary="how often the intervals of an inverse problem hold the truth",
     ),
-    "speed": Bench(module="validation.bench.speed.mpm", summary="rates of the MPM and what its choices gain"),
+    "speed": Bench(
+        module="validation.bench.speed.mpm", summary="rates of the MPM, cost of its features, gain of shortcuts"
+    ),
     "speed-gns": Bench(
-        module="validation.bench.speed.gns", summary="rates of the GNS: rollout, gradient, training step"
+        module="validation.bench.speed.gns",
+        summary="rates of the GNS beside a textbook's network: rollout, gradient, training step",
     ),
     "memory": Bench(
-        module="validation.bench.speed.memory", summary="memory of rollout and gradient, and what bounds it"
+        module="validation.bench.speed.memory", summary="memory of a gradient through a rollout, over nodes and steps"
     ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
@@ -94,7 +97,8 @@ BENCHES = {
     ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
     "ablation": Bench(
-        module="validation.bench.speed.ablation", summary="what each part of the solver's speed is due to"
+        module="validation.bench.speed.ablation",
+        summary="which choices of the network and its training lower the error soonest",
     ),
 }
 
