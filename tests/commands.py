@@ -1,0 +1,65 @@
+"""Commands and blocks of code as the pages print them, and how to try a command without doing its work."""
+
+import ast
+import functools
+import importlib.util
+import inspect
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from datasets import command_line
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+DOCS = ROOT / "docs"
+MEASURED = re.compile(r"\]\((\w[\w-]*\.md)\)")
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+COMMAND = re.compile(r"python -m ((?:datasets|mpm|gns|inverse|validation)[\w.]*)([^\n`]*)")
+
+
+def measured_pages() -> set[Path]:
+    """Pages that a command writes: those that `docs/measured.md` links to."""
+    return {DOCS / name for name in MEASURED.findall((DOCS / "measured.md").read_text())}
+
+
+def written_pages() -> list[Path]:
+    """README and the pages of `docs` that are written by hand."""
+    return [README, *sorted(set(DOCS.rglob("*.md")) - measured_pages())]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a page in `language`, in their order."""
+    return [text for name, text in BLOCK.findall(page.read_text()) if name == language]
+
+
+def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
+    """Module and arguments of every command on a page; without those that only name a module."""
+    text = re.sub(r"\\\n\s*", " ", page.read_text())
+    for module, rest in COMMAND.findall(text):
+        if rest.strip() and "..." not in rest:
+            yield module, shlex.split(rest.split(" | ")[0], comments=True)
+
+
+def command_of(module: str) -> tuple[Callable[..., Any], str]:
+    """The function that `python -m module` hands to `datasets.command_line.run`, and the name that it says beside it."""
+    spec = importlib.util.find_spec(module)
+    assert spec is not None, module
+    home = importlib.import_module(f"{module}.__main__" if spec.submodule_search_locations else module)
+    calls = [node for node in ast.walk(ast.parse(inspect.getsource(home))) if isinstance(node, ast.Call)]
+    (arguments,) = [call.args for call in calls if ast.unparse(call.func).endswith("run") and len(call.args) == 2]
+    return getattr(home, ast.unparse(arguments[0])), ast.literal_eval(arguments[1])
+
+
+def status(module: str, arguments: list[str], *, works: bool = True) -> int:
+    """The exit status of a command; its arguments are read and converted, but no more, unless it `works`."""
+    command, name = command_of(module)
+    assert name == f"python -m {module}"
+
+    @functools.wraps(command)
+    def tried(*_: Any, **__: Any) -> None:
+        """Does nothing."""
+
+    return command_line.run(command if works else tried, name, arguments)
