@@ -24,7 +24,7 @@ from inverse.parameters.parameters import kind, with_unknowns
 from inverse.problem import Method, Problem, Surrogate, read_problem
 from inverse.report import markdown as report
 from inverse.result import Result
-from mpm.simulate import simulate, simulate_many
+from mpm import simulate, simulate_many
 
 
 class Gradient(StrEnum):

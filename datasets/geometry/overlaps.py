@@ -1,4 +1,4 @@
-"""Whether bodies are clear of solids and of each other, and how high they begin above what is beneath them."""
+"""Whether masses are clear of solids and of each other, and how high they begin above what is beneath them."""
 
 import dataclasses
 from functools import lru_cache
@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry.bodies import filling, lattice_in
 from datasets.geometry.ground import elevation
 from datasets.geometry.margins import CLOSING, TOUCHING, Box
+from datasets.geometry.masses import filling, lattice_in
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import Surface, solids_of, surface_of
 
@@ -27,8 +27,8 @@ PAIRS = 4_000_000
 """Pairs of a place and a face that are looked at together."""
 
 
-def check_places(scene: "Scene") -> None:
-    """Raise InputError for a solid that is none, a body that overlaps a solid, or bodies that overlap each other."""
+def check_overlaps(scene: "Scene") -> None:
+    """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
     surface_of(scene)  # says what is wrong with the shapes
     solids, keys = solids_of(scene)
     plain = [key.startswith("baffles") and solid.turned_deg == 0.0 for solid, key in zip(solids, keys, strict=True)]
@@ -39,7 +39,7 @@ def check_places(scene: "Scene") -> None:
             if overlap(scene, mass, solid, key):
                 hint = " (on a slope a body is a layer, or a polygon along it)" if solid.kind == "terrain" else ""
                 raise InputError(f"expected a body clear of {key}, got an overlap{hint}", key=f"masses[{index}]")
-    check_bodies(scene)
+    check_masses(scene)
 
 
 @lru_cache(maxsize=64)
@@ -64,7 +64,7 @@ def overlap(scene: "Scene", mass: "Mass", solid: Solid, key: str) -> bool:
     if mass.kind in ("layer", "particles"):
         if mass.kind == "layer" and solid.kind == "terrain":
             return False  # it lies on the highest terrain
-        return bool(in_solid(solid, key, box, places(scene, mass)).any())
+        return bool(in_solid(solid, key, box, particle_positions(scene, mass)).any())
     shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
     return overlap_of_shapes(shape, solid, key, box)
 
@@ -86,31 +86,31 @@ def in_solid(solid: Solid, key: str, box: Box, points: Floats) -> NDArray[np.boo
 
 @lru_cache(maxsize=256)
 def overlap_of_shapes(mass: "Mass", solid: Solid, key: str, box: Box) -> bool:
-    """Whether the shape of a mass, a hair smaller than it is, shares volume with a solid."""
-    hair = 10.0 * TOUCHING
+    """Whether the shape of a mass, shrunk by a margin of rounding, shares volume with a solid."""
+    margin = 10.0 * TOUCHING
     if box.dimension == 2:
         import shapely
 
         low, high = np.array(mass.lower), np.add(mass.lower, mass.size)
         shape = shapely.Polygon(mass.vertices) if mass.kind == "polygon" else shapely.box(*low, *high)
         ring = shapely.Polygon(outline(solid, key, box).points)
-        return bool(shape.buffer(-hair).intersection(ring).area > 0.0)
-    shared = mass_manifold(mass, hair) ^ solid_manifold(solid, key, box)
+        return bool(shape.buffer(-margin).intersection(ring).area > 0.0)
+    shared = mass_manifold(mass, margin) ^ solid_manifold(solid, key, box)
     return not shared.is_empty() and shared.volume() > 0.0
 
 
-def mass_manifold(mass: "Mass", hair: float) -> "manifold3d.Manifold":
-    """A box or a mesh of material, smaller by `hair` [m] all around."""
+def mass_manifold(mass: "Mass", margin: float) -> "manifold3d.Manifold":
+    """A box or a mesh of material, smaller by `margin` [m] all around."""
     from datasets.geometry import spatial
 
     if mass.kind == "box":
         return spatial.manifold(
-            np.array(mass.lower) + hair + spatial.CUBE * (np.array(mass.size) - 2.0 * hair), spatial.CUBE_TRIANGLES
+            np.array(mass.lower) + margin + spatial.CUBE * (np.array(mass.size) - 2.0 * margin), spatial.CUBE_TRIANGLES
         )
     vertices = np.array(mass.vertices)
     triangles = spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses")
     whole = spatial.Body(vertices=vertices, triangles=triangles, friction=np.zeros(len(vertices)), key="masses")
-    return spatial.manifold(spatial.grown(whole, -hair), triangles)
+    return spatial.manifold(spatial.grown(whole, -margin), triangles)
 
 
 def solid_manifold(solid: Solid, key: str, box: Box) -> "manifold3d.Manifold":
@@ -121,13 +121,16 @@ def solid_manifold(solid: Solid, key: str, box: Box) -> "manifold3d.Manifold":
     return spatial.manifold(whole.vertices, whole.triangles)
 
 
-def check_bodies(scene: "Scene") -> None:
+def check_masses(scene: "Scene") -> None:
     """Raise InputError where particles of a body begin in another body, of which one at least is no box."""
     for first, a in enumerate(scene.masses):
         for second, b in enumerate(scene.masses[:first]):
             if (a.kind == "box" and b.kind == "box") or apart(a, b):
                 continue
-            if contains(scene, b, places(scene, a)).any() or contains(scene, a, places(scene, b)).any():
+            if (
+                contains(scene, b, particle_positions(scene, a)).any()
+                or contains(scene, a, particle_positions(scene, b)).any()
+            ):
                 raise InputError(f"expected a body clear of masses[{second}], got an overlap", key=f"masses[{first}]")
 
 
@@ -137,7 +140,7 @@ def apart(a: "Mass", b: "Mass") -> bool:
     return bool(gaps.max() > -TOUCHING)
 
 
-def places(scene: "Scene", mass: "Mass") -> Floats:
+def particle_positions(scene: "Scene", mass: "Mass") -> Floats:
     """Where the particles of a mass are before their jitter [m], shape [N, D]."""
     if mass.kind == "box":
         low = np.array(mass.lower)
@@ -162,10 +165,10 @@ def contains(scene: "Scene", mass: "Mass", points: Floats) -> NDArray[np.bool_]:
         from datasets.geometry.nearest import inside
         from datasets.geometry.surface import surface_in
 
-        away = tuple((np.array(mass.size) + 2.0).tolist())
+        enclosing = tuple((np.array(mass.size) + 2.0).tolist())
         moved = tuple(map(tuple, (np.array(mass.vertices) - mass.lower + 1.0).tolist()))
         solid = Solid(kind="mesh", vertices=moved, triangles=mass.triangles)
-        found[found] = inside(surface_in(Box(away, box.cell), (solid,), ("masses",)), here - mass.lower + 1.0)
+        found[found] = inside(surface_in(Box(enclosing, box.cell), (solid,), ("masses",)), here - mass.lower + 1.0)
     elif mass.kind == "layer":
         from datasets.geometry.layers import Plan
 

@@ -1,11 +1,17 @@
-"""Ctrl-C and SIGTERM as a question that a run asks between two launches, so that none ends in the middle of one."""
+"""The process of a run: how many processors it may use, and whether Ctrl-C or SIGTERM have asked it to stop."""
 
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Stop:

@@ -11,14 +11,15 @@ from datasets.particles import warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
-from mpm.arrays.batch import Batch, features_of, particles_of
-from mpm.arrays.layout import Features, Precision
+from mpm.arrays.batch import Batch, particles_of
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import Precision
 from mpm.device import run_on_device
 from mpm.kernel import Phase, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import failure, trajectory
-from mpm.output.request import ALL, Recording, with_usual_fields
-from mpm.processors import processors
+from mpm.output.request import ALL, Recording
+from mpm.process import processors
 from mpm.runtime import Arch
 
 FRAMES_PER_LAUNCH = 20
@@ -41,12 +42,7 @@ class Options(TypedDict, total=False):
     arch: Arch
     """The CPU unless given; on a GPU all scenes of a batch run in one launch per step."""
     record: Recording
-    """What to record; the positions in all frames unless given."""
-    fields: bool
-    """Record the usual fields too: velocity, pressure and plastic strain, and the forces on the walls."""
-    until_rest: bool
-    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the last one;
-    the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
+    """What to record, and until when to run; the positions in all frames unless given."""
     progress: bool
     """Show a bar."""
 
@@ -75,8 +71,8 @@ def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpac
     """Run one scene, a large one on all threads.
 
     resume: where an earlier run of the scene ended (`simulate_resumably`), from which this one goes on for a longer
-    duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded, until_rest
-    and the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
+    duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded and
+    the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
     GPU, or where the checkpoint is of another scene, recording or precision.
     """
     batch, wall_s, compile_s = run_one(scene, options, resume, never)
@@ -125,13 +121,13 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     """
     for scene in scenes:
         warn_if_unresolved(scene)
-    arch, record = options.get("arch", "cpu"), recording(options)
-    precision, until_rest = options.get("precision", "f32"), options.get("until_rest", False)
+    arch, record = options.get("arch", "cpu"), options.get("record", ALL)
+    precision = options.get("precision", "f32")
     runtime.start(precision, options.get("threads"), arch)
     particles = particles_of(scenes)
     groups: dict[Features, list[int]] = {}
     for index, (scene, own) in enumerate(zip(scenes, particles, strict=True)):
-        needs = features_of([scene], [own], precision, record=record, until_rest=until_rest, gpu=arch != "cpu")
+        needs = features_of([scene], [own], precision, record=record, gpu=arch != "cpu")
         groups.setdefault(needs, []).append(index)
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
@@ -142,7 +138,6 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
                 [scenes[index] for index in group],
                 precision=precision,
                 record=record,
-                until_rest=until_rest,
                 gpu=arch != "cpu",
                 particles=[particles[index] for index in group],
             )
@@ -161,22 +156,17 @@ def run_one(
 ) -> tuple[Batch, float, float]:
     """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
     warn_if_unresolved(scene)
-    precision, arch, record = options.get("precision"), options.get("arch", "cpu"), recording(options)
-    until_rest = options.get("until_rest")
-    if resume is not None:
-        precision = precision or resume.features.precision
-        until_rest = resume.features.rests if until_rest is None else until_rest
-        if "record" not in options and "fields" not in options:
-            record = resume.recording
+    arch = options.get("arch", "cpu")
+    precision = options.get("precision") or (resume.features.precision if resume else "f32")
+    record = options.get("record") or (resume.recording if resume else ALL)
     threads = options.get("threads") or processors()
-    runtime.start(precision or "f32", threads, arch)
+    runtime.start(precision, threads, arch)
     particles = particles_of([scene])
     batch = Batch(
         [scene],
-        precision=precision or "f32",
+        precision=precision,
         workers=max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1,
         record=record,
-        until_rest=bool(until_rest),
         gpu=arch != "cpu",
         particles=particles,
     )
@@ -222,12 +212,6 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1
         bar.update(last - first)
-
-
-def recording(options: Options) -> Recording:
-    """What is to be recorded."""
-    record = options.get("record", ALL)
-    return with_usual_fields(record) if options.get("fields", False) else record
 
 
 def finished(outcome: Trajectory | WorkFailed) -> Trajectory:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene
-from mpm.arrays.barrier_layout import Gate as GateColumn
-from mpm.arrays.barrier_layout import Held, Holding
-from mpm.arrays.layout import PADDING
+from mpm.arrays.layout import PADDING, Held, Holding
+from mpm.arrays.layout import Gate as GateColumn
 from mpm.physics.barriers import ENERGY, FORCE
 
 BEYOND = 2

@@ -60,7 +60,7 @@ class Filling:
     depth: Callable[[Floats], Floats]
     """Depth below the top of the body [m], shape [N], of places of the lattice."""
 
-    def places(self, offset: Floats) -> tuple[Floats, Floats]:
+    def positions(self, offset: Floats) -> tuple[Floats, Floats]:
         """Positions [N, D] and depths [N] of particles moved by `offset` [N, D], in fractions of the spacing; in m."""
         moved = self.lattice + offset * self.spacing
         moved = np.where(self.outside(moved)[:, None], self.lattice, moved)
@@ -163,9 +163,9 @@ def polygon(mass: "Mass", share: float, key: str) -> Filling:
         np.full(len(lattice), shape.area / max(1, len(lattice))),
         lower,
         upper,
-        lambda places: ~np.asarray(shapely.contains_xy(shape, places[:, 0], places[:, 1])),
-        lambda places: places,
-        lambda places: np.asarray(upper[1] - places[:, 1]),
+        lambda positions: ~np.asarray(shapely.contains_xy(shape, positions[:, 0], positions[:, 1])),
+        lambda positions: positions,
+        lambda positions: np.asarray(upper[1] - positions[:, 1]),
     )
 
 
@@ -188,10 +188,10 @@ def mesh(mass: "Mass", box: Box, share: float, key: str) -> Filling:
     # In a box of its own, which it does not reach the sides of.
     solid = Solid(kind="mesh", vertices=tuple(map(tuple, (vertices - lower + 1.0).tolist())), triangles=mass.triangles)
 
-    def outside(places: Floats) -> NDArray[np.bool_]:
+    def outside(positions: Floats) -> NDArray[np.bool_]:
         surface = surface_in(Box(tuple((upper - lower + 2.0).tolist()), box.cell), (solid,), (key,))
-        found = np.zeros(len(places), bool)
-        found[~buried] = ~inside(surface, places[~buried] - lower + 1.0)
+        found = np.zeros(len(positions), bool)
+        found[~buried] = ~inside(surface, positions[~buried] - lower + 1.0)
         return found
 
     return Filling(
@@ -201,8 +201,8 @@ def mesh(mass: "Mass", box: Box, share: float, key: str) -> Filling:
         lower,
         upper,
         outside,
-        lambda places: places,
-        lambda places: np.asarray(upper[1] - places[:, 1]),
+        lambda positions: positions,
+        lambda positions: np.asarray(upper[1] - positions[:, 1]),
     )
 
 
@@ -214,20 +214,20 @@ def layer(mass: "Mass", box: Box, ground: tuple[Solid, ...], share: float, key: 
     level = [axis for axis in range(box.dimension) if axis != 1]
     thickest = plan.greatest
     lattice, spacing = lattice_in(np.insert(plan.lower, 1, 0.0), np.insert(plan.upper, 1, thickest), share)
-    places = lattice[:, level]
-    lattice = lattice[plan.contains(places) & (lattice[:, 1] < plan.thickness(places))]
+    positions = lattice[:, level]
+    lattice = lattice[plan.contains(positions) & (lattice[:, 1] < plan.thickness(positions))]
 
-    def height(places: Floats) -> Floats:
-        return elevation(ground, box, places[:, level])
+    def height(positions: Floats) -> Floats:
+        return elevation(ground, box, positions[:, level])
 
-    def raised(places: Floats) -> Floats:
-        moved = places.copy()
-        moved[:, 1] += height(places)
+    def raised(positions: Floats) -> Floats:
+        moved = positions.copy()
+        moved[:, 1] += height(positions)
         return moved
 
-    def outside(places: Floats) -> NDArray[np.bool_]:
-        flat = places[:, level]
-        return np.asarray(~plan.contains(flat) | (places[:, 1] >= plan.thickness(flat)))
+    def outside(positions: Floats) -> NDArray[np.bool_]:
+        flat = positions[:, level]
+        return np.asarray(~plan.contains(flat) | (positions[:, 1] >= plan.thickness(flat)))
 
     stations, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
     stations = stations[plan.contains(stations) & (plan.thickness(stations) > 0.0)]
@@ -247,37 +247,37 @@ def layer(mass: "Mass", box: Box, ground: tuple[Solid, ...], share: float, key: 
         np.insert(plan.upper, 1, float(top.max())),
         outside,
         raised,
-        lambda places: np.asarray(np.maximum(plan.thickness(places[:, level]) - places[:, 1], 0.0)),
+        lambda positions: np.asarray(np.maximum(plan.thickness(positions[:, level]) - positions[:, 1], 0.0)),
     )
 
 
 def particles(mass: "Mass", box: Box, share: float, key: str) -> Filling:
     """Particles where a file has them."""
-    places = np.array(mass.positions, np.float64).reshape(-1, box.dimension)
-    beyond = ((places < -TOUCHING) | (places > np.array(box.size) + TOUCHING)).any(axis=1)
+    positions = np.array(mass.positions, np.float64).reshape(-1, box.dimension)
+    beyond = ((positions < -TOUCHING) | (positions > np.array(box.size) + TOUCHING)).any(axis=1)
     if beyond.any():
         first = int(np.argmax(beyond))
         raise InputError(
-            f"expected positions inside the domain {list(box.size)}, got {places[first].tolist()}",
+            f"expected positions inside the domain {list(box.size)}, got {positions[first].tolist()}",
             key=f"{key}.positions[{first}]",
         )
     given = mass.volume if mass.volume is not None else share**box.dimension
-    if isinstance(given, tuple) and len(given) != len(places):
+    if isinstance(given, tuple) and len(given) != len(positions):
         raise InputError(
-            f"expected {len(places)} volumes, one for each particle, got {len(given)}", key=f"{key}.volume"
+            f"expected {len(positions)} volumes, one for each particle, got {len(given)}", key=f"{key}.volume"
         )
-    volumes = np.broadcast_to(np.asarray(given, np.float64), len(places)).copy()
+    volumes = np.broadcast_to(np.asarray(given, np.float64), len(positions)).copy()
     if not (np.isfinite(volumes).all() and (volumes > 0.0).all()):
         raise InputError(f"expected positive volumes in m^{box.dimension}", key=f"{key}.volume")
-    if not len(places):
+    if not len(positions):
         raise InputError("expected at least one particle", key=f"{key}.positions")
     half = 0.5 * (volumes ** (1.0 / box.dimension))[:, None]
-    upper = np.minimum((places + half).max(axis=0), box.size)
+    upper = np.minimum((positions + half).max(axis=0), box.size)
     return Filling(
-        places,
+        positions,
         np.zeros(box.dimension),
         volumes,
-        np.maximum((places - half).min(axis=0), 0.0),
+        np.maximum((positions - half).min(axis=0), 0.0),
         upper,
         lambda moved: np.zeros(len(moved), bool),
         lambda moved: moved,
