@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
-from inverse.parameters.initial_state import Start
+from gns.initial import Start
 from inverse.parameters.parameters import kind, swept, with_unknowns
 from inverse.settings import (
     ONE_NUMBER,
@@ -191,7 +191,7 @@ def check_search(
         ("loop.trust", loop.trust, 1.0),
     ):
         require(value is None or 0.0 < value <= most, key, f"a number in (0, {most:g}]", value)
-    if optimiser.start is Start.FRAMES:
+    if optimiser.start is Start.FROM_MPM_FRAMES:
         for unknown in unknowns:
             if kind(unknown.name).moves_the_start:
                 message = f"expected rest, the MPM's first frames depend on {unknown.name}"

@@ -18,8 +18,9 @@ from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, fraction, from_mapping, read_toml
 from datasets.scene import Scene
+from gns.initial import Start
 from inverse import checks
-from inverse.parameters.initial_state import Start, untouched
+from inverse.parameters.initial_state import untouched
 from inverse.parameters.parameters import Vector, kind, swept
 from inverse.settings import (
     LoopSettings,
@@ -143,7 +144,7 @@ class Problem:
             return self.optimiser.start
         boxes = swept(self.scene, self.names, self.bounds).values()
         moved = any(kind(name).moves_the_start for name in self.names)
-        return Start.REST if moved or not untouched(self.scene, boxes) else Start.FRAMES
+        return Start.FROM_REST if moved or not untouched(self.scene, boxes) else Start.FROM_MPM_FRAMES
 
 
 def read_problem(name: str) -> Problem:

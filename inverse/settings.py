@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from datasets.records import Record
-from inverse.parameters.initial_state import Start
+from gns.initial import Start
 
 
 class Observable(StrEnum):

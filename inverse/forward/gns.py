@@ -10,12 +10,10 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
 from gns.model.simulator import Simulator
-from gns.score import START
-from gns.start import InitialValueProblem, after_frames, at_rest
 from gns.unroll import step_activation_bytes, unroll
 from inverse.observations.deposit import Observation, Rollout, Values
-from inverse.parameters.initial_state import Launch, Start
 from inverse.parameters.parameters import Vector, launched
 from inverse.problem import Problem
 
@@ -36,21 +34,20 @@ class GnsForward:
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
     ) -> None:
-        flow = beginning_of(beginning, problem, simulator)
         dtype = next(simulator.parameters()).dtype
         self.simulator, self.problem, self.observation = simulator, problem, observation
-        self.launch = Launch.of(flow, problem.scene, step=simulator.settings.step, dtype=dtype)
-        self.indices, self.steps = flow.indices, flow.steps
+        self.initial = initial = beginning_of(beginning, problem, simulator).to(dtype=dtype)
+        self.indices, self.steps = initial.indices, initial.steps
         # What an observation over time sees before the rollout begins; others are spared it.
-        self.before = torch.from_numpy(flow.known[:-1])
-        self.times = flow.times(simulator.settings.step)[0 if observation.over_time else len(self.before) :]
-        bytes_per_step = step_activation_bytes(simulator, self.launch.state, self.launch.conditions)
+        self.before = torch.from_numpy(initial.known[:-1])
+        self.times = initial.times[0 if observation.over_time else len(self.before) :]
+        bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
     def predict(self, unknowns: Tensor) -> Tensor:
         """The smooth observation, float64 of shape [m], of unknowns, float64 of shape [U]."""
         return self.observation.predict(
-            Rollout(positions=self._path(unknowns), times=self.times, volumes=self.launch.conditions.volume)
+            Rollout(positions=self._path(unknowns), times=self.times, volumes=self.initial.conditions.volume)
         )
 
     def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
@@ -69,21 +66,19 @@ class GnsForward:
 
     def _path(self, unknowns: Tensor) -> Tensor:
         """Positions [m] at `times`, shape [T, n, D]."""
-        launch = launched(self.launch, self.problem.names, unknowns)
-        moved = unroll(self.simulator, launch.state, launch.conditions, self.steps, kept_steps=self.kept_steps)
+        initial = launched(self.initial, self.problem.names, unknowns)
+        moved = unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
         return torch.cat((self.before.to(moved.dtype), moved)) if self.observation.over_time else moved
 
 
-def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialValueProblem:
+def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialState:
     """Where the rollout begins: at the scene, or after the first frames of `beginning`."""
-    settings, rng, scene = simulator.settings, np.random.default_rng(THINNING_SEED), problem.scene
-    if problem.start is Start.REST:
+    settings, scene = simulator.settings, problem.scene
+    if problem.start is Start.FROM_REST:
         seed = scene.seed if beginning is None else beginning.scene.seed
-        return at_rest(dataclasses.replace(scene, seed=seed), settings, rng)
+        return initial_state(dataclasses.replace(scene, seed=seed), settings, seed=THINNING_SEED)
     assert beginning is not None, "`GnsSource.first_frames` asked for them"
-    frames = round(START / beginning.scene.frame_dt) + 1
-    start = dataclasses.replace(beginning, positions=beginning.positions[:frames], time=beginning.time[:frames])
-    return after_frames(start, scene, settings, rng)
+    return initial_state(scene, settings, first_frames(beginning), seed=THINNING_SEED)
 
 
 class GnsSource:
@@ -97,7 +92,7 @@ class GnsSource:
 
     def first_frames(self, scene: Scene) -> Scene | None:
         """`scene`, cut to a twentieth of a second: all that the surrogate needs of the MPM, if it needs any."""
-        return None if self.problem.start is Start.REST else dataclasses.replace(scene, duration=START)
+        return None if self.problem.start is Start.FROM_REST else dataclasses.replace(scene, duration=MPM_SECONDS)
 
     def start(self, beginning: Trajectory | None) -> GnsForward:
         """The surrogate that goes on from the first frames of `beginning`."""

@@ -13,7 +13,7 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
-from inverse.parameters.initial_state import Launch
+from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
 """One value per unknown, in the order of the problem and the units of the names; shape [U]."""
@@ -67,8 +67,8 @@ class Kind(ABC):
         """Give it this value: how it enters the MPM. Use `with_unknowns`."""
 
     @abstractmethod
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        """`launch` with this value, differentiable in it: how it enters the surrogate. Use `launched`."""
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        """`initial` with this value, differentiable in it: how it enters the surrogate. Use `launched`."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Mass, Scene
-from inverse.parameters.initial_state import Launch
+from gns.initial import InitialState
 from inverse.parameters.kind import UP, Kind, Parts, Strength, there
 
 
@@ -18,7 +18,7 @@ class MpmKind(Kind):
 
     by_surrogate = False
 
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
         raise NotImplementedError("no surrogate has it as an input; `by_surrogate` says so")
 
 

@@ -1,4 +1,4 @@
-"""What can be unknown, and how each enters a scene and the surrogate's launch. A new kind is added here alone.
+"""What can be unknown, and how each enters a scene and the surrogate's initial state. A new kind is added here alone.
 
 | name | unit | what it is |
 |---|---|---|
@@ -33,7 +33,7 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Scene
 from datasets.scene import Vector as Lengths
-from inverse.parameters.initial_state import Launch
+from gns.initial import InitialState
 from inverse.parameters.kind import AXES, UP, Kind, Parts, Strength, T, Vector, there
 from inverse.parameters.mpm_kinds import (
     Height,
@@ -62,11 +62,11 @@ class Friction(Strength):
     def changed(self, material: Material, value: float) -> Material:
         return dataclasses.replace(material, friction_deg=value)
 
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        known = launch.conditions.friction
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        known = initial.conditions.friction
         friction = torch.tan(torch.deg2rad(value)).to(known.dtype)
-        friction = torch.where(launch.points_of(self.mass), friction, known)
-        return launch.under(dataclasses.replace(launch.conditions, friction=friction))
+        friction = torch.where(initial.of_mass(self.mass), friction, known)
+        return initial.with_conditions(friction=friction)
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,10 @@ class Cohesion(Strength):
         scaled = {key: ratio * each for key, each in known.items() if each is not None}
         return dataclasses.replace(material, cohesion=value, **scaled)
 
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        known = launch.conditions.cohesion
-        cohesion = torch.where(launch.points_of(self.mass), value.to(known.dtype), known)
-        return launch.under(dataclasses.replace(launch.conditions, cohesion=cohesion))
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        known = initial.conditions.cohesion
+        cohesion = torch.where(initial.of_mass(self.mass), value.to(known.dtype), known)
+        return initial.with_conditions(cohesion=cohesion)
 
 
 @dataclass(frozen=True)
@@ -119,14 +119,14 @@ class Velocity(Kind):
         velocity = _with(mass.velocity or (0.0,) * len(mass.size), self.axis, value)
         parts.masses[self.mass] = dataclasses.replace(mass, velocity=velocity)
 
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        # As `gns.model.state.State.launched`: it has always moved like this.
-        state = launch.state
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        # As `gns.model.state.State.moving`: it has always moved like this.
+        state = initial.state
         along = torch.arange(state.positions.shape[1]) == self.axis
-        mine = launch.points_of(self.mass).unsqueeze(1) & along
-        moved = (value * launch.step).to(state.displacements.dtype)
+        mine = initial.of_mass(self.mass).unsqueeze(1) & along
+        moved = (value * initial.step).to(state.displacements.dtype)
         displacements = torch.where(mine, moved, state.displacements)
-        return dataclasses.replace(launch, state=dataclasses.replace(state, displacements=displacements))
+        return initial.with_displacements(displacements)
 
 
 @dataclass(frozen=True)
@@ -150,15 +150,15 @@ class BaffleKind(Kind):
         lower = _with(baffle.lower, self.axis, low)
         parts.baffles[self.baffle] = dataclasses.replace(baffle, lower=lower, size=_with(baffle.size, self.axis, size))
 
-    def enter(self, launch: Launch, value: Tensor) -> Launch:
-        boxes = launch.conditions.baffles
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        boxes = initial.conditions.baffles
         assert boxes is not None, "the scene was checked, and a model that knows no baffles refuses it"
         number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
         mine = (number == self.baffle) & (axis == self.axis)
         lower, upper = boxes[0, self.baffle, :, self.axis]
         low, size = self.changed(lower, upper - lower, value.to(boxes.dtype))
         boxes = torch.where(mine, low + corner * size, boxes)
-        return launch.under(dataclasses.replace(launch.conditions, baffles=boxes))
+        return initial.with_conditions(baffles=boxes)
 
     @abstractmethod
     def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
@@ -246,11 +246,11 @@ def with_unknowns(scene: Scene, names: Sequence[str], values: Sequence[float] | 
     )
 
 
-def launched(launch: Launch, names: Sequence[str], values: Tensor) -> Launch:
-    """`launch` with the unknowns `names` set to `values` [U], differentiable in them."""
+def launched(initial: InitialState, names: Sequence[str], values: Tensor) -> InitialState:
+    """`initial` with the unknowns `names` set to `values` [U], differentiable in them."""
     for place in _shared_first(names):
-        launch = kind(names[place]).enter(launch, values[place])
-    return launch
+        initial = kind(names[place]).enter(initial, values[place])
+    return initial
 
 
 def swept(scene: Scene, names: Sequence[str], bounds: Sequence[tuple[float, float]]) -> dict[int, Baffle]:

@@ -9,9 +9,9 @@ import torch
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from gns.initial import MPM_SECONDS
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
-from gns.score import START
 from inverse.finite_difference import jacobian
 from inverse.forward.gns import GnsForward, GnsSource
 from inverse.gradient import automatic
@@ -60,10 +60,10 @@ def test_it_goes_on_from_a_twentieth_of_a_second_to_the_end(problem: Problem, be
     maker = source(problem)
     frames = maker.first_frames(problem.scene)
     assert frames is not None
-    assert frames.duration == START
+    assert frames.duration == MPM_SECONDS
     forward = maker.start(beginning)
     step = maker.simulator.settings.step
-    assert forward.steps == round((problem.scene.duration - START) / step)
+    assert forward.steps == round((problem.scene.duration - MPM_SECONDS) / step)
     # What comes after the first frames is not looked at.
     short = dataclasses.replace(beginning, positions=beginning.positions[:21], time=beginning.time[:21])
     np.testing.assert_array_equal(maker.start(short).deposit(np.array([30.0])), forward.deposit(np.array([30.0])))

@@ -60,7 +60,7 @@ class Rollouts:
 @pytest.fixture(scope="module", params=[2, 3])
 def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
     problem = make_problem(request.param, *KINDS[request.param])
-    assert problem.start is Start.REST
+    assert problem.start is Start.FROM_REST
     observation = observations.build(problem.observation, problem.scene)
     forward = GnsForward(make_simulator(request.param), None, problem, observation)
     assert forward.kept_steps == forward.steps
@@ -68,7 +68,7 @@ def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: 
     steps = np.array([step_of(name) for name in problem.names])
     return Rollouts(
         problem=problem,
-        volumes=forward.launch.conditions.volume,
+        volumes=forward.initial.conditions.volume,
         point=point,
         deposit=forward.predict(point).view(-1, request.param),
         steps=steps,

@@ -45,12 +45,12 @@ def test_a_shipped_problem_reads(path: Path) -> None:
     if path.stem.startswith("friction-"):
         kind = Observable.PROFILE if path.stem.endswith("profile") else Observable.FRONT
         assert problem.observation.kind is kind
-        assert problem.start is Start.FRAMES
+        assert problem.start is Start.FROM_MPM_FRAMES
 
 
 def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     velocities, baffles = read_problem("velocity-layers-10"), read_problem("baffles-2")
-    assert velocities.start is baffles.start is Start.REST
+    assert velocities.start is baffles.start is Start.FROM_REST
     np.testing.assert_array_equal(velocities.initial, np.zeros(10))
     layers = [kind(name).read(hidden_scene(velocities)) for name in velocities.names]
     np.testing.assert_allclose(layers, [1.50, 1.35, 1.20, 1.05, 0.90, 0.75, 0.60, 0.45, 0.30, 0.15])

@@ -1,4 +1,4 @@
-"""What can be unknown: into a scene and out again, into the surrogate's launch, and never into an impossible scene."""
+"""What can be unknown: into a scene and out again, into the surrogate's initial state, and never into an impossible scene."""
 
 import dataclasses
 from typing import Any
@@ -11,10 +11,11 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.training.samples import corners
+from gns.initial import InitialState
 from inverse.checks import check_unknowns
 from inverse.forward.gns import GnsForward
 from inverse.observations import deposit as observations
-from inverse.parameters.initial_state import Launch, untouched
+from inverse.parameters.initial_state import untouched
 from inverse.parameters.parameters import kind, launched, swept, with_unknowns
 from inverse.problem import Start, Unknown
 
@@ -32,10 +33,10 @@ NAMES = {
 MOVES = {"deg": 3.0, "Pa": 40.0, "m/s": 0.25, "m": 0.004}
 
 
-def launch_of(make_problem: Any, make_simulator: Any, dimension: int) -> Launch:
+def initial_of(make_problem: Any, make_simulator: Any, dimension: int) -> InitialState:
     problem = make_problem(dimension, *NAMES[dimension])
     observation = observations.build(problem.observation, problem.scene)
-    return GnsForward(make_simulator(dimension), None, problem, observation).launch
+    return GnsForward(make_simulator(dimension), None, problem, observation).initial
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -54,15 +55,15 @@ def test_what_is_written_is_read(make_problem: Any, dimension: int) -> None:
 def test_the_surrogate_is_told_what_the_scene_says(
     make_problem: Any, make_simulator: Any, dimension: int, turned: bool
 ) -> None:
-    """A launch with unknowns is the launch of the scene with these unknowns, in whatever order they stand."""
+    """An initial state with unknowns is that of the scene with these unknowns, in whatever order they stand."""
     names = NAMES[dimension][::-1] if turned else NAMES[dimension]
     problem = make_problem(dimension, *names)
     simulator = make_simulator(dimension)
     observation = observations.build(problem.observation, problem.scene)
     values = np.array([kind(name).read(problem.scene) + MOVES[kind(name).unit] for name in names])
     scene = with_unknowns(problem.scene, names, values)
-    direct = GnsForward(simulator, None, dataclasses.replace(problem, scene=scene), observation).launch
-    entered = launched(GnsForward(simulator, None, problem, observation).launch, names, torch.from_numpy(values))
+    direct = GnsForward(simulator, None, dataclasses.replace(problem, scene=scene), observation).initial
+    entered = launched(GnsForward(simulator, None, problem, observation).initial, names, torch.from_numpy(values))
     for part in ("friction", "cohesion", "baffles"):
         got, wanted = getattr(entered.conditions, part), getattr(direct.conditions, part)
         torch.testing.assert_close(got, wanted, rtol=1e-6, atol=1e-7)
@@ -70,11 +71,11 @@ def test_the_surrogate_is_told_what_the_scene_says(
 
 
 def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: Any) -> None:
-    launch = launch_of(make_problem, make_simulator, 2)
-    changed = launched(launch, ["friction_deg"], torch.tensor([20.0], dtype=torch.float64)).conditions.friction
-    own = launch.owner == 1
+    initial = initial_of(make_problem, make_simulator, 2)
+    changed = launched(initial, ["friction_deg"], torch.tensor([20.0], dtype=torch.float64)).conditions.friction
+    own = initial.of_mass(1)
     assert 0 < own.sum() < len(own)
-    torch.testing.assert_close(changed[own], launch.conditions.friction[own])
+    torch.testing.assert_close(changed[own], initial.conditions.friction[own])
     assert (changed[~own] - np.tan(np.radians(20.0))).abs().max() < 1e-12
 
 
@@ -154,15 +155,15 @@ def test_a_baffle_sweeps_what_its_unknowns_reach(make_problem: Any) -> None:
 
 
 def test_frames_are_used_where_they_do_not_depend_on_the_unknown(make_problem: Any) -> None:
-    assert make_problem(2, "friction_deg").start is Start.FRAMES
-    assert make_problem(2, "masses[0].velocity_x").start is Start.REST
+    assert make_problem(2, "friction_deg").start is Start.FROM_MPM_FRAMES
+    assert make_problem(2, "masses[0].velocity_x").start is Start.FROM_REST
     # The flow runs into it within the first frames.
-    assert make_problem(2, "baffles[0].x").start is Start.REST
+    assert make_problem(2, "baffles[0].x").start is Start.FROM_REST
     problem = make_problem(2, "friction_deg")
     slow = dataclasses.replace(problem.scene, masses=(dataclasses.replace(problem.scene.masses[0], velocity=None),))
     far = [dataclasses.replace(problem.scene.baffles[0], lower=(0.2, 0.0))]
     assert untouched(slow, far)
     assert not untouched(slow, slow.baffles)
-    assert make_problem(2, "friction_deg", start=Start.REST).start is Start.REST
+    assert make_problem(2, "friction_deg", start=Start.FROM_REST).start is Start.FROM_REST
     with pytest.raises(InputError, match=r"optimiser\.start"):
-        make_problem(2, "masses[0].velocity_x", start=Start.FRAMES)
+        make_problem(2, "masses[0].velocity_x", start=Start.FROM_MPM_FRAMES)
