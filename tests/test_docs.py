@@ -1,6 +1,7 @@
 """The pages of `docs` and README: links, names of code, commands, blocks of TOML and Python; the site as a whole."""
 
 import importlib
+import json
 import os
 import re
 import shutil
@@ -86,8 +87,8 @@ def test_the_deposit_is_explained(deposit: Path) -> None:
     for block in blocks(DOCS / "how-to" / "deposit.md", "sh"):
         command = block.replace("python", sys.executable, 1)
         subprocess.run(command, shell=True, check=True, cwd=deposit, env={**os.environ, "PYTHONPATH": str(ROOT)})
-    report = (deposit / "out" / "site-problem" / "report.md").read_text()
-    found, width = map(float, re.search(r"\| *`?friction_deg`? *\|.*?([\d.]+) ± ([\d.]+)", report).groups())
+    result = json.loads((deposit / "out" / "site-problem" / "result.json").read_text())
+    found, width = result["unknowns"]["friction_deg"], result["certainty"]["friction_deg"]
     assert abs(found - 27.0) <= width
 
 
