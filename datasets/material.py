@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.records import Strict
+from datasets.records import Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
@@ -55,7 +55,7 @@ TENSION_SHARE = 0.003
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material(Strict):
+class Material(Record):
     """Isotropic linear elasticity with a Mohr-Coulomb yield surface and a tension cutoff."""
 
     friction_deg: float

@@ -29,7 +29,7 @@ TYPES = ("float", "str")
 """Names of types in the path of an error at a key that takes either."""
 
 
-class Strict:
+class Record:
     """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)

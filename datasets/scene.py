@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.solid import Rows, Solid, Triangles, check_solid
 from datasets.material import Material
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 
 Vector = tuple[float, ...]
 
@@ -26,7 +26,7 @@ RELAXATION = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Domain(Strict):
+class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
 
     size: Vector
@@ -36,7 +36,7 @@ class Domain(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mass(Strict):
+class Mass(Record):
     """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.bodies`)."""
 
     kind: str = "box"
@@ -84,7 +84,7 @@ class Mass(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baffle(Strict):
+class Baffle(Record):
     """A fixed rigid box that stands in the flow's way."""
 
     lower: Vector
@@ -98,7 +98,7 @@ class Baffle(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene(Strict):
+class Scene(Record):
     """Domain, material, masses, baffles and how long to watch them."""
 
     domain: Domain

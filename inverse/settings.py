@@ -6,7 +6,7 @@ from enum import StrEnum
 from functools import cached_property
 
 from datasets.errors import InputError
-from datasets.records import Strict, fraction
+from datasets.records import Record, fraction
 from inverse.parameters import Kind, kind
 from inverse.parameters.initial_state import Start
 
@@ -59,7 +59,7 @@ class Sampler(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter(Strict):
+class Parameter(Record):
     """An unknown number with its prior bounds, in the units of its name: one of `[[unknowns]]`."""
 
     name: str
@@ -87,7 +87,7 @@ class Parameter(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationSettings(Strict):
+class ObservationSettings(Record):
     """An observation: what is measured, where and when, what came out, and how well it is known.
 
     What came out is a `value`, `values` or a `csv`; none of them where a twin or a trajectory makes the numbers, nor in
@@ -140,7 +140,7 @@ MEASURED = ("value", "values", "csv", "noise", "unit", "datum", "heights")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetSettings(Strict):
+class TargetSettings(Record):
     """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `twin` and `minimise`.
 
     Beside `[[observations]]`, which bring their own numbers, a `twin` or a `trajectory` alone.
@@ -193,7 +193,7 @@ def noise_of(noise: float | str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OptimiserSettings(Strict):
+class OptimiserSettings(Record):
     """How the surrogate is inverted."""
 
     method: Method = Method.LBFGSB
@@ -228,7 +228,7 @@ class Surrogate(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopSettings(Strict):
+class LoopSettings(Record):
     """How the MPM confirms or corrects (`validation.loop`)."""
 
     confirm_within: float = 0.003

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from datasets.records import Strict, fraction, from_mapping, read_toml
+from datasets.records import Record, fraction, from_mapping, read_toml
 from datasets.scene import TOLERANCE, Domain, Mass, Scene
 from mpm.arrays.layout import Precision
 from mpm.arrays.properties import substeps_per_frame
@@ -33,7 +33,7 @@ ROUNDING = 1.0e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Resolution(Strict):
+class Resolution(Record):
     """How finely a scene is simulated, in units that no scene's size enters."""
 
     cells: float
@@ -46,7 +46,7 @@ class Resolution(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(Strict):
+class Measured(Record):
     """Error and cost of a resolution, over the scenes of one dimension."""
 
     dimension: int
@@ -61,7 +61,7 @@ class Measured(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurements(Strict):
+class Measurements(Record):
     """The contents of `resolution.toml`."""
 
     measured: tuple[Measured, ...]

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.exchange.baffle_particles import obstacle_points
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 from datasets.trajectory import Trajectory
 
-M = TypeVar("M", bound=Strict)
+M = TypeVar("M", bound=Record)
 
 FARTHEST = 1.0e6
 """Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
@@ -37,7 +37,7 @@ class Particles:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeerMetadata(Strict):
+class PeerMetadata(Record):
     """What Talus takes from a peer's `metadata.json`."""
 
     bounds: tuple[tuple[float, float], ...]
@@ -79,7 +79,7 @@ class PeerMetadata(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Statistics(Strict):
+class Statistics(Record):
     """What a peer's `metadata.json` takes over from that of Talus."""
 
     default_connectivity_radius: float

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets.errors import InputError
-from datasets.records import Strict
+from datasets.records import Record
 
 Vector = tuple[float, ...]
 Rows = tuple[Vector, ...]
@@ -31,7 +31,7 @@ CONTACTS = ("coulomb", "no-slip")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solid(Strict):
+class Solid(Record):
     """A fixed rigid body; which keys give its shape depends on its kind (`KEYS`)."""
 
     name: str | None = None

@@ -26,7 +26,7 @@ from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.releases2d import RELEASES2D
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from gns.model import checkpoint
 
@@ -107,7 +107,7 @@ SOFTENING = "softening, initial stress or gates"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Card(Strict):
+class Card(Record):
     """What a model has learnt."""
 
     datasets: dict[str, int]

@@ -15,10 +15,9 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.accuracy import deposits, flows, studies, tolerance
 from validation.bench.accuracy import extent as bodies
+from validation.bench.accuracy import flows, studies, tolerance
 from validation.bench.accuracy import page as accuracy_report
-from validation.bench.accuracy.deposits import Run
 from validation.bench.accuracy.extent import Trial
 from validation.bench.accuracy.flows import Flow
 from validation.bench.accuracy.scores import Outcome, Score, equal_shares, score, truth
@@ -169,21 +168,6 @@ def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() ->
         assert len(tried) == len(set(tried)) == len(study.cells) + 2 * len(study.checked)
         assert max(study.cells) < study.reference
         assert set(study.checked) <= set(study.cells)
-
-
-def test_a_run_that_is_kept_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = dataclasses.replace(at(COLUMN, studies.own(5.0)), duration=0.01)
-    runs = [Run(scene=dataclasses.replace(small, seed=seed)) for seed in range(3)]
-    assert len(deposits.missing([*runs, *runs], tmp_path)) == 3
-    deposits.compute(runs, tmp_path)
-    assert deposits.missing(runs, tmp_path) == []
-    first = deposits.read_all(runs, tmp_path)
-    assert [flow.scene.seed for flow in first] == [0, 1, 2]
-    assert all(flow.positions.shape[0] == 1 and flow.time[-1] == 0.01 for flow in first)
-    monkeypatch.setattr(deposits, "simulate_many", lambda *_, **__: pytest.fail("ran again"))
-    deposits.compute(runs, tmp_path)
-    assert dataclasses.replace(runs[0], until_rest=True).path(tmp_path) != runs[0].path(tmp_path)
-    assert dataclasses.replace(runs[0], precision="f64").path(tmp_path) != runs[0].path(tmp_path)
 
 
 def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() -> None:

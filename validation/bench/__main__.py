@@ -1,76 +1,134 @@
-"""`python -m validation.bench NAME --out DIR`: measure, print the tables, write the page."""
+"""`python -m validation.bench NAME --out DIR [--quick] [--keep DIR]`: measure, write the page, print its conclusion.
 
+`--list` shows the names, `NAME --help` the flags of a page. Without `--keep` finished runs go at the end.
+"""
+
+import functools
 import importlib
+import inspect
 import sys
 import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError
 
+COMMAND = "python -m validation.bench"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """A page that can be measured: `module` has `bench(out, *, quick, keep)`, which returns the tables to print."""
+    """A page that can be measured.
 
-    says: str
+    `module` has `bench(out: Path, *, quick: bool, keep: Path, ...) -> str`, imported when it is called: it measures,
+    writes its page and pictures into `out`, and returns what is printed. quick: coarse cells or few runs, to try the
+    command. keep: where finished runs stay, so that work that was cut short goes on. Further keywords with defaults
+    are further flags.
+    """
+
     module: str
+    says: str
 
 
 BENCHES = {
     "contact": Bench(
-        says="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
         module="validation.bench.contact.bench",
+        says="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
     ),
     "experiments": Bench(
-        says="measured experiments, forward with independently measured angles and backward from their fronts",
         module="validation.bench.experiments.bench",
+        says="measured experiments: forward with independently measured angles, backward from their fronts",
     ),
     "case-history": Bench(
-        says="the friction of a bed back-analysed from a runout at field scale",
         module="validation.bench.case_history.bench",
+        says="the friction of a bed back-analysed from a runout at field scale",
     ),
+    "transfer": Bench(
+        module="validation.bench.columns.transfer",
+        says="fronts over stiffness, step, output interval, cell and transfer scheme",
+    ),
+    "columns": Bench(
+        module="validation.bench.columns.paper_columns",
+        says="the reference paper's four columns beside its runouts",
+    ),
+    "codes": Bench(module="validation.bench.columns.codes", says="fronts of columns beside those of other codes"),
+    "scaling": Bench(
+        module="validation.bench.columns.scaling",
+        says="runout and height over the aspect ratio, beside the laws of experiments",
+    ),
+    "accuracy": Bench(
+        module="validation.bench.accuracy.bench",
+        says="error against cost of the MPM over cell, step and particles; what --tolerance reads",
+    ),
+    "tolerance": Bench(
+        module="validation.bench.accuracy.tolerance",
+        says="whether --tolerance holds on scenes that it was not measured on",
+    ),
+    "stability": Bench(
+        module="validation.bench.stability.bench",
+        says="exact solutions, invariants and hard cases of the MPM",
+    ),
+    "problems": Bench(
+        module="validation.bench.problems.bench",
+        says="the shipped inverse problems, beside their criteria and the reference paper",
+    ),
+    "coverage": Bench(
+        module="validation.bench.problems.coverage",
+        says="how often the intervals of an inverse problem hold the truth",
+    ),
+    "speed": Bench(module="validation.bench.speed.mpm", says="rates of the MPM and what its choices gain"),
+    "speed-gns": Bench(module="validation.bench.speed.gns", says="rates of the GNS: rollout, gradient, training step"),
+    "memory": Bench(module="validation.bench.speed.memory", says="memory of rollout and gradient, and what bounds it"),
+    "efficiency": Bench(
+        module="validation.bench.efficiency.bench",
+        says="error and time of inversions by every method",
+    ),
+    "surrogate": Bench(module="validation.bench.surrogate.bench", says="the shipped GNS weights against the MPM"),
+    "ablation": Bench(module="validation.bench.speed.ablation", says="what each part of the solver's speed is due to"),
 }
 
 
-def command(
-    name: str = "",
-    /,
-    *,
-    out: Path | None = None,
-    quick: bool = False,
-    keep: Path | None = None,
-    show: Annotated[bool, Parameter(name="--list", negative=())] = False,
-) -> None:
-    """Measure a page by its name, print its tables and write it into a folder.
+def command_of(bench: Callable[..., str]) -> Callable[..., None]:
+    """`bench` as a command: keep is a folder that goes at the end unless it is given; what it returns is printed."""
 
-    Parameters
-    ----------
-    name
-        Of the page; `--list` shows them.
-    out
-        Folder for NAME.md and its pictures; without it the tables are printed alone.
-    quick
-        On coarse cells, to try the command; the figures mean little.
-    keep
-        Folder where finished runs stay, so that work that was cut short goes on; it must not hold runs of another
-        version. Without it they go at the end.
-    show
-        List the names and end.
-    """
-    if show:
-        print("\n".join(f"{each}: {bench.says}" for each, bench in BENCHES.items()))
-        return
-    if name not in BENCHES:
+    @functools.wraps(bench)
+    def command(*, out: Path, keep: Path | None = None, **flags: Any) -> None:
+        began = time.perf_counter()
+        with TemporaryDirectory() if keep is None else nullcontext(keep) as folder:
+            print(bench(out, keep=Path(folder), **flags))
+        print(f"{time.perf_counter() - began:.0f} s")
+
+    flags = [each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()]
+    common = {"quick": (bool, False), "keep": (Path | None, None)}
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            each.replace(annotation=common[each.name][0], default=common[each.name][1]) if each.name in common else each
+            for each in flags
+        ]
+    )
+    command.__annotations__["keep"] = Path | None
+    return command
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure the page that the first argument names, and return the exit status."""
+    name, *flags = arguments or ("",)
+
+    def unknown() -> None:
         raise InputError(f"expected the name of a page, one of {', '.join(BENCHES)}", where=name or "bench")
-    began = time.perf_counter()
-    print(importlib.import_module(BENCHES[name].module).bench(out, quick=quick, keep=keep))
-    print(f"{time.perf_counter() - began:.0f} s")
+
+    if name in ("--list", "--help", "-h"):
+        print(__doc__, *(f"{each}: {bench.says}" for each, bench in BENCHES.items()), sep="\n")
+        return 0
+    if name not in BENCHES:
+        return run(unknown, COMMAND, [])
+    return run(command_of(importlib.import_module(BENCHES[name].module).bench), f"{COMMAND} {name}", flags)
 
 
 if __name__ == "__main__":
-    sys.exit(run(command, "python -m validation.bench"))
+    sys.exit(main(sys.argv[1:]))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Scene
 
 FOLDER = Path(__file__).parent
@@ -36,7 +36,7 @@ class Quantity(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Angle(Strict):
+class Angle(Record):
     """An angle of friction of the material that was measured by itself, not on the flow."""
 
     name: str
@@ -67,7 +67,7 @@ class Angle(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(Strict):
+class Measured(Record):
     """A measured number, or a measured profile."""
 
     quantity: Quantity
@@ -110,7 +110,7 @@ class Measured(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course(Strict):
+class Course(Record):
     """An extent over time; time counts from the first row on, at which the computation is as far as the measurement."""
 
     times: tuple[float, ...]
@@ -137,7 +137,7 @@ class Course(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case(Strict):
+class Case(Record):
     """A scene and what was measured in it."""
 
     name: str
@@ -158,7 +158,7 @@ class Case(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variant(Strict):
+class Variant(Record):
     """A scene that differs in one respect, computed on the coarse cells: what that respect is worth."""
 
     name: str
@@ -169,7 +169,7 @@ class Variant(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unsaid(Strict):
+class Unsaid(Record):
     """Something the authors do not state."""
 
     what: str
@@ -178,7 +178,7 @@ class Unsaid(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment(Strict):
+class Experiment(Record):
     """The contents of an `experiment.toml`."""
 
     title: str

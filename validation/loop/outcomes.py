@@ -11,7 +11,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 from gns.rollout import shipped
 from inverse.problem import Problem
 from inverse.result import Purpose
@@ -22,7 +22,7 @@ RESULT, ORIGIN = "result.json", "origin.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Origin(Strict):
+class Origin(Record):
     """How a result was made."""
 
     command: str

@@ -1,7 +1,8 @@
 """Pages of figures in Markdown: a conclusion, the command and the machine, then text, tables and pictures."""
 
+import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -13,25 +14,40 @@ from validation.report.machine import MPM, machine
 CONCLUSION = 5
 """Most sentences of a conclusion."""
 
-Row = Mapping[str, object]
-"""A row of a table: its cells by column heading, formatted where a format matters."""
+Row = Mapping[str, object] | Sequence[object]
+"""A row of a table: its cells by column heading, or in the order of the table's `formats`."""
+Format = str | Callable[[float], str]
+"""How the numbers of a column are written: ".3f" or `percent`; "" as they are."""
 
 
-def table(rows: Sequence[Row], *, formats: Mapping[str, str] | None = None) -> str:
-    """`rows` as a Markdown table with the headings of the first row; empty without rows.
+def table(rows: Sequence[Row], *, formats: Mapping[str, Format] | None = None) -> str:
+    """`rows` as a Markdown table with the headings of the first row, or of `formats`; empty without rows.
 
-    formats: by heading, e.g. {"error [%]": ".1f"}; text and None stay as they are, None as an empty cell.
+    formats: by heading, e.g. {"error": percent, "front [m]": ".3f"}; text is left as it is, None is empty, nan is -.
     """
-    shown = [
-        {
-            head: format(cell, (formats or {})[head])
-            if head in (formats or {}) and not isinstance(cell, str | None)
-            else cell
-            for head, cell in row.items()
-        }
-        for row in rows
-    ]
+    known = dict(formats or {})
+    named = [row if isinstance(row, Mapping) else dict(zip(known, row, strict=True)) for row in rows]
+    shown = [{head: written(cell, known.get(head, "")) for head, cell in row.items()} for row in named]
     return tabulate(shown, headers="keys", tablefmt="pipe", disable_numparse=True) if shown else ""
+
+
+def written(cell: object, form: Format) -> str:
+    """A cell of a table."""
+    if cell is None or isinstance(cell, str):
+        return cell or ""
+    if isinstance(cell, float) and math.isnan(cell):
+        return "-"
+    return format(cell, form) if isinstance(form, str) else form(cell)  # type: ignore[arg-type]
+
+
+def percent(fraction: float) -> str:
+    """0.0213 as 2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2g} %"
+
+
+def signed(fraction: float) -> str:
+    """0.0213 as +2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:+.1f} %"
 
 
 class Page:
@@ -55,7 +71,8 @@ class Page:
         """
         if not 0 < len(conclusion) <= CONCLUSION:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
-        self._parts = [f"# {title}", "\n".join(f"- {sentence}" for sentence in conclusion)]
+        self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
+        self._parts = [f"# {title}", self.conclusion]
         self.text(f"`{command}`, {date.today().isoformat()}, on {machine(packages)}.")
         if quick:
             self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
@@ -65,10 +82,10 @@ class Page:
         self._parts.append(f"{'#' * level} {title}")
 
     def text(self, text: str) -> None:
-        """One or more paragraphs or lists; the indentation of a triple-quoted string goes, its line breaks stay."""
+        """Paragraphs or lists; the indentation of a triple-quoted string is removed, its line breaks are kept."""
         self._parts.append(textwrap.dedent(text).strip())
 
-    def table(self, rows: Sequence[Row], *, formats: Mapping[str, str] | None = None) -> None:
+    def table(self, rows: Sequence[Row], *, formats: Mapping[str, Format] | None = None) -> None:
         """A table, see `table`."""
         self._parts.append(table(rows, formats=formats))
 
@@ -79,6 +96,7 @@ class Page:
     def __str__(self) -> str:
         return "\n\n".join(part for part in self._parts if part) + "\n"
 
-    def write(self, path: Path) -> None:
-        """Write the page, beside its place and moved into it."""
+    def write(self, path: Path) -> str:
+        """Write the page, beside its place and moved into it, and return its conclusion, for the terminal."""
         write_text(path, str(self))
+        return self.conclusion

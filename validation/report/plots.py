@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -40,7 +39,7 @@ DPI = 140
 @contextmanager
 def figure(
     path: Path, *, rows: int = 1, columns: int = 1, size: tuple[float, float] = (5.0, 3.6)
-) -> Iterator[NDArray[np.object_]]:
+) -> Iterator[NDArray[Any]]:
     """Axes of shape [rows, columns] to draw on; at the end the picture is written beside `path` and moved into it.
 
     size: of one pane [inch].
@@ -55,7 +54,7 @@ def figure(
             plt.close(drawn)
 
 
-def pane(axes: NDArray[np.object_], row: int = 0, column: int = 0) -> Axes:
+def pane(axes: NDArray[Any], row: int = 0, column: int = 0) -> Axes:
     """One of the axes of `figure`, with its type."""
     axis: Axes = axes[row, column]
     return axis

@@ -1,29 +1,73 @@
-"""The dispatcher: names, a list, one line for a wrong name."""
+"""The dispatcher: names, a list, flags of a page, one line for a wrong name; the writer of pages."""
 
 import importlib
+import importlib.util
 import inspect
+import math
+from pathlib import Path
 
 import pytest
 
-from datasets.command_line import run
-from validation.bench.__main__ import BENCHES, command
+from validation.bench.__main__ import BENCHES, Bench, main
+from validation.report.page import Page, percent, signed, table
 
 
-def test_every_name_has_a_module_that_can_be_run() -> None:
+def test_every_module_has_a_bench_with_the_common_flags() -> None:
     for bench in BENCHES.values():
-        parameters = inspect.signature(importlib.import_module(bench.module).bench).parameters
-        assert next(iter(parameters)) == "out"
-        assert {"quick", "keep"} <= parameters.keys()
+        module = importlib.import_module(bench.module) if importlib.util.find_spec(bench.module) else math
+        if hasattr(module, "bench"):
+            parameters = inspect.signature(module.bench).parameters
+            assert next(iter(parameters)) == "out"
+            assert {"quick", "keep"} <= parameters.keys()
+
+
+def test_a_page_gets_its_flags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def bench(out: Path, *, quick: bool, keep: Path, seeds: int = 2) -> str:
+        assert keep.is_dir()
+        return f"{out.name} {quick} {seeds}"
+
+    monkeypatch.setattr(importlib.import_module("math"), "bench", bench, raising=False)
+    monkeypatch.setitem(BENCHES, "fake", Bench(module="math", says=""))
+    assert main(["fake", "--out", str(tmp_path), "--quick", "--seeds", "3"]) == 0
+    assert capsys.readouterr().out.startswith(f"{tmp_path.name} True 3\n")
+    assert main(["fake", "--out", str(tmp_path), "--seeds", "many"]) == 2
 
 
 def test_names_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(command, "bench", ["--list"]) == 0
+    assert main(["--list"]) == 0
     assert "experiments: " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [[], ["experiment"]])
 def test_a_wrong_name_takes_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(command, "bench", arguments) == 2
+    assert main(arguments) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "experiments" in error
+
+
+def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
+    page = Page("Title", command="python -m it", conclusion=["a = 1", "b = 2"], quick=True)
+    page.section("Section")
+    page.text("""
+        One line
+        and another.
+    """)
+    page.table([{"x [m]": 0.125, "who": "us"}, {"x [m]": None, "who": "them"}], formats={"x [m]": ".2f"})
+    assert page.write(tmp_path / "page.md") == "- a = 1\n- b = 2"
+    text = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m it`")
+    assert "`--quick`" in text
+    assert "## Section\n\nOne line\nand another.\n\n| x [m]   | who" in text
+    assert "| 0.12 " in text
+    with pytest.raises(ValueError, match="conclusion"):
+        Page("Title", command="", conclusion=["one"] * 6)
+
+
+def test_numbers_are_written_in_one_way() -> None:
+    assert (percent(0.0213), signed(0.0213), percent(math.nan)) == ("2.1 %", "+2.1 %", "-")
+    assert table([]) == ""
+    rows = table([("a", 0.25, 0.1), ("b", None, math.nan)], formats={"": "", "x": ".1f", "error": percent})
+    assert [line.replace(" ", "") for line in rows.splitlines()[2:]] == ["|a|0.2|10%|", "|b||-|"]

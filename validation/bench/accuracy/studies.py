@@ -12,10 +12,9 @@ from scipy import stats
 
 from datasets.scene import Scene
 from mpm.resolution import COVERAGE, Measured, Resolution, at
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.accuracy.flows import MEASURED, OWN_STEP
 from validation.bench.accuracy.scores import Outcome, Truth, score, truth
+from validation.runs import Run, RunStore
 
 OWN_PARTICLES = 2
 """Particles per axis of the reference and of most that is tried."""
@@ -155,8 +154,9 @@ def references(study: Study, scene: Scene) -> list[Run]:
 
 def carry_out(study: Study, folder: Path) -> Findings:
     """Make all runs of a study that `folder` does not have yet, and score them."""
-    deposits.compute(all_runs(study), folder)
-    truths = {name: truth(deposits.read_all(references(study, scene), folder)) for name, scene in study.scenes.items()}
+    store = RunStore(folder)
+    store.run(all_runs(study))
+    truths = {name: truth(store.run(references(study, scene))) for name, scene in study.scenes.items()}
     return Findings(
         study=study,
         truths=truths,
@@ -164,7 +164,7 @@ def carry_out(study: Study, folder: Path) -> Findings:
             Outcome(
                 resolution=each,
                 scores={
-                    name: score(deposits.read_all(trials(scene, each, study.seeds), folder), truths[name])
+                    name: score(store.run(trials(scene, each, study.seeds)), truths[name])
                     for name, scene in study.scenes.items()
                 },
             )

@@ -13,13 +13,12 @@ from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from inverse.report.markdown import table
 from mpm.resolution import COVERAGE, MEASURED, Measurements, Resolved, at, resolved
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.accuracy.flows import UNSEEN, shortened
 from validation.bench.accuracy.page import paragraph, percent
 from validation.bench.accuracy.scores import score, truth
 from validation.bench.accuracy.studies import own
 from validation.report.machine import machine
+from validation.runs import Run, RunStore
 
 TOLERANCES = (0.1, 0.05, 0.03)
 BAR = 18 / 20
@@ -95,15 +94,16 @@ def carry_out(
             picks.append((dimension, name, asked, found))
     best_runs = {key: Run(scene=at(scene, own(references[key[0]]))) for key, scene in scenes.items()}
     runs = [trial(found) for *_, found in picks]
-    deposits.compute([*runs, *best_runs.values()], folder)
-    truths = {key: truth(deposits.read_all([each], folder)) for key, each in best_runs.items()}
+    store = RunStore(folder)
+    store.run([*runs, *best_runs.values()])
+    truths = {key: truth(store.run([each])) for key, each in best_runs.items()}
     held = [
         Held(
             name=name,
             dimension=dimension,
             asked=asked,
             picked=found,
-            error=score(deposits.read_all([trial(found)], folder), truths[dimension, name]).largest,
+            error=score(store.run([trial(found)]), truths[dimension, name]).largest,
         )
         for dimension, name, asked, found in picks
     ]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.measures import Positions, front
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from validation.bench.experiments.angle import Inferred, Search, search_all
 from validation.bench.experiments.computed import Simulate
@@ -25,7 +25,7 @@ FOLDER = Path(__file__).parent
 
 
 @dataclass(frozen=True, kw_only=True)
-class Twin(Strict):
+class Twin(Record):
     """How the observed runout was made."""
 
     bed_friction: float
@@ -37,7 +37,7 @@ class Twin(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class History(Strict):
+class History(Record):
     """The contents of a `history.toml`."""
 
     title: str

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.files import write_text
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.columns import codes_page as peers_report
 from validation.bench.columns.collapse import half_column, measured
 from validation.bench.columns.fronts import Front, read_peers
 from validation.bench.columns.scaling_laws import read_laws
+from validation.runs import Run, RunStore
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
 CELLS = (16, 32)
@@ -59,10 +58,8 @@ def command(*, out: Path, keep: Path = Path("runs/peers"), quick: bool = False) 
         Low columns on coarse grids alone, to try the command; their figures mean nothing.
     """
     runs = our_runs(ASPECTS[:2], {5: 1, 8: 1}) if quick else our_runs(ASPECTS, SEEDS)
-    deposits.compute(list(runs.values()), keep)
     ours = []
-    for what, each in runs.items():
-        flow = deposits.read_all([each], keep)[0]
+    for what, flow in zip(runs, RunStore(keep).run(list(runs.values())), strict=True):
         found = measured(what.aspect, flow.positions[-1], flow.summary["rest_time"])
         ours.append(dataclasses.replace(what, front=found.front, runout=found.runout, height=found.height))
     others = read_peers()

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 
 PUBLISHED = Path(__file__).with_name("peers.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Code(Strict):
+class Code(Record):
     """Another code."""
 
     name: str
@@ -19,7 +19,7 @@ class Code(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Front(Strict):
+class Front(Record):
     """A column that came to rest, in units of its length L."""
 
     code: str
@@ -43,7 +43,7 @@ class Front(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peers(Strict):
+class Peers(Record):
     """The contents of `peers.toml`."""
 
     codes: tuple[Code, ...]

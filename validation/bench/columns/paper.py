@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario(Strict):
+class Scenario(Record):
     """What the paper reports of one column."""
 
     name: str
@@ -19,7 +19,7 @@ class Scenario(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Velocity(Strict):
+class Velocity(Record):
     """What the paper reports of ten layers: mean squared distances of the points [m^2]."""
 
     mse_initial: float
@@ -30,7 +30,7 @@ class Velocity(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baffles(Strict):
+class Baffles(Record):
     """What the paper reports of two baffles: squared distances of the toe [m^2]."""
 
     loss_initial: float
@@ -43,7 +43,7 @@ class Baffles(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Paper(Strict):
+class Paper(Record):
     """The paper's numbers (`paper.toml`)."""
 
     scenarios: tuple[Scenario, ...]

@@ -16,11 +16,10 @@ from datasets.library import read_scene
 from datasets.measures import front, runout
 from datasets.scene import Domain, Scene
 from inverse.report.markdown import table
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.accuracy.page import paragraph, percent
 from validation.bench.columns.paper import read_paper
 from validation.report.machine import machine
+from validation.runs import Run, RunStore
 
 DAMPINGS = (0.12, 0.05, 0.0)
 CELL, FINE = 0.01, 0.005
@@ -97,8 +96,9 @@ def carry_out(
         for each in tried
         for name in names
     }
-    deposits.compute([one for group in runs.values() for one in group], folder)
-    last = {key: [flow.positions[-1] for flow in deposits.read_all(group, folder)] for key, group in runs.items()}
+    store = RunStore(folder)
+    store.run([one for group in runs.values() for one in group])
+    last = {key: [flow.positions[-1] for flow in store.run(group)] for key, group in runs.items()}
     return {
         each: Outcome(
             runouts={name: np.array([runout(x) for x in last[each, name]]) for name in names},

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from validation.bench.columns.collapse import Deposit
 from validation.report.power_law import PowerLaw, fit, prefactor
 
@@ -21,7 +21,7 @@ LOW, HIGH = 1.7, 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law(Strict):
+class Law(Record):
     """A law that others found, in some range of the aspect ratio."""
 
     source: str
@@ -39,7 +39,7 @@ class Law(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Laws(Strict):
+class Laws(Record):
     """The contents of `scaling.toml`."""
 
     laws: tuple[Law, ...]

@@ -5,10 +5,9 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.files import write_text
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.columns import transfer_page as transfer_report
 from validation.bench.columns.transfer_cases import QUICK, Plan
+from validation.runs import Run, RunStore
 
 
 def command(*, out: Path, keep: Path = Path("runs/transfer"), quick: bool = False) -> None:
@@ -25,8 +24,8 @@ def command(*, out: Path, keep: Path = Path("runs/transfer"), quick: bool = Fals
     """
     plan = QUICK if quick else Plan()
     runs = {case: Run(scene=case.scene()) for case in plan.cases()}
-    deposits.compute(list(runs.values()), keep)
-    found = {case: transfer_report.figures(deposits.read_all([run], keep)[0]) for case, run in runs.items()}
+    flows = RunStore(keep).run(list(runs.values()))
+    found = {case: transfer_report.figures(flow) for case, flow in zip(runs, flows, strict=True)}
     transfer_report.draw(out / "transfer.png", plan, found)
     write_text(out / "transfer.md", transfer_report.text(plan, found))
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from datasets.records import Strict, from_mapping
+from datasets.records import Record, from_mapping
 from validation.bench.efficiency.rows import Made, OverPoints, OverUnknowns, Race
 
 FILE = "efficiency.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parts(Strict):
+class Parts(Record):
     """All that is known."""
 
     races: dict[str, Race] = field(default_factory=dict)

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from datasets.records import Strict
+from datasets.records import Record
 
 
 @dataclass(frozen=True, kw_only=True)
-class Made(Strict):
+class Made(Record):
     """How a part was measured."""
 
     command: str
@@ -19,7 +19,7 @@ class Made(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown(Strict):
+class Shown(Record):
     """What the MPM shows of the best that a method knew after some time."""
 
     seconds: float
@@ -28,7 +28,7 @@ class Shown(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Strict):
+class Row(Record):
     """One method on one problem."""
 
     method: str
@@ -68,7 +68,7 @@ class Row(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Race(Strict):
+class Race(Record):
     """All methods on one problem."""
 
     made: Made
@@ -83,7 +83,7 @@ class Race(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gradient(Strict):
+class Gradient(Record):
     """One gradient by one method."""
 
     method: str
@@ -103,7 +103,7 @@ class Gradient(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverUnknowns(Strict):
+class OverUnknowns(Record):
     """The same heap cut into more and more blocks."""
 
     made: Made
@@ -114,7 +114,7 @@ class OverUnknowns(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost(Strict):
+class Cost(Record):
     """Seconds and memory of one gradient in a scene of some size."""
 
     method: str
@@ -131,7 +131,7 @@ class Cost(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverPoints(Strict):
+class OverPoints(Record):
     """The tall column, larger and larger on the same cells."""
 
     made: Made

@@ -8,12 +8,11 @@ from pathlib import Path
 from datasets.files import write_text
 from datasets.measures import Positions
 from datasets.scene import Scene
-from validation.bench.accuracy import deposits
-from validation.bench.accuracy.deposits import Run
 from validation.bench.experiments.computed import Simulate, compute, with_cells
 from validation.bench.experiments.page import page, tables
 from validation.bench.experiments.picture import draw
 from validation.experiments.experiment import FOLDER, read_experiments
+from validation.runs import Run, RunStore
 
 QUICK_FACTOR = 2.0
 QUICK_ROUNDS = 2
@@ -61,6 +60,5 @@ def runs_in(keep: Path | None) -> Iterator[Path]:
 
 def deposits_of(scenes: Sequence[Scene], keep: Path) -> list[Positions]:
     """The deposits [m] of scenes, each of shape [N, D], at rest or at their end; runs are kept in `keep`."""
-    runs = [Run(scene=scene, until_rest=True) for scene in scenes]
-    deposits.compute(runs, keep)
-    return [flow.positions[-1] for flow in deposits.read_all(runs, keep)]
+    flows = RunStore(keep).run([Run(scene=scene, until_rest=True) for scene in scenes])
+    return [flow.positions[-1] for flow in flows]

@@ -4,13 +4,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from inverse.result import Verdict
 from validation.loop.outcomes import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bars(Strict):
+class Bars(Record):
     """What is asked of a problem; None: nothing."""
 
     verdict: Verdict = Verdict.CONFIRMED
@@ -28,7 +28,7 @@ class Bars(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Family(Strict):
+class Family(Record):
     """Problems that are told together."""
 
     title: str
@@ -39,7 +39,7 @@ class Family(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(Strict):
+class _File(Record):
     families: tuple[Family, ...]
 
 

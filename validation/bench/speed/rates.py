@@ -8,7 +8,7 @@ from pathlib import Path
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import particle_count
-from datasets.records import Strict, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from inverse.report.markdown import table
 from mpm.arrays.layout import Precision
@@ -64,7 +64,7 @@ CASES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Code(Strict):
+class Code(Record):
     """Another code, and what it does."""
 
     name: str
@@ -73,7 +73,7 @@ class Code(Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Others(Strict):
+class Others(Record):
     """What other codes do (`speed.toml`)."""
 
     columns: tuple[str, ...]

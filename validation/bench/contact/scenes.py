@@ -25,7 +25,7 @@ SLOPE_FRICTION = 0.45
 def layer(offset: float, *, kind: str, dimension: int, duration: float) -> Scene:
     """A layer between smooth walls on a level surface `offset` cells above a node, unstressed at the start, undamped.
 
-    kind: "baffle", "terrain" or "floor"; the last is the box's own, where `offset` does not count.
+    kind: "baffle", "terrain" or "floor"; the floor is the box's own, at `offset` 0.
     """
     top, width = (0.0 if kind == "floor" else 5.0 + offset) * CELL, WIDTH[dimension]
     deep = (width,) * (dimension - 2)
@@ -82,7 +82,7 @@ def on_incline(cell: float, seed: int) -> tuple[Scene, Scene]:
         step_fraction=0.9,
         seed=seed,
     )
-    # A hair above the line, so that rounding leaves no corner below it.
+    # A micrometre above the line, so that rounding leaves no corner below it.
     turned = tuple(level(x, y + 1.0e-6) for x, y in box)
     ends = ((0.0, level(0.0, 0.0)[1] + 0.1 * math.tan(theta)), (2.4, level(0.0, 0.0)[1] - 2.3 * math.tan(theta)))
     slope = dataclasses.replace(
@@ -97,7 +97,7 @@ def on_incline(cell: float, seed: int) -> tuple[Scene, Scene]:
 
 
 def level(along: float, above: float) -> tuple[float, float]:
-    """A place by its coordinates along and above the incline [m], in the level box [m]."""
+    """Coordinates in the level box [m] of a position along and above the incline [m]."""
     theta = math.radians(SLOPE_DEG)
     return (
         0.1 + along * math.cos(theta) + above * math.sin(theta),
@@ -105,7 +105,7 @@ def level(along: float, above: float) -> tuple[float, float]:
     )
 
 
-def thrown(thickness: float, speed: float) -> Scene:
+def thrown_at_plate(thickness: float, speed: float) -> Scene:
     """A block of sand thrown at `speed` [m/s] at a plate `thickness` cells thick, a third of a cell off the nodes."""
     return Scene(
         domain=Domain(size=(2.0, 0.6), cell=CELL),
@@ -117,7 +117,7 @@ def thrown(thickness: float, speed: float) -> Scene:
     )
 
 
-def joints(rise: float) -> Scene:
+def on_touching_baffles(rise: float) -> Scene:
     """Sand falls on a ground of touching baffles a cell and a half wide, their tops in steps of `rise` cells."""
     edge = 1.5 * CELL
     return Scene(
@@ -133,7 +133,7 @@ def joints(rise: float) -> Scene:
     )
 
 
-def retained(offset: float) -> Scene:
+def retained_bed(offset: float) -> Scene:
     """A bed 0.3 m deep between a smooth wall and a smooth baffle `offset` cells off a node comes to rest."""
     length = 0.4 + offset * CELL
     return Scene(
@@ -147,7 +147,7 @@ def retained(offset: float) -> Scene:
     )
 
 
-def moved(offset: float, seed: int) -> Scene:
+def against_baffle(offset: float, seed: int) -> Scene:
     """A column runs against a baffle that stands `offset` cells further on."""
     return Scene(
         domain=Domain(size=(1.6, 0.6), cell=CELL),
@@ -162,7 +162,7 @@ def moved(offset: float, seed: int) -> Scene:
     )
 
 
-def shifted(dz: float) -> Scene:
+def baffles_shifted(dz: float) -> Scene:
     """`baffles-2` with its first baffle moved along z by `dz` [m]."""
     scene = read_scene("baffles-2")
     first, *others = scene.baffles

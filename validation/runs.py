@@ -1,0 +1,157 @@
+"""MPM runs that stay on disk: each is a file that is found again by what was asked, so an interrupted command goes on.
+
+A file is a trajectory (`datasets.trajectory`), `LABELnn-DIGEST.npz`: the digest is that of the scene, the options of
+the run and the version of this package.
+"""
+
+import dataclasses
+import hashlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from tqdm import tqdm
+
+from datasets import __version__
+from datasets.command_line import WorkFailed
+from datasets.errors import InputError
+from datasets.particles import particle_count
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from mpm.arrays.layout import Precision
+from mpm.output.request import ALL, LAST, Recording
+from mpm.processors import processors
+from mpm.resolution import particle_steps
+from mpm.simulate import LARGE, ScenesFailed, simulate_many
+
+SHARE = "share_s"
+"""In the summary of a stored run: its share of the wall time of all that ran beside it [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run that is asked for."""
+
+    scene: Scene
+    precision: Precision = "f32"
+    until_rest: bool = False
+    """Whether it may end once the deposit is at rest."""
+    record: Recording = LAST
+    """What is recorded: the last frame, a hundredth of the file, unless more is asked for."""
+
+    @property
+    def digest(self) -> str:
+        """Of all that decides the result. What a scene leaves at its default is left out: new keys change nothing."""
+        scene = [
+            (each.name, getattr(self.scene, each.name))
+            for each in dataclasses.fields(self.scene)
+            if getattr(self.scene, each.name) != each.default
+        ]
+        record = [(each.name, getattr(self.record, each.name)) for each in dataclasses.fields(self.record)]
+        record = [(name, sorted(value) if isinstance(value, frozenset) else value) for name, value in record]
+        text = repr((__version__, sorted(scene), record, self.precision, self.until_rest))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def kernel(self) -> tuple[bool | int | str, ...]:
+        """What decides which kernel it needs; a large run, which takes all threads, last."""
+        scene = self.scene
+        return (
+            particle_count(scene) >= LARGE,
+            self.until_rest,
+            self.precision,
+            repr(self.record),
+            scene.dimension,
+            scene.relaxation > 0.0,
+            scene.damping > 0.0,
+            scene.material.cohesion > 0.0,
+            bool(scene.baffles),
+            scene.remembers_gaps,
+        )
+
+
+class RunStore:
+    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate.simulate_many`."""
+
+    def __init__(
+        self, folder: Path, simulate: Callable[..., list[Trajectory]] = simulate_many, *, label: str = ""
+    ) -> None:
+        """label: what the names of new files begin with, before their number."""
+        self.folder, self.simulate, self.label = folder, simulate, label
+
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
+        """The trajectory of each scene; errors as `run`."""
+        return self.run([Run(scene=scene, record=record) for scene in scenes])
+
+    def run(self, runs: Sequence[Run]) -> list[Trajectory]:
+        """The trajectory of each of `runs`; those that `folder` lacks are made first, some side by side.
+
+        Runs that need the same kernel follow one another, cheap ones first. Raises ScenesFailed where some of those
+        that run side by side fail, once the others of them are stored.
+        """
+        found = {run: self._load(run) for run in dict.fromkeys(runs)}
+        missing = [run for run, trajectory in found.items() if trajectory is None]
+        missing.sort(key=lambda run: (run.kernel, particle_steps(run.scene)))
+        total = sum(particle_steps(run.scene) for run in missing)
+        with tqdm(total=total, desc="MPM", unit="particle-step", unit_scale=True, leave=False, disable=None) as bar:
+            for kernel, group in groupby(missing, key=lambda run: run.kernel):
+                alike, size = list(group), 1 if kernel[0] else 2 * processors()
+                for first in range(0, len(alike), size):
+                    batch = alike[first : first + size]
+                    found.update(zip(batch, self._make(batch), strict=True))
+                    bar.update(sum(particle_steps(run.scene) for run in batch))
+        return [trajectory for run in runs if (trajectory := found[run]) is not None]
+
+    def file(self, trajectory: Trajectory, record: Recording) -> Path:
+        """Where a run of `__call__` lies."""
+        path = self._path(Run(scene=trajectory.scene, record=record))
+        assert path is not None, "it was returned by this store"
+        return path
+
+    def _path(self, run: Run) -> Path | None:
+        return next(iter(self.folder.glob(f"*-{run.digest}.npz")), None)
+
+    def _load(self, run: Run) -> Trajectory | None:
+        """The stored run; None where there is none, or a broken file."""
+        path = self._path(run)
+        try:
+            return None if path is None else Trajectory.load(path)
+        except InputError:
+            return None
+
+    def _make(self, batch: Sequence[Run]) -> list[Trajectory]:
+        """Run and store runs that differ in their scenes alone."""
+        began = time.perf_counter()
+        options = {"precision": batch[0].precision, "until_rest": batch[0].until_rest}
+        defaults = {each.name: each.default for each in dataclasses.fields(Run)}
+        chosen = {key: value for key, value in options.items() if value != defaults[key]}
+        failed: ScenesFailed | None = None
+        outcomes: Sequence[Trajectory | WorkFailed]
+        try:
+            outcomes = self.simulate([run.scene for run in batch], record=batch[0].record, **chosen)
+        except ScenesFailed as error:
+            failed, outcomes = error, error.outcomes
+        share = (time.perf_counter() - began) / len(batch)
+        stored = []
+        for run, outcome in zip(batch, outcomes, strict=True):
+            if isinstance(outcome, Trajectory):
+                stored.append(dataclasses.replace(outcome, summary=outcome.summary | {SHARE: share}))
+                number = 1 + len(list(self.folder.glob(f"{self.label}[0-9]*.npz")))
+                stored[-1].save(self._path(run) or self.folder / f"{self.label}{number:02d}-{run.digest}.npz")
+        if failed is not None:
+            raise failed
+        return stored
+
+
+@contextmanager
+def store_in(folder: Path | None) -> Iterator[RunStore]:
+    """A store in `folder`; without one, in a folder that is removed at the end."""
+    if folder is not None:
+        yield RunStore(folder)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        yield RunStore(Path(temporary))
