@@ -11,8 +11,8 @@ from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.output.request import ALL, LAST, Recording
-from mpm.simulate import ScenesFailed
+from mpm import ALL, LAST, Recording
+from mpm import ScenesFailed
 from tests.validation.loop.flows import FakeMpm
 from validation import runs
 from validation.runs import SHARE, Run, RunStore

@@ -14,7 +14,7 @@ from inverse.forward.linearised import MpmSource
 from inverse.observations import Target
 from inverse.problem import Problem
 from inverse.settings import Surrogate
-from mpm.output.request import ALL, LAST
+from mpm import ALL, LAST
 
 
 def choose(

@@ -26,7 +26,7 @@ from inverse.settings import (
     Parameter,
     TargetSettings,
 )
-from mpm.output.request import ALL, Recording
+from mpm import ALL, Recording
 from validation.loop.check import Task
 from validation.loop.result import Result
 from validation.loop.solve import run
