@@ -96,9 +96,10 @@ def profile_of(
 ) -> MeasuredProfile:
     """The profile in the CSV `path`, in a box of `length` [m], of a mass of the area `released` [m^2].
 
-    unit: of both columns; datum: height of the floor in the file [unit]. Where that is not known the area is not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises
-    InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of the
-    deposit, or hold another area than was released.
+    unit: of both columns; datum: height of the floor in the file [unit]. Where the released area is not known, it is
+    not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises InputError,
+    which names the file, for rows that are no profile, lie outside of the box, end in the middle of the deposit, or
+    hold another area than was released.
     """
     x, height = read_columns(path, ("x", "height"))
     try:
