@@ -1,25 +1,38 @@
-# make demo | test | test-all | lint; the environment in .venv sets itself up.
+# make demo | test | test-all | lint | docs | bench NAME=...; the environment in .venv sets itself up.
 PYTHON ?= python3.11
+WORKERS ?= 2
+NAME ?= --list
 BIN := .venv/bin
 # The constraints ask for torch's CPU build. Where the configured index has none, PyTorch's own one does.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
-INSTALL := $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+INSTALL := $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,docs]'
+# A file of tests stays on one worker: kernels are compiled once for it.
+PARALLEL := -n $(WORKERS) --dist loadfile
+# Material for MkDocs announces its successor on every build.
+export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-all lint
+.PHONY: demo test test-all lint docs bench
 
 demo: .venv/stamp
 	$(BIN)/python -m validation.demo
 
 test: .venv/stamp
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
 
 test-all: .venv/stamp
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(BIN)/python -m pytest $(PARALLEL) -m "slow or not slow"
 
 lint: .venv/stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: .venv/stamp
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "site/index.html"
+
+bench: .venv/stamp
+	$(BIN)/python -m validation.bench $(NAME) $(if $(filter --list,$(NAME)),,--out docs)
 
 .venv/stamp: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -1,3 +1,32 @@
-"""What a scene, a material and a trajectory are, and how they are read and written."""
+"""What a scene, a material and a trajectory are, and how they are read and written.
+
+    from datasets import Domain, Mass, Material, Scene, read_trajectory, write_scene
+
+    sand = Material(friction_deg=30.0)
+    column = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
+    scene = Scene(domain=Domain(size=(2.0, 0.5), cell=0.01), material=sand, masses=(column,), floor_friction=0.4)
+    write_scene(scene, "column.toml")  # python -m mpm.run column.toml --out results
+    print(read_trajectory("results").positions.shape)  # frames, particles, 2
+"""
+
+from datasets.errors import InputError
+from datasets.geometry.solid import Solid
+from datasets.library import read_scene, write_scene
+from datasets.material import Material
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory, read_trajectory
 
 __version__ = "0.1.0"
+__all__ = [
+    "Baffle",
+    "Domain",
+    "InputError",
+    "Mass",
+    "Material",
+    "Scene",
+    "Solid",
+    "Trajectory",
+    "read_scene",
+    "read_trajectory",
+    "write_scene",
+]

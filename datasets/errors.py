@@ -2,7 +2,7 @@
 
 
 class InputError(ValueError):
-    """A user's mistake, told in one line: which file, which key, what was expected.
+    """A user's mistake in one line: which file, which key, what was expected.
 
     Commands print the line to stderr and exit with status 2 (see `datasets.command_line`).
     """

@@ -94,8 +94,8 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     window: [s] over which forces are averaged besides the interval between two frames; 0 for none.
     Raises InputError where no impulse was recorded, or for a window that is negative or longer than twice the run.
     """
-    taken = impulses(trajectory)
-    if not taken:
+    recorded = impulses(trajectory)
+    if not recorded:
         raise InputError("expected a trajectory that recorded the momentum solids took, this one did not")
     time = trajectory.time
     end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
@@ -108,12 +108,12 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     last = int(np.searchsorted(time, end * (1.0 - ROUNDING)))
     ends = np.minimum(time[first : last + 1], end)
     edges = np.concatenate([[0.0], ends])
-    impulse = np.stack([series[first : last + 1] for series in taken.values()], axis=1)
+    impulse = np.stack([series[first : last + 1] for series in recorded.values()], axis=1)
     impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
     if window > 0.0:
         impulse = smoothed(impulse, edges, window)
     steps = np.diff(edges)[:, None, None]
-    return Forces(names=tuple(taken), time=ends, force=np.diff(impulse, axis=0) / steps)
+    return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / steps)
 
 
 def impulses(trajectory: Trajectory) -> dict[str, Floats]:
@@ -122,15 +122,15 @@ def impulses(trajectory: Trajectory) -> dict[str, Floats]:
     What the summary holds of the box has a value at every `frame_dt` of the scene: a series for each of its sides, `y-`
     the floor, or of older files one for floor and walls together.
     """
-    scene, taken = trajectory.scene, dict[str, Floats]()
+    scene, recorded = trajectory.scene, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
-        taken |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
+        recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
     walls: Any = trajectory.summary.get("side_impulse", trajectory.summary.get("wall_impulse"))
     if walls is not None:
         frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
         named = walls if isinstance(walls, Mapping) else {WALLS: walls}
-        taken |= {name: np.array(series, np.float64)[frames] for name, series in named.items()}
-    return taken
+        recorded |= {name: np.array(series, np.float64)[frames] for name, series in named.items()}
+    return recorded
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
@@ -225,8 +225,8 @@ def spoken(forces: Forces) -> Sequence[str]:
     lines = []
     for name, impulse in zip(forces.names, forces.impulse, strict=True):
         value, time = forces.peak(name)
-        taken, unit = ", ".join(f"{part:.4g}" for part in impulse), forces.unit.replace("N", "N s")
-        lines.append(f"{name}: peak {value:.4g} {forces.unit} at {time:.4g} s, impulse ({taken}) {unit}")
+        recorded, unit = ", ".join(f"{part:.4g}" for part in impulse), forces.unit.replace("N", "N s")
+        lines.append(f"{name}: peak {value:.4g} {forces.unit} at {time:.4g} s, impulse ({recorded}) {unit}")
     return lines
 
 

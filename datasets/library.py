@@ -1,12 +1,16 @@
-"""Scene files: read from a path or, by name, from those that ship in `datasets/scenes`."""
+"""Scene files: read from a path or, by name, from those that ship in `datasets/scenes`; written from Python."""
 
+import dataclasses
 import difflib
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from datasets.errors import InputError
+from datasets.files import write_text
 from datasets.records import from_mapping, read_toml
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -23,21 +27,60 @@ def find(name: str, shelf: Path, what: str) -> Path:
     return shelf / f"{name}.toml"
 
 
-def read_scene(name: str) -> Scene:
+def read_scene(name: str | Path) -> Scene:
     """Read the scene at a path or of a shipped name, with the files that it names beside it.
+
+        scene = read_scene("column-short-21")
+        scene = read_scene("my-slope.toml")
 
     Raises InputError, which names the file and the key.
     """
-    path = find(name, SCENES, "scene")
+    path = find(str(name), SCENES, "scene")
     try:
-        data = read_toml(path)
-        if any(names_file(entry) for group in ("solids", "masses") for entry in entries(data, group)):
-            from datasets.geometry.files import with_files
-
-            data = with_files(data, path.parent)
-        return from_mapping(Scene, data)
+        return scene_from(read_toml(path), path.parent)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def scene_from(data: dict[str, Any], folder: Path) -> Scene:
+    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError."""
+    if any(names_file(entry) for group in ("solids", "masses") for entry in entries(data, group)):
+        from datasets.geometry.files import with_files
+
+        data = with_files(data, folder)
+    return from_mapping(Scene, data)
+
+
+def write_scene(scene: Scene, path: str | Path) -> None:
+    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one.
+
+        scene = Scene(domain=Domain(size=(1.0, 0.5), cell=0.01), material=Material(friction_deg=30.0),
+                      masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),))
+        write_scene(scene, "column.toml")
+    """
+    write_text(Path(path), tomli_w.dumps(changed(scene)))
+
+
+def changed(record: Any) -> dict[str, Any]:
+    """The fields of a dataclass, and of those in it, that are not at their defaults, as plain numbers and lists."""
+    table = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if field.default is dataclasses.MISSING or value != field.default:
+            table[field.name] = plain(value)
+    if isinstance(record, Mass) and record.kind != "box":
+        # A scene works out the box around it.
+        del table["lower"], table["size"]
+    return table
+
+
+def plain(value: Any) -> Any:
+    """Nested tuples as lists, dataclasses as tables, NumPy's numbers as Python's."""
+    if dataclasses.is_dataclass(value):
+        return changed(value)
+    if isinstance(value, tuple | list):
+        return [plain(each) for each in value]
+    return value.item() if hasattr(value, "item") else value
 
 
 def entries(data: dict[str, Any], group: str) -> list[dict[str, Any]]:

@@ -53,9 +53,9 @@ def height_profile(
     continuous in the positions. In 3D the volume is summed over z, so divide by the width for a mean height.
     """
     spacing = stations[1] - stations[0]
-    place = np.clip((positions[:, 0].astype(np.float64) - stations[0]) / spacing, 0.0, len(stations) - 1.0)
-    left = np.minimum(place.astype(np.int64), len(stations) - 2)
-    share = place - left
+    coordinate = np.clip((positions[:, 0].astype(np.float64) - stations[0]) / spacing, 0.0, len(stations) - 1.0)
+    left = np.minimum(coordinate.astype(np.int64), len(stations) - 2)
+    share = coordinate - left
     height = np.bincount(left, volume * (1.0 - share), minlength=len(stations))
     height += np.bincount(left + 1, volume * share, minlength=len(stations))
     length = np.full(len(stations), spacing)
@@ -79,9 +79,9 @@ def thickness_map(
     shape = (len(stations[0]), len(stations[1]))
     left, share = [], []
     for axis, along in zip((0, 2), stations, strict=True):
-        place = np.clip(positions[:, axis].astype(np.float64) / along[1], 0.0, len(along) - 1.0)
-        left.append(np.minimum(place.astype(np.int64), len(along) - 2))
-        share.append(place - left[-1])
+        coordinate = np.clip(positions[:, axis].astype(np.float64) / along[1], 0.0, len(along) - 1.0)
+        left.append(np.minimum(coordinate.astype(np.int64), len(along) - 2))
+        share.append(coordinate - left[-1])
     thickness = np.zeros(shape[0] * shape[1])
     for right, ahead in ((0, 0), (0, 1), (1, 0), (1, 1)):
         part = (share[0] if right else 1.0 - share[0]) * (share[1] if ahead else 1.0 - share[1])
@@ -93,9 +93,9 @@ def thickness_map(
     return thickness.reshape(shape) / np.outer(*lengths), stations[0], stations[1]
 
 
-def profile_error(found: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
+def profile_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
     """Area between two height profiles over that under the wanted one [-]: 0 is equal, 2 disjoint."""
-    return float(np.abs(found - wanted).sum() / wanted.sum())
+    return float(np.abs(found - expected).sum() / expected.sum())
 
 
 def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], scene: Scene) -> float:

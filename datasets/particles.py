@@ -13,7 +13,7 @@ from datasets.material import Material
 from datasets.scene import TOLERANCE, Mass, Scene
 
 if TYPE_CHECKING:
-    from datasets.geometry.bodies import Filling
+    from datasets.geometry.masses import Filling
 
 ROUNDING = 1.0e-13
 """Relative difference up to which two volumes are the same number."""
@@ -74,7 +74,7 @@ def initial_particles(scene: Scene) -> Particles:
     A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size along every axis (`lattice_counts`),
     and each of its N particles the volume prod(size) / N; each is moved at random inside the share `jitter` of its own
     lattice cell. A mass draws from its own stream, so that adding one leaves the others. Bodies that are no boxes:
-    `datasets.geometry.bodies`.
+    `datasets.geometry.masses`.
     """
     materials: list[Material] = []
     positions, depths, velocities, gradients, indices = [], [], [], [], []
@@ -90,8 +90,8 @@ def initial_particles(scene: Scene) -> Particles:
         else:
             filled = filling(scene, mass)
             offset = stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter
-            places, depth = filled.places(offset)
-            positions.append(places)
+            moved, depth = filled.positions(offset)
+            positions.append(moved)
             depths.append(depth)
         arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
         own = mass.velocity or (0.0,) * scene.dimension
@@ -126,9 +126,9 @@ def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
 def filling(scene: Scene, mass: Mass) -> "Filling":
     """What fills a mass that is no box, before its jitter."""
     # The libraries of solid geometry load only where there is such a mass.
-    from datasets.geometry import bodies
+    from datasets.geometry import masses
 
-    return bodies.filling(scene, mass)
+    return masses.filling(scene, mass)
 
 
 def mass_counts(scene: Scene) -> list[int]:

@@ -37,7 +37,7 @@ class Domain(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Record):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.bodies`)."""
+    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.masses`)."""
 
     kind: str = "box"
     """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `particles`."""
@@ -148,7 +148,7 @@ class Scene(Record):
 
     def __post_init__(self) -> None:
         if any(mass.kind != "box" for mass in self.masses):
-            from datasets.geometry.bodies import with_boxes
+            from datasets.geometry.masses import with_boxes
 
             object.__setattr__(self, "masses", with_boxes(self))
         check(self)
@@ -316,9 +316,9 @@ def check(scene: Scene) -> None:
         first, second = np.argwhere(shared)[0]
         raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
     if has_shapes(scene):
-        from datasets.geometry.placing import check_places
+        from datasets.geometry.overlaps import check_overlaps
 
-        check_places(scene)
+        check_overlaps(scene)
 
 
 def has_shapes(scene: Scene) -> bool:
@@ -375,11 +375,11 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
     if shaped:
-        from datasets.geometry.placing import heights_above_solids
+        from datasets.geometry.overlaps import heights_above_solids
 
         height = np.minimum(height, heights_above_solids(scene))
-    reach = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
-    body = np.asarray(reach & reach.T, dtype=bool)
+    in_contact = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
+    body = np.asarray(in_contact & in_contact.T, dtype=bool)
     for _ in range(count.bit_length()):
         body = np.matmul(body, body)
     return np.asarray(np.where(body, height, np.inf).min(axis=1))

@@ -41,7 +41,7 @@ class Trajectory:
     scene: Scene
     """The scene it came from."""
     summary: dict[str, Any] = field(default_factory=dict)
-    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.summary`."""
+    """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None

@@ -22,7 +22,7 @@ from inverse.problem import Problem
 from inverse.report import markdown as report
 from inverse.result import Result, Round, Verdict
 from inverse.settings import Method, Surrogate
-from mpm.simulate import simulate, simulate_many
+from mpm import simulate, simulate_many
 
 
 class Gradient(StrEnum):

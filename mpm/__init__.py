@@ -1,6 +1,43 @@
-"""The ground truth: explicit MLS-MPM of Mohr-Coulomb sand, in Taichi."""
+"""The ground truth: explicit MLS-MPM of Mohr-Coulomb sand, in Taichi.
+
+from datasets import read_scene
+from mpm import LAST, simulate, simulate_many
+
+trajectory = simulate(read_scene("column-tall-42"))
+deposit = simulate(read_scene("baffles-2"), record=LAST).positions[-1]
+runs = simulate_many([scene.with_friction_deg(angle) for angle in (20.0, 30.0, 40.0)], record=LAST)
+"""
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 # Commands of Talus print what they found, not which libraries they found it with.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+if TYPE_CHECKING:
+    from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
+    from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
+
+_MODULES = dict.fromkeys(("ScenesFailed", "simulate", "simulate_each", "simulate_many"), "mpm.simulation") | (
+    dict.fromkeys(("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording"), "mpm.output.request")
+)
+
+__all__ = [
+    "ALL",
+    "AT_REST",
+    "LAST",
+    "WITH_FIELDS",
+    "Recording",
+    "ScenesFailed",
+    "simulate",
+    "simulate_each",
+    "simulate_many",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: processes that only read scenes or resolutions need no Taichi."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'mpm' has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)

@@ -11,7 +11,8 @@ import taichi as ti
 from tqdm import tqdm
 
 from mpm.arrays.batch import Array, Batch
-from mpm.arrays.layout import Features, Offset, Setting, StepControl
+from mpm.arrays.features import Features
+from mpm.arrays.layout import Offset, Setting, StepControl
 from mpm.kernel import Phase
 
 TWICE = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}

@@ -29,7 +29,7 @@ from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
-from mpm.processors import processors
+from mpm.process import processors
 
 DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
 
@@ -122,7 +122,7 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
                     future.result()
                 except BrokenProcessPool:
                     raise
-                except Exception as error:  # whatever goes wrong in one scene, the others are worth having
+                except Exception as error:  # whatever goes wrong in one scene, the others are kept
                     failures.append(f"{name} ({type(error).__name__}: {error})")
                 bar.update()
     if failures:
@@ -131,8 +131,8 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
 
 def simulate_one(scene: Scene, path: Path) -> None:
     """Simulate `scene` and save its trajectory to `path`; runs in a process of the pool."""
-    # Taichi belongs to the processes that simulate: the one that directs them neither needs nor waits for it.
-    from mpm.simulate import simulate
+    # Taichi belongs to the processes that simulate: the one that directs them does not import it.
+    from mpm import simulate
 
     trajectory = simulate(scene, precision="f32", threads=1)
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
@@ -161,7 +161,7 @@ def pool(jobs: int) -> Iterator[Executor]:
     executor = ProcessPoolExecutor(
         max_workers=jobs,
         mp_context=get_context("spawn"),
-        # Ctrl-C reaches every process of the terminal; only the director answers it.
+        # Ctrl-C goes to every process of the terminal; only the director answers it.
         initializer=signal.signal,
         initargs=(signal.SIGINT, signal.SIG_IGN),
     )

@@ -14,8 +14,9 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.arrays.layout import Features, Offset, Setting, StepControl, Worker
-from mpm.arrays.nodes import rows_of
+from mpm.arrays.access import rows_of
+from mpm.arrays.features import Features
+from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
 from mpm.physics.grid import clear, kept_of, update_node, update_nodes
 from mpm.physics.particles import move_block, move_particles

@@ -13,11 +13,11 @@ from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
 from mpm.arrays.layout import Precision
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.request import FIELDS, Recording
+from mpm.output.request import ALL, FIELDS, Recording
+from mpm.process import stopping
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch
-from mpm.simulate import Interrupted, Options, simulate_resumably
-from mpm.stopping import stopping
+from mpm.simulation import Interrupted, Options, simulate_resumably
 
 
 def command(
@@ -84,21 +84,20 @@ def command(
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    options: Options = {"arch": arch, "progress": True}
-    if precision or what:
-        options["precision"] = precision or (what.precision if what else "f32")
-    if until_rest:
-        options["until_rest"] = True
-    recorded = fields or raw_fields or vtk or vtkhdf
-    if every is not None or last_frame or recorded or forces:
-        options["record"] = Recording(
-            frames="last" if last_frame else "all" if every is None else every,
-            fields=frozenset(FIELDS if recorded else ()),
-            wall_forces=recorded or forces,
-            raw=raw_fields,
-        )
     place = out / "checkpoint.npz"
     start = Checkpoint.load(place) if resume else None
+    base = start.recording if start else ALL
+    fields = fields or raw_fields or vtk or vtkhdf
+    record = Recording(
+        frames="last" if last_frame else base.frames if every is None else every,
+        fields=frozenset(FIELDS) if fields else base.fields,
+        wall_forces=fields or forces or base.wall_forces,
+        raw=raw_fields or base.raw,
+        until_rest=until_rest or base.until_rest,
+    )
+    options: Options = {"arch": arch, "record": record, "progress": True}
+    if precision or what:
+        options["precision"] = precision or (what.precision if what else "f32")
     try:
         with stopping() as stop:
             trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)

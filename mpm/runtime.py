@@ -8,7 +8,7 @@ import taichi as ti
 
 from datasets.errors import InputError
 from mpm.arrays.layout import Precision
-from mpm.processors import processors
+from mpm.process import processors
 
 Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
@@ -33,7 +33,7 @@ def start(precision: Precision = "f32", threads: int | None = None, arch: Arch =
             cpu_max_num_threads=threads,
             # NaNs must stay visible: a run that blows up has to say so.
             fast_math=False,
-            # Vectors stay vectors down to LLVM, which has registers for them (`mpm.arrays.lanes`).
+            # Vectors stay vectors down to LLVM, which has registers for them (`mpm.arrays.access`).
             real_matrix_scalarize=arch != "cpu",
             offline_cache=True,
             log_level=ti.ERROR,

@@ -15,8 +15,8 @@ from inverse.forward.gns import GnsSource
 from inverse.observations import deposit as observations
 from inverse.observations.target import Target, read_target
 from inverse.problem import TargetSettings, read_problem
+from mpm import simulate, simulate_many
 from mpm.output.request import LAST
-from mpm.simulate import simulate, simulate_many
 from validation.loop.__main__ import finish, solve
 
 ANGLES_DEG = (18.0, 42.0)

@@ -24,9 +24,9 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.arrays.layout import Precision
 from mpm.output.request import ALL, LAST, Recording
-from mpm.processors import processors
+from mpm.process import processors
 from mpm.resolution import particle_steps
-from mpm.simulate import LARGE, ScenesFailed, simulate_many
+from mpm.simulation import LARGE, ScenesFailed, simulate_many
 
 SHARE = "share_s"
 """In the summary of a stored run: its share of the wall time of all that ran beside it [s]."""
@@ -75,7 +75,7 @@ class Run:
 
 
 class RunStore:
-    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate.simulate_many`."""
+    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulation.simulate_many`."""
 
     def __init__(
         self, folder: Path, simulate: Callable[..., list[Trajectory]] = simulate_many, *, label: str = ""

@@ -38,7 +38,7 @@ BAFFLE_COUNTS = (0, 1, 2, 3, 4, 5)
 BAFFLE_WIDTH = (0.10, 0.17)
 """Extent of a baffle in x and in z [m]."""
 BAFFLE_HEIGHT = (0.15, 0.35)
-REACH = 0.6
+BAFFLE_RANGE = 0.6
 """How much farther than the least gap a baffle may stand before the mass [m]."""
 SPLIT_PERIOD = 20
 """Of so many scenes, one is for validation and one for the test."""
@@ -70,13 +70,13 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
 
 def draw_slab(stream: np.random.Generator) -> Mass:
     """A low cuboid in the first half of the channel, standing or in the air, with a random velocity downstream."""
-    least, most = zip(SLAB_LENGTH_CELLS, SLAB_HEIGHT_CELLS, SLAB_WIDTH_CELLS, strict=True)
-    sides = stream.integers(least, most, endpoint=True)
-    place = stream.integers(0, [CELLS - sides[0], HIGHEST_START, CELLS - sides[2]], endpoint=True)
+    smallest, largest = zip(SLAB_LENGTH_CELLS, SLAB_HEIGHT_CELLS, SLAB_WIDTH_CELLS, strict=True)
+    extents = stream.integers(smallest, largest, endpoint=True)
+    position = stream.integers(0, [CELLS - extents[0], HIGHEST_START, CELLS - extents[2]], endpoint=True)
     # Half of the masses stand on the floor.
-    place[1] *= stream.integers(2)
+    position[1] *= stream.integers(2)
     velocity = stream.uniform([0.0, -SIDE_SPEED, -SIDE_SPEED], [SPEED, SIDE_SPEED, SIDE_SPEED])
-    return Mass(lower=vector(place / CELLS), size=vector(sides / CELLS), velocity=vector(velocity))
+    return Mass(lower=vector(position / CELLS), size=vector(extents / CELLS), velocity=vector(velocity))
 
 
 def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[Baffle, ...] | None:
@@ -86,7 +86,7 @@ def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[B
         baffles = []
         for _ in range(count):
             length, width = stream.uniform(*BAFFLE_WIDTH, 2)
-            x = stream.uniform(nearest, min(nearest + REACH, LENGTH - length))
+            x = stream.uniform(nearest, min(nearest + BAFFLE_RANGE, LENGTH - length))
             z = stream.uniform(0.0, 1.0 - width)
             height = stream.uniform(*BAFFLE_HEIGHT)
             baffles.append(Baffle(lower=vector((x, 0.0, z)), size=vector((length, height, width))))

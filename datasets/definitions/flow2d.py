@@ -73,8 +73,8 @@ def split(index: int) -> Split:
 
     The second and third scene of an angle are already held out, so that a small dataset has all three parts.
     """
-    place = index // len(FRICTION_DEG) % SPLIT_PERIOD
-    return {1: Split.VALID, 2: Split.TEST}.get(place, Split.TRAIN)
+    turn = index // len(FRICTION_DEG) % SPLIT_PERIOD
+    return {1: Split.VALID, 2: Split.TEST}.get(turn, Split.TRAIN)
 
 
 FLOW2D = Definition(

@@ -1,7 +1,7 @@
-"""Layers2D: heaps of horizontal layers that move apart, our own addition to the paper's Flow2D.
+"""Layers2D: piles of horizontal layers that move apart, our own addition to the paper's Flow2D.
 
 The inverse problems ask for the velocity, the friction or the cohesion of single layers. Flow2D's squares move as one
-and are of one sand but for its angle; here the layers of a heap differ.
+and are of one sand but for its angle; here the layers of a pile differ.
 """
 
 from enum import Enum, auto
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.definitions.definition import Definition, Split
 from datasets.definitions.flow2d import CELLS, box_scene, jitter_seed, metres
-from datasets.definitions.releases2d import AREA, CLEARANCE, FRICTION_DEG, LENGTH_CELLS, Place, held_out
+from datasets.definitions.releases2d import AREA, CLEARANCE, FRICTION_DEG, LENGTH_CELLS, Position, held_out
 from datasets.material import Material
 from datasets.scene import Mass, Scene
 
@@ -20,7 +20,7 @@ MOST_LAYERS = 10
 THINNEST = 2
 """Least thickness of a layer in cells."""
 HEIGHT_CELLS = (8, 45)
-"""Lowest and highest heap in cells."""
+"""Lowest and highest pile in cells."""
 SPEED = 2.0
 """Largest horizontal velocity of a layer [m/s]."""
 COHESION = (30.0, 3000.0)
@@ -28,9 +28,9 @@ COHESION = (30.0, 3000.0)
 CUTOFF_SHARE = 0.5
 """Tension cutoff over cohesion, as in the paper."""
 PAPER_LAYERS = (0.35, 0.28)
-"""Length and height [m] of the heap of ten layers that the inversion is tested on."""
+"""Length and height [m] of the pile of ten layers that the inversion is tested on."""
 PAPER_MARGIN = 0.03
-"""How far [m] a heap must stay from it in length or in height."""
+"""How far [m] a pile must stay from it in length or in height."""
 SPLIT_PERIOD = 20
 """Of so many scenes, one is for validation and one for the test."""
 
@@ -49,20 +49,20 @@ MOTIONS = (Motion.REST, Motion.SHEAR, Motion.RANDOM)
 
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
-    """A heap on the floor, at a wall or free, whose layers have velocities and angles of friction of their own.
+    """A pile on the floor, at a wall or free, whose layers have velocities and angles of friction of their own.
 
-    Half of the heaps have one angle in all layers; half have the paper's cohesion, half another one.
+    Half of the piles have one angle in all layers; half have the paper's cohesion, half another one.
     """
-    length, thicknesses, place = draw_heap(stream)
-    while kept_for_tests(length, thicknesses, place):
-        length, thicknesses, place = draw_heap(stream)
+    length, thicknesses, position = draw_pile(stream)
+    while kept_for_tests(length, thicknesses, position):
+        length, thicknesses, position = draw_pile(stream)
     space = CELLS - length
-    match place:
-        case Place.LEFT_WALL:
+    match position:
+        case Position.LEFT_WALL:
             start = 0
-        case Place.RIGHT_WALL:
+        case Position.RIGHT_WALL:
             start = space
-        case Place.FREE:
+        case Position.FREE:
             start = int(stream.integers(CLEARANCE, space - CLEARANCE + 1))
     count = len(thicknesses)
     velocities = draw_velocities(stream, MOTIONS[index % len(MOTIONS)], count)
@@ -95,8 +95,8 @@ def sand(friction_deg: float, cohesion: float) -> Material:
     )
 
 
-def draw_heap(stream: np.random.Generator) -> tuple[int, list[int], Place]:
-    """Length of a heap, thicknesses of its layers from the floor up [cells], and where it stands."""
+def draw_pile(stream: np.random.Generator) -> tuple[int, list[int], Position]:
+    """Length of a pile, thicknesses of its layers from the floor up [cells], and where it stands."""
     while True:
         length = int(stream.integers(*LENGTH_CELLS, endpoint=True))
         height = int(stream.integers(*HEIGHT_CELLS, endpoint=True))
@@ -106,8 +106,8 @@ def draw_heap(stream: np.random.Generator) -> tuple[int, list[int], Place]:
     # What is left after every layer has its least thickness is cut at random.
     cuts = np.sort(stream.integers(0, height - count * THINNEST + 1, count - 1))
     thicknesses = THINNEST + np.diff([0, *cuts, height - count * THINNEST])
-    place = tuple(Place)[int(stream.integers(len(Place)))]
-    return length, [int(thickness) for thickness in thicknesses], place
+    position = tuple(Position)[int(stream.integers(len(Position)))]
+    return length, [int(thickness) for thickness in thicknesses], position
 
 
 def draw_velocities(stream: np.random.Generator, motion: Motion, count: int) -> NDArray[np.float64]:
@@ -122,11 +122,11 @@ def draw_velocities(stream: np.random.Generator, motion: Motion, count: int) -> 
             return stream.uniform(-SPEED, SPEED, count)
 
 
-def kept_for_tests(length: int, thicknesses: list[int], place: Place) -> bool:
-    """Whether a heap is near the paper's ten layers or near a column of `datasets.definitions.releases2d` kept for tests."""
+def kept_for_tests(length: int, thicknesses: list[int], position: Position) -> bool:
+    """Whether a pile is near the paper's ten layers or near a column of `datasets.definitions.releases2d` kept for tests."""
     size = np.array([metres(length), metres(sum(thicknesses))])
     near_layers = np.abs(size - PAPER_LAYERS).max() <= PAPER_MARGIN
-    return bool(near_layers) or (place is not Place.FREE and held_out(float(size[0]), float(size[1])))
+    return bool(near_layers) or (position is not Position.FREE and held_out(float(size[0]), float(size[1])))
 
 
 def split(index: int) -> Split:

@@ -37,7 +37,7 @@ BAFFLE_WIDTH = (0.10, 0.13)
 BAFFLE_HEIGHT = 0.30
 GAP = 3 / CELLS
 """Least distance of a baffle from the mass and from other baffles [m]: narrower gaps do not flow as a continuum."""
-REACH = 0.25
+BAFFLE_RANGE = 0.25
 """How much farther than that a baffle may stand before the mass [m]: what falls over from rest gets there too."""
 ROOM_CELLS = 8
 """Cells behind the mass at least: a gap and a baffle."""
@@ -76,21 +76,21 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
 
 def draw_mass(stream: np.random.Generator) -> Mass:
     """A cuboid with room for a baffle behind it."""
-    sides = draw_sides(stream)
-    spare = CELLS - sides
-    place = stream.integers(0, [spare[0] - ROOM_CELLS, min(spare[1], HIGHEST_START), spare[2]], endpoint=True)
+    extents = draw_extents(stream)
+    spare = CELLS - extents
+    position = stream.integers(0, [spare[0] - ROOM_CELLS, min(spare[1], HIGHEST_START), spare[2]], endpoint=True)
     # Half of the masses stand on the floor.
-    place[1] *= stream.integers(2)
+    position[1] *= stream.integers(2)
     velocity = stream.uniform([0.0, -SIDE_SPEED, -SIDE_SPEED], [SPEED, SIDE_SPEED, SIDE_SPEED])
-    return Mass(lower=vector(place / CELLS), size=vector(sides / CELLS), velocity=vector(velocity))
+    return Mass(lower=vector(position / CELLS), size=vector(extents / CELLS), velocity=vector(velocity))
 
 
-def draw_sides(stream: np.random.Generator) -> NDArray[np.int64]:
+def draw_extents(stream: np.random.Generator) -> NDArray[np.int64]:
     """Sides of a mass in cells, shape [3]: not too many points, and not too long for a baffle behind it."""
     while True:
-        sides = stream.integers(*SIDE_CELLS, 3, endpoint=True)
-        if PARTICLES_PER_AXIS**3 * sides.prod() <= MOST_POINTS and sides[0] <= CELLS - ROOM_CELLS:
-            return sides
+        extents = stream.integers(*SIDE_CELLS, 3, endpoint=True)
+        if PARTICLES_PER_AXIS**3 * extents.prod() <= MOST_POINTS and extents[0] <= CELLS - ROOM_CELLS:
+            return extents
 
 
 def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[Baffle, ...] | None:
@@ -99,7 +99,7 @@ def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[B
     for _ in range(TRIES):
         baffles = []
         for length, width in stream.uniform(*BAFFLE_WIDTH, (count, 2)):
-            x = stream.uniform(nearest, min(nearest + REACH, 1.0 - length))
+            x = stream.uniform(nearest, min(nearest + BAFFLE_RANGE, 1.0 - length))
             z = stream.uniform(mass.lower[2], mass.lower[2] + mass.size[2]) - 0.5 * width
             z = min(max(z, 0.0), 1.0 - width)
             baffles.append(Baffle(lower=vector((x, 0.0, z)), size=vector((length, BAFFLE_HEIGHT, width))))

@@ -1,7 +1,7 @@
-"""Releases2D: heaps let go from rest, our own addition to the paper's Flow2D.
+"""Releases2D: piles let go from rest, our own addition to the paper's Flow2D.
 
 Flow2D's squares arrive with a velocity. To a learned simulator, which sees positions and velocities but no stress, a
-column that has just been released and a heap that has settled look alike; trained on moving squares alone it answers
+column that has just been released and a pile that has settled look alike; trained on moving squares alone it answers
 with perfect support and the column stands. These scenes show how sand of many shapes starts to move.
 """
 
@@ -15,18 +15,18 @@ from datasets.scene import Mass, Scene
 
 SIZE = 1200
 LENGTH_CELLS = (10, 45)
-"""Shortest and longest heap in cells."""
+"""Shortest and longest pile in cells."""
 HEIGHT_CELLS = (8, 50)
-"""Lowest and highest column of a heap in cells."""
+"""Lowest and highest column of a pile in cells."""
 AREA = (0.02, 0.12)
-"""Smallest and largest area of a heap [m^2]."""
+"""Smallest and largest area of a pile [m^2]."""
 MOST_COLUMNS = 3
 THINNEST = 3
 """Least length of one column in cells: thinner layers do not flow as a continuum on the grid."""
-LEAST_STEP = 3
+MINIMUM_STEP = 3
 """Least difference in height between neighbouring columns in cells: a staircase must not pass for a box."""
 CLEARANCE = 5
-"""Least distance of a free-standing heap from the walls in cells."""
+"""Least distance of a free-standing pile from the walls in cells."""
 FRICTION_DEG = (15.0, 45.0)
 
 PAPER_COLUMNS = ((0.4, 0.2), (0.2, 0.4))
@@ -41,33 +41,40 @@ HELD_OUT_AREA = (0.06, 0.10)
 """Areas [m^2] that these tests use."""
 
 
-class Place(Enum):
-    """Where a heap stands."""
+class Position(Enum):
+    """Where a pile stands."""
 
     LEFT_WALL = auto()
     RIGHT_WALL = auto()
     FREE = auto()
 
 
-PLACES = (Place.LEFT_WALL, Place.LEFT_WALL, Place.FREE, Place.LEFT_WALL, Place.RIGHT_WALL, Place.FREE)
-"""Repeated along the dataset: half of the heaps lean on the left wall, and the held-out scenes meet both kinds."""
+POSITIONS = (
+    Position.LEFT_WALL,
+    Position.LEFT_WALL,
+    Position.FREE,
+    Position.LEFT_WALL,
+    Position.RIGHT_WALL,
+    Position.FREE,
+)
+"""Repeated along the dataset: half of the piles lean on the left wall, and the held-out scenes meet both kinds."""
 SPLIT_PERIOD = 20
 """Of so many scenes, one is for validation and one for the test."""
 
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
     """One to three touching columns of different heights, at rest on the floor; lengths are whole numbers of cells."""
-    place = PLACES[index % len(PLACES)]
+    position = POSITIONS[index % len(POSITIONS)]
     lengths, heights = draw_staircase(stream)
-    while not acceptable(lengths, heights, place):
+    while not acceptable(lengths, heights, position):
         lengths, heights = draw_staircase(stream)
     space = CELLS - sum(lengths)
-    match place:
-        case Place.LEFT_WALL:
+    match position:
+        case Position.LEFT_WALL:
             start = 0
-        case Place.RIGHT_WALL:
+        case Position.RIGHT_WALL:
             start = space
-        case Place.FREE:
+        case Position.FREE:
             start = int(stream.integers(CLEARANCE, space - CLEARANCE + 1))
     edges = np.cumsum([start, *lengths])
     masses = tuple(
@@ -89,15 +96,15 @@ def draw_staircase(stream: np.random.Generator) -> tuple[list[int], list[int]]:
     return [int(length) for length in lengths], [int(height) for height in heights]
 
 
-def acceptable(lengths: list[int], heights: list[int], place: Place) -> bool:
-    """Whether a heap has a permitted area, steps that are steps, and is no test scenario."""
+def acceptable(lengths: list[int], heights: list[int], position: Position) -> bool:
+    """Whether a pile has a permitted area, steps that are steps, and is no test scenario."""
     area = sum(metres(length) * metres(height) for length, height in zip(lengths, heights, strict=True))
     steps = np.abs(np.diff(heights))
     single = len(lengths) == 1
     return (
         AREA[0] <= area <= AREA[1]
-        and bool(np.all(steps >= LEAST_STEP))
-        and not (single and place is not Place.FREE and held_out(metres(lengths[0]), metres(heights[0])))
+        and bool(np.all(steps >= MINIMUM_STEP))
+        and not (single and position is not Position.FREE and held_out(metres(lengths[0]), metres(heights[0])))
     )
 
 

@@ -54,7 +54,14 @@ def georeference(scene: Scene) -> Georeference:
 
 
 def write_raster(
-    path: Path, values: Floats, cell: float, place: Georeference, *, kind: Literal["tif", "asc"], name: str, unit: str
+    path: Path,
+    values: Floats,
+    cell: float,
+    georeference: Georeference,
+    *,
+    kind: Literal["tif", "asc"],
+    name: str,
+    unit: str,
 ) -> None:
     """Write a map, shape [X, Z], over square cells [m], the first at x = z = 0: a GeoTIFF or an ESRI ASCII grid.
 
@@ -71,9 +78,11 @@ def write_raster(
         "height": rows.shape[0],
         "count": 1,
         "dtype": "float32",
-        "crs": place.crs,
+        "crs": georeference.crs,
         # To the east along a row, to the south from row to row.
-        "transform": rasterio.Affine(cell, 0.0, place.east, 0.0, -cell, place.north + rows.shape[0] * cell),
+        "transform": rasterio.Affine(
+            cell, 0.0, georeference.east, 0.0, -cell, georeference.north + rows.shape[0] * cell
+        ),
         **OPTIONS[kind],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,7 +103,7 @@ def write_raster(
             file.replace(path.parent / file.name)
 
 
-def outline(values: Floats, cell: float, place: Georeference, threshold: float) -> list[list[Ring]]:
+def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> list[list[Ring]]:
     """Where a map, shape [X, Z], exceeds `threshold`: polygons of an outer ring and holes, in the map's coordinates.
 
     The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
@@ -107,7 +116,9 @@ def outline(values: Floats, cell: float, place: Georeference, threshold: float) 
     x, z = (
         cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]]) for count in values.shape
     )
-    generator = contour_generator(place.east + x, place.north + z, padded.T, fill_type=FillType.OuterOffset)
+    generator = contour_generator(
+        georeference.east + x, georeference.north + z, padded.T, fill_type=FillType.OuterOffset
+    )
     lines = generator.filled(threshold, np.inf)
     polygons = []
     for points, offsets in zip(*lines, strict=True):
@@ -129,7 +140,9 @@ def area(polygons: Sequence[Sequence[Ring]]) -> float:
     return sum(signed_area(ring) for polygon in polygons for ring in polygon)
 
 
-def write_outlines(path: Path, outlines: dict[str, list[list[Ring]]], threshold: float, place: Georeference) -> None:
+def write_outlines(
+    path: Path, outlines: dict[str, list[list[Ring]]], threshold: float, georeference: Georeference
+) -> None:
     """Write named outlines as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
 
     Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
@@ -143,8 +156,8 @@ def write_outlines(path: Path, outlines: dict[str, list[list[Ring]]], threshold:
         for name, polygons in outlines.items()
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
-    if place.crs is not None:
-        collection["crs"] = {"type": "name", "properties": {"name": urn(place.crs)}}
+    if georeference.crs is not None:
+        collection["crs"] = {"type": "name", "properties": {"name": urn(georeference.crs)}}
     write_text(path, json.dumps(collection) + "\n")
 
 

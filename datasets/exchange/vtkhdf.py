@@ -45,11 +45,11 @@ class Block:
         group.create_group(kind)
         offsets = self.steps.create_group(f"{kind}Offsets")
         for array, values in meshes.arrays(name, 0, 0).items():
-            place = f"{kind}/{array}"
-            offsets[array] = self._make(place, values, changes=array not in UNCHANGING)
-            group[place].attrs["units"] = meshes.unit(array)
+            key = f"{kind}/{array}"
+            offsets[array] = self._make(key, values, changes=array not in UNCHANGING)
+            group[key].attrs["units"] = meshes.unit(array)
             if array == ACTIVE.get(name):
-                group[place].attrs.create("Attribute", np.bytes_("Vectors"))
+                group[key].attrs.create("Attribute", np.bytes_("Vectors"))
 
     def write(self, step: int, frame: int, since: int) -> None:
         """Put what changes of `frame` in its place, at the time of number `step`; `since` as for `Meshes.part`."""
@@ -62,13 +62,13 @@ class Block:
             values = arrays[name]
             dataset[step * len(values) : (step + 1) * len(values)] = values
 
-    def _make(self, place: str, values: NDArray[Any], *, changes: bool) -> NDArray[np.int64]:
+    def _make(self, key: str, values: NDArray[Any], *, changes: bool) -> NDArray[np.int64]:
         """Make an array for all times; one that does not change is written at once. Returns where each time begins."""
         if changes:
             shape = (len(values) * self.count, *values.shape[1:])
-            self.changing[place.split("/")[-1]] = self.group.create_dataset(place, shape, values.dtype)
+            self.changing[key.split("/")[-1]] = self.group.create_dataset(key, shape, values.dtype)
         else:
-            self.group[place] = values
+            self.group[key] = values
         return np.arange(self.count) * (len(values) if changes else 0)
 
     def _describe_cells(self, mesh: "pyvista.PolyData") -> None:

@@ -64,7 +64,7 @@ class Reader:
         """A solid with what its files hold."""
         kind = entry.get("kind", "box")
         if isinstance(entry.get("file"), str) and kind in ("terrain", "mesh"):
-            path, how = self.taken(entry, key)
+            path, how = self.file_of(entry, key)
             if kind == "mesh":
                 entry |= self.mesh(path, how, entry, key)
             elif len(self.size) == 3:
@@ -83,7 +83,7 @@ class Reader:
         if kind != "box":
             self.refuse(entry, ("lower", "size"), key, f"no such key of a {kind}")
         if isinstance(entry.get("file"), str) and kind in ("mesh", "particles"):
-            path, how = self.taken(entry, key)
+            path, how = self.file_of(entry, key)
             if kind == "mesh":
                 entry |= self.mesh(path, how, entry, key)
             else:
@@ -100,7 +100,7 @@ class Reader:
         self.refuse(entry, HOW, key)
         return entry
 
-    def taken(self, entry: Entry, key: str) -> tuple[Path, Entry]:
+    def file_of(self, entry: Entry, key: str) -> tuple[Path, Entry]:
         """The path of an entry's file and how it is read, taken out of it."""
         allowed = {"mesh": ("scale", "at")}.get(entry["kind"], ("at", "unit") if entry["kind"] == "terrain" else ())
         how = {name: entry.pop(name) for name in HOW if name in entry}
@@ -138,7 +138,7 @@ class Reader:
 
         return self.at_key(key, read)
 
-    def placed(self, path: Path, how: Entry, column: str, extra: str | None = None, own: bool = False) -> Field:
+    def located(self, path: Path, how: Entry, column: str, extra: str | None = None, own: bool = False) -> Field:
         """A field in the coordinates of the box; a raster beside the terrain's where that is one, unless `own`."""
         field = read_field(path, column, how.get("unit", "m"), extra)
         at = how.get("at")
@@ -153,7 +153,7 @@ class Reader:
     def height_field(self, path: Path, how: Entry, entry: Entry, key: str) -> Entry:
         """A terrain in 3D: the part of the file in and around the box."""
         self.refuse(entry, ("origin", "spacing", "heights", "corner", "crs"), key)
-        field = self.placed(path, how, "y", "friction", own=True)
+        field = self.located(path, how, "y", "friction", own=True)
         field = field.cropped((self.size[0], self.size[2]), BEYOND * self.cell)
         whole(field, path)
         found = grid(field, "heights")
@@ -171,7 +171,7 @@ class Reader:
             raise InputError("expected a number or a list; a file only of a terrain in 3D", key=f"{key}.friction")
 
         def read() -> Entry:
-            field = self.placed(path, {}, "friction")
+            field = self.located(path, {}, "friction")
             x, z = (
                 entry["origin"][k] + entry["spacing"][k] * np.arange(np.array(entry["heights"]).shape[k])
                 for k in range(2)
@@ -197,7 +197,7 @@ class Reader:
     def thickness(self, path: Path, how: Entry) -> Entry:
         """The thickness of a layer."""
         if len(self.size) == 3:
-            field = self.placed(path, how, "thickness")
+            field = self.located(path, how, "thickness")
             whole(field, path)
             return grid(field, "thickness")
         columns = lengths(path, ("x", "thickness"), (), how)

@@ -67,27 +67,27 @@ def ground_grid(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats, Float
     axes: list[Floats] = []
     for number, (axis, name) in enumerate(((0, "x"), (2, "z"))):
         origin, spacing = (solid.origin or ())[number], (solid.spacing or ())[number]
-        places = origin + spacing * np.arange(heights.shape[number])
+        coordinates = origin + spacing * np.arange(heights.shape[number])
         length, beyond = box.size[axis], BEYOND * box.cell
         slack = max(box.cell, spacing) + TOUCHING
-        if places[0] > slack or places[-1] < length - slack:
+        if coordinates[0] > slack or coordinates[-1] < length - slack:
             raise InputError(
                 f"expected heights over the whole box, {name} from 0 to {length:g} or within a cell of it, "
-                f"got {places[0]:g} to {places[-1]:g}",
+                f"got {coordinates[0]:g} to {coordinates[-1]:g}",
                 key=f"{key}.heights",
             )
         h, mu = np.moveaxis(heights, number, 0), np.moveaxis(friction, number, 0)
         for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
             end, other = (0, 1) if first else (-1, -2)
-            if places[end] <= outer if first else places[end] >= outer:
+            if coordinates[end] <= outer if first else coordinates[end] >= outer:
                 continue
-            slope = (h[end] - h[other]) / (places[end] - places[other])
-            on_side = abs(places[end] - limit) <= TOUCHING
-            new = h[end] + (slope * (outer - places[end]) if on_side else 0.0)
-            places = np.concatenate([[outer], places] if first else [places, [outer]])
+            slope = (h[end] - h[other]) / (coordinates[end] - coordinates[other])
+            on_side = abs(coordinates[end] - limit) <= TOUCHING
+            new = h[end] + (slope * (outer - coordinates[end]) if on_side else 0.0)
+            coordinates = np.concatenate([[outer], coordinates] if first else [coordinates, [outer]])
             h = np.concatenate([new[None], h] if first else [h, new[None]])
             mu = np.concatenate([mu[:1], mu] if first else [mu, mu[-1:]])
-        axes.append(np.asarray(places, np.float64))
+        axes.append(np.asarray(coordinates, np.float64))
         heights, friction = np.moveaxis(h, 0, number), np.moveaxis(mu, 0, number)
     return axes[0], axes[1], heights, friction
 

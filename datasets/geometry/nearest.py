@@ -77,9 +77,9 @@ class Search:
 
     def nearest(self, points: Floats, within: float) -> Nearest:
         """The nearest places for `points` [N, D], of those farther than `within` [m] some near place."""
-        bound, least, face = self.bound(points)
+        bound, nearest_centre, face = self.bound(points)
         best = np.full(len(points), np.inf)
-        close = np.flatnonzero(least <= within)
+        close = np.flatnonzero(nearest_centre <= within)
         for point, candidate in self.pairs(points[close], bound[close]):
             point = close[point]
             _, distance, _ = feet(self.surface.corners[candidate], points[point])
@@ -89,19 +89,19 @@ class Search:
             chosen = first[better]
             best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
         found = sign_and_normal(self.surface, points, face)
-        return replace(found, distance=np.where(least <= within, found.distance, np.inf))
+        return replace(found, distance=np.where(nearest_centre <= within, found.distance, np.inf))
 
     def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
         """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""
-        bound, least = np.full(len(points), np.inf), np.full(len(points), np.inf)
+        bound, nearest_centre = np.full(len(points), np.inf), np.full(len(points), np.inf)
         face = np.zeros(len(points), np.int64)
         for faces, tree, radius in self.classes:
             centre, number = tree.query(points)
             _, distance, _ = feet(self.surface.corners[faces[number]], points)
             face = np.where(distance < bound, faces[number], face)
             bound = np.minimum(bound, distance)
-            least = np.minimum(least, centre - radius)
-        return bound, least, face
+            nearest_centre = np.minimum(nearest_centre, centre - radius)
+        return bound, nearest_centre, face
 
     def pairs(self, points: Floats, bound: Floats) -> list[tuple[Integers, Integers]]:
         """Points and faces that may lie within `bound` of them, in portions."""
@@ -127,12 +127,12 @@ def sign_and_normal(surface: Surface, points: Floats, face: Integers) -> Nearest
     pseudonormal = normals_at(surface, face, weights)
     offset = points - foot
     sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
-    away = distance > ROUNDING * np.abs(surface.corners).max()
-    direction = sign[:, None] * offset / np.where(away, distance, 1.0)[:, None]
+    apart = distance > ROUNDING * np.abs(surface.corners).max()
+    direction = sign[:, None] * offset / np.where(apart, distance, 1.0)[:, None]
     return Nearest(
         distance=sign * distance,
         foot=foot,
-        normal=np.where(away[:, None], direction, pseudonormal),
+        normal=np.where(apart[:, None], direction, pseudonormal),
         face=face,
     )
 

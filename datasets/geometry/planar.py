@@ -31,18 +31,18 @@ class Ring:
     key: str
     """Where the solid stands in the scene, such as `solids[0]`."""
 
-    def friction_at(self, places: Floats) -> Floats:
+    def friction_at(self, positions: Floats) -> Floats:
         """The coefficient at the nearest place of the ring, linear along its edges, shape [N]."""
         after = np.roll(self.points, -1, axis=0)
         edges = shapely.STRtree(shapely.linestrings(np.stack([self.points, after], axis=1)))
-        edge = edges.nearest(shapely.points(places))
+        edge = edges.nearest(shapely.points(positions))
         start, along = self.points[edge], after[edge] - self.points[edge]
-        share = np.clip(((places - start) * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
+        share = np.clip(((positions - start) * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
         return np.asarray((1.0 - share) * self.friction[edge] + share * np.roll(self.friction, -1)[edge])
 
-    def distance(self, places: Floats) -> Floats:
+    def distance(self, positions: Floats) -> Floats:
         """Distance [m] of places from the ring, shape [N]."""
-        return np.asarray(shapely.distance(shapely.points(places), shapely.linearrings(self.points)))
+        return np.asarray(shapely.distance(shapely.points(positions), shapely.linearrings(self.points)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +106,11 @@ def check_simple(points: Floats, key: str) -> None:
     polygon = Polygon(points)
     if not polygon.is_valid:
         reason = shapely.is_valid_reason(polygon)
-        place = reason[reason.find("[") + 1 : reason.find("]")].replace(" ", ", ") if "[" in reason else ""
+        position = reason[reason.find("[") + 1 : reason.find("]")].replace(" ", ", ") if "[" in reason else ""
         raise InputError(
-            f"expected a polygon that does not cross itself, it does at ({place})" if place else "expected a polygon",
+            f"expected a polygon that does not cross itself, it does at ({position})"
+            if position
+            else "expected a polygon",
             key=key,
         )
 
@@ -154,14 +156,14 @@ def continued(ring: Ring, axis: int, side: int, box: Box) -> Ring:
         for end, inner in ((index, index - 1), (following, (following + 1) % count)):
             rise = out * (points[end, axis] - points[inner, axis])
             shift = (points[end, across] - points[inner, across]) / rise if rise > TOUCHING else 0.0
-            place = points[end].copy()
-            place[axis] = limit + out * beyond
-            place[across] += beyond * float(np.clip(shift, -STEEPEST, STEEPEST))
-            moved.append(place)
+            position = points[end].copy()
+            position[axis] = limit + out * beyond
+            position[across] += beyond * float(np.clip(shift, -STEEPEST, STEEPEST))
+            moved.append(position)
         width = points[following, across] - points[index, across]
         if (moved[1][across] - moved[0][across]) * np.sign(width) < 0.1 * abs(width):
-            for place, end in zip(moved, (index, following), strict=True):
-                place[across] = points[end, across]
+            for position, end in zip(moved, (index, following), strict=True):
+                position[across] = points[end, across]
         new_points += moved
         new_friction += [friction[index], friction[following]]
     return replace(ring, points=np.array(new_points), friction=np.array(new_friction))
@@ -240,14 +242,17 @@ def split(loop: Floats, known: Floats, tolerance: float) -> Floats:
     length = np.linalg.norm(along, axis=1)
     edges = shapely.STRtree(shapely.linestrings(np.stack([loop, np.roll(loop, -1, axis=0)], axis=1)))
     corner, edge = edges.query(shapely.points(known), predicate="dwithin", distance=tolerance)
-    place = ((known[corner] - start[edge]) * along[edge]).sum(-1) / length[edge]
-    inner = (place > tolerance) & (place < length[edge] - tolerance)
-    edge, place = np.concatenate([np.arange(len(loop)), edge[inner]]), np.concatenate([0.0 * length, place[inner]])
-    order = np.lexsort((place, edge))
-    edge, place = edge[order], place[order]
-    new = (np.diff(edge, prepend=-1) > 0) | (np.diff(place, prepend=-1.0) > tolerance)
-    edge, place = edge[new], place[new]
-    return np.asarray(start[edge] + (place / length[edge])[:, None] * along[edge])
+    position = ((known[corner] - start[edge]) * along[edge]).sum(-1) / length[edge]
+    inner = (position > tolerance) & (position < length[edge] - tolerance)
+    edge, position = (
+        np.concatenate([np.arange(len(loop)), edge[inner]]),
+        np.concatenate([0.0 * length, position[inner]]),
+    )
+    order = np.lexsort((position, edge))
+    edge, position = edge[order], position[order]
+    new = (np.diff(edge, prepend=-1) > 0) | (np.diff(position, prepend=-1.0) > tolerance)
+    edge, position = edge[new], position[new]
+    return np.asarray(start[edge] + (position / length[edge])[:, None] * along[edge])
 
 
 def unit(vectors: Floats) -> Floats:

@@ -51,10 +51,10 @@ class Field:
     def cropped(self, size: tuple[float, float], margin: float) -> "Field":
         """What lies in [0, size] and `margin` [m] around it, at least two values along each axis."""
         parts = []
-        for places, length in ((self.x, size[0]), (self.z, size[1])):
-            low = max(0, int(np.searchsorted(places, -margin, side="right")) - 1)
-            high = min(len(places), int(np.searchsorted(places, length + margin)) + 1)
-            parts.append(slice(min(low, len(places) - 2), max(high, low + 2)))
+        for coordinates, length in ((self.x, size[0]), (self.z, size[1])):
+            low = max(0, int(np.searchsorted(coordinates, -margin, side="right")) - 1)
+            high = min(len(coordinates), int(np.searchsorted(coordinates, length + margin)) + 1)
+            parts.append(slice(min(low, len(coordinates) - 2), max(high, low + 2)))
         i, k = parts
         extra = None if self.extra is None else self.extra[i, k]
         return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k], extra=extra)
@@ -88,7 +88,7 @@ def read_raster(path: Path) -> Field:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path) as file:
-                placed = not file.transform.is_identity
+                georeferenced = not file.transform.is_identity
                 transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
                 masked = file.read(1, masked=True).astype(np.float64)
     except RasterioIOError as error:
@@ -96,7 +96,7 @@ def read_raster(path: Path) -> Field:
     if bands != 1:
         raise InputError(f"expected a raster of one band, got {bands}")
     check_units(crs, unit)
-    if not placed:
+    if not georeferenced:
         raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
     if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
         raise InputError("expected a raster with north up, got one that is turned or mirrored")
@@ -168,7 +168,7 @@ def read_columns(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] 
     if not rows:
         raise InputError(f"expected rows of {columns} numbers, got none")
     table = np.array(rows)
-    return {name: table[:, place] for place, name in enumerate(header)}
+    return {name: table[:, index] for index, name in enumerate(header)}
 
 
 def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:
@@ -178,8 +178,8 @@ def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | Non
     count = len(columns["x"])
     if min(len(x), len(z)) < 2:
         raise InputError("expected rows on a grid of at least 2 x 2 places in x and z")
-    for name, places in (("x", x), ("z", z)):
-        steps = np.diff(places)
+    for name, coordinates in (("x", x), ("z", z)):
+        steps = np.diff(coordinates)
         if steps.max() - steps.min() > REGULAR * steps.max():
             raise InputError(f"expected a regular grid, {name} has steps of {steps.min():g} and of {steps.max():g}")
     number = i * len(z) + k

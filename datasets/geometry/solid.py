@@ -94,8 +94,8 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     if solid.points is not None:
         check_ground_line(solid.points, f"{key}.points")
     if solid.vertices is not None:
-        least = 3 if dimension == 2 else 4
-        require(len(solid.vertices) >= least, "vertices", f"at least {least} vertices", len(solid.vertices))
+        minimum = 3 if dimension == 2 else 4
+        require(len(solid.vertices) >= minimum, "vertices", f"at least {minimum} vertices", len(solid.vertices))
         check_vectors(solid.vertices, [f"vertices[{index}]" for index in range(len(solid.vertices))], key, dimension)
     if solid.triangles is not None:
         most = len(solid.vertices or ())

@@ -123,13 +123,13 @@ def ground_body(solid: Solid, key: str, box: Box) -> Body:
     below = count + np.arange(len(rim))
     after, below_after = np.roll(rim, -1), np.roll(below, -1)
     bottom = top[rim] * [1.0, 0.0, 1.0] + [0.0, deep, 0.0]
-    sides = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
+    skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
     middle = count + len(rim)
     floor = np.stack([below, below_after, np.full(len(rim), middle)], axis=1)
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
     return Body(
         vertices=np.concatenate([top, bottom, centre]),
-        triangles=np.concatenate([faces, sides, floor]),
+        triangles=np.concatenate([faces, skirt, floor]),
         friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
         key=key,
     )
@@ -168,10 +168,10 @@ def continued(body: Body, axis: int, side: int, box: Box) -> Body:
     known = {tuple(edge) for edge in edges.tolist()}
     rim = np.array([(b, a) not in known for a, b in edges.tolist()])
     (a, b), (c, d) = edges[rim].T, ends[rim].T
-    sides = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+    skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
     return Body(
         vertices=np.concatenate([vertices, moved]),
-        triangles=np.concatenate([triangles[~on_side], renamed, sides]),
+        triangles=np.concatenate([triangles[~on_side], renamed, skirt]),
         friction=np.concatenate([friction, friction[used]]),
         key=body.key,
     )
@@ -184,14 +184,14 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
     return manifold3d.Manifold(mesh)
 
 
-def boundary(bodies: list[Body], box: Box) -> Triangles:
+def boundary(parts: list[Body], box: Box) -> Triangles:
     """The boundary of the union of `bodies`; touching bodies are one."""
-    if len(bodies) == 1:
-        (body,) = bodies
+    if len(parts) == 1:
+        (body,) = parts
         vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
         owner = np.zeros(len(triangles), np.int32)
     else:
-        vertices, triangles, friction, owner = union(bodies, CLOSING * box.cell)
+        vertices, triangles, friction, owner = union(parts, CLOSING * box.cell)
     normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
     flat = ~normals.any(axis=1)
     return Triangles(
@@ -204,13 +204,13 @@ def boundary(bodies: list[Body], box: Box) -> Triangles:
     )
 
 
-def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+def union(parts: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3], triangles [T, 3], friction at their corners [T, 3] and the body of each [T].
 
     Every body grows by `gap`, so that those that touch but for rounding share volume.
     """
     parts, numbers = [], {}
-    for number, body in enumerate(bodies):
+    for number, body in enumerate(parts):
         part = manifold(grown(body, gap), body.triangles, body.friction).as_original()
         if part.status() != manifold3d.Error.NoError:
             raise InputError("expected a closed surface that does not cross itself", key=body.key)

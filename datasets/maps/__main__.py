@@ -66,36 +66,36 @@ KINDS = (
 
 
 def write_maps(
-    trajectory: Trajectory, maps: PlanMaps, folder: Path, formats: tuple[str, ...], place: Georeference
+    trajectory: Trajectory, maps: PlanMaps, folder: Path, formats: tuple[str, ...], location: Georeference
 ) -> None:
     """Write the maps of a trajectory in 3D into `folder`, in `formats` of `FORMATS`, and maps.json.
 
     Raises WorkFailed.
     """
-    cell, said = float(maps.edges[0][1]), summary(trajectory, maps, place)
+    cell, said = float(maps.edges[0][1]), summary(trajectory, maps, location)
     for kind in KINDS:
         values = kind.of(maps)
         if values is None:
             continue
         if "tif" in formats:
             path = folder / f"{kind.name}.tif"
-            write_raster(path, values, cell, place, kind="tif", name=kind.title, unit=kind.unit)
+            write_raster(path, values, cell, location, kind="tif", name=kind.title, unit=kind.unit)
         if "asc" in formats:
             path = folder / f"{kind.name}.asc"
-            write_raster(path, values, cell, place, kind="asc", name=kind.title, unit=kind.unit)
+            write_raster(path, values, cell, location, kind="asc", name=kind.title, unit=kind.unit)
         if "png" in formats:
             draw_map(
                 folder / f"{kind.name}.png",
                 maps,
                 values,
                 trajectory.scene,
-                place,
+                location,
                 label=f"{kind.title} [{kind.unit}]",
                 colours=kind.colours,
                 title=heading(kind, maps, said),
             )
     if "geojson" in formats:
-        write_outlines(folder / OUTLINES, dict(outlines(maps, place)), maps.threshold, place)
+        write_outlines(folder / OUTLINES, dict(outlines(maps, location)), maps.threshold, location)
     write_json(folder / SUMMARY, said)
 
 
@@ -109,7 +109,7 @@ def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path, formats:
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         velocity = maps.velocity
-        columns = [*maps.places, maps.thickness, maps.ground + maps.thickness, maps.ground, maps.depth]
+        columns = [*maps.coordinates, maps.thickness, maps.ground + maps.thickness, maps.ground, maps.depth]
         writer.writerow(COLUMNS if velocity is not None else COLUMNS[:-1])
         for row in zip(
             *(column.tolist() for column in [*columns, *([] if velocity is None else [velocity])]), strict=True
@@ -122,18 +122,18 @@ def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path, formats:
     write_json(folder / SUMMARY, said)
 
 
-def outlines(maps: PlanMaps, place: Georeference) -> Iterator[tuple[str, list[list[Ring]]]]:
+def outlines(maps: PlanMaps, location: Georeference) -> Iterator[tuple[str, list[list[Ring]]]]:
     """Name and polygons of the deposit, of all that the flow covered, and of the release where it is known."""
     cell = float(maps.edges[0][1])
     for name, values in (("deposit", maps.thickness), ("covered", maps.depth), ("release", maps.start)):
         if values is not None:
-            yield name, outline(values, cell, place, maps.threshold)
+            yield name, outline(values, cell, location, maps.threshold)
 
 
-def summary(trajectory: Trajectory, maps: PlanMaps, place: Georeference) -> dict[str, Any]:
-    """What the maps come to: place, resolution, volume, area, reach and largest values, as plain numbers."""
+def summary(trajectory: Trajectory, maps: PlanMaps, location: Georeference) -> dict[str, Any]:
+    """What the maps come to: location, resolution, volume, area, extent and largest values, as plain numbers."""
     flat = trajectory.scene.dimension == 2
-    covered = np.flatnonzero((maps.thickness > maps.threshold).reshape(len(maps.places[0]), -1).any(axis=1))
+    covered = np.flatnonzero((maps.thickness > maps.threshold).reshape(len(maps.coordinates[0]), -1).any(axis=1))
     said: dict[str, Any] = {
         "time": float(trajectory.time[-1]),
         "cell": float(maps.edges[0][-2] - maps.edges[0][-3]) if flat else float(maps.edges[0][1]),
@@ -143,14 +143,14 @@ def summary(trajectory: Trajectory, maps: PlanMaps, place: Georeference) -> dict
     }
     if flat:
         said["length"] = float(maps.areas[maps.thickness > maps.threshold].sum())
-        said["reach"] = float(maps.edges[0][covered[-1] + 1]) if len(covered) else None
+        said["extent"] = float(maps.edges[0][covered[-1] + 1]) if len(covered) else None
     else:
-        found = dict(outlines(maps, place))
+        found = dict(outlines(maps, location))
         said |= {f"area_{name}": area(polygons) for name, polygons in found.items()}
         # Single particles that rolled on are islands of their own.
         largest = max(found["deposit"], key=lambda polygon: area([polygon]), default=None)
-        said["reach"] = None if largest is None else max(x for x, _ in largest[0]) - place.east
-        said |= {"east": place.east, "north": place.north, "crs": place.crs}
+        said["extent"] = None if largest is None else max(x for x, _ in largest[0]) - location.east
+        said |= {"east": location.east, "north": location.north, "crs": location.crs}
     for kind in KINDS:
         values = kind.of(maps)
         said[f"{kind.name}_max"] = None if values is None else float(f"{values.max():.6g}")
@@ -166,8 +166,8 @@ def heading(kind: Kind, maps: PlanMaps, said: dict[str, Any]) -> str:
     if "area_deposit" in said:
         parts.append(f"area {said['area_deposit' if kind.name == 'thickness' else 'area_covered']:.4g} m²")
     parts.append(f"largest {said[f'{kind.name}_max']:.3g} {kind.unit}")
-    if kind.name == "thickness" and said["reach"] is not None:
-        parts.append(f"reach x = {said['reach']:.4g} m")
+    if kind.name == "thickness" and said["extent"] is not None:
+        parts.append(f"extent x = {said['reach']:.4g} m")
     return "; ".join(parts)
 
 
@@ -201,13 +201,13 @@ def command(
     length = flow.scene.domain.cell if cell is None else cell
     edges = station_edges(flow.scene, length) if flow.scene.dimension == 2 else map_edges(flow.scene, length)
     make_folder(out)
-    place = georeference(flow.scene)
+    location = georeference(flow.scene)
     maps = maps_of(flow, edges, threshold=threshold, progress=True)
     if flow.scene.dimension == 2:
         write_profile(flow, maps, out, chosen)
     else:
-        write_maps(flow, maps, out, chosen, place)
-    print(f"{heading(KINDS[0], maps, summary(flow, maps, place))}, written to {out}")
+        write_maps(flow, maps, out, chosen, location)
+    print(f"{heading(KINDS[0], maps, summary(flow, maps, location))}, written to {out}")
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ def draw_map(
     maps: PlanMaps,
     values: Floats,
     scene: Scene,
-    place: Georeference,
+    georeference: Georeference,
     *,
     label: str,
     colours: str,
@@ -54,10 +54,10 @@ def draw_map(
     covered = (maps.thickness if values is maps.thickness else maps.depth) > maps.threshold
     cell = float(maps.edges[0][1])
     width, length = (cell * count for count in values.shape)
-    extent = (place.east, place.east + width, place.north, place.north + length)
+    extent = (georeference.east, georeference.east + width, georeference.north, georeference.north + length)
     figure = Figure(figsize=(WIDTH, min(HIGHEST, 1.3 + 0.8 * WIDTH * length / width)), layout="constrained")
     axis = figure.add_subplot(aspect="equal")
-    _draw_relief(axis, terrain(scene, maps), maps, place, extent)
+    _draw_relief(axis, terrain(scene, maps), maps, georeference, extent)
     shown = np.ma.masked_where(~covered, values)
     image = axis.imshow(shown.T, cmap=colours, extent=extent, origin="lower", vmin=0.0, alpha=0.9, zorder=2)
     figure.colorbar(image, cax=axis.inset_axes((1.02, 0.0, 0.025, 1.0)), label=label)
@@ -68,17 +68,19 @@ def draw_map(
     ]
     for name, thickness, style in lines:
         if thickness is not None:
-            for polygon in outline(thickness, cell, place, maps.threshold):
+            for polygon in outline(thickness, cell, georeference, maps.threshold):
                 for ring in polygon:
                     axis.plot(*np.array(ring).T, color=INK, linestyle=style, linewidth=1.0, zorder=4)
             handles.append(Line2D([], [], color=INK, linestyle=style, label=f"{name}, over {maps.threshold:.3g} m"))
     for corners in boxes_in_plan(scene):
         x, z = corners.T
-        axis.fill(place.east + x, place.north + z, facecolor=STEEL, edgecolor=INK, linewidth=0.8, zorder=3)
+        axis.fill(
+            georeference.east + x, georeference.north + z, facecolor=STEEL, edgecolor=INK, linewidth=0.8, zorder=3
+        )
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     axis.set_xlim(extent[:2])
     axis.set_ylim(extent[2:])
-    local = place.crs is None
+    local = georeference.crs is None
     axis.set_xlabel("x [m]" if local else "easting [m]")
     axis.set_ylabel("z [m]" if local else "northing [m]")
     axis.ticklabel_format(useOffset=False, style="plain")
@@ -94,7 +96,7 @@ def terrain(scene: Scene, maps: PlanMaps) -> Floats:
 
 
 def _draw_relief(
-    axis: "Axes", ground: Floats, maps: PlanMaps, place: Georeference, extent: tuple[float, float, float, float]
+    axis: "Axes", ground: Floats, maps: PlanMaps, georeference: Georeference, extent: tuple[float, float, float, float]
 ) -> None:
     """The ground [m], shape [X, Z], shaded, with labelled contours; nothing where it is level."""
     from matplotlib.colors import LightSource
@@ -111,9 +113,15 @@ def _draw_relief(
     step = nice_step(relief / CONTOURS)
     levels = np.arange(math.floor(ground.min() / step) + 1, math.ceil(ground.max() / step)) * step
     if len(levels) > 0:
-        x, z = maps.places
+        x, z = maps.coordinates
         lines = axis.contour(
-            place.east + x, place.north + z, ground.T, levels=levels, colors="#6b6459", linewidths=0.6, zorder=1
+            georeference.east + x,
+            georeference.north + z,
+            ground.T,
+            levels=levels,
+            colors="#6b6459",
+            linewidths=0.6,
+            zorder=1,
         )
         axis.clabel(lines, levels[::2], fontsize=7, fmt=lambda level: f"{level:g} m")
 
@@ -142,7 +150,7 @@ def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
     """In 2D: the deposit on the ground, the largest depth and the start, and below the largest velocity over x."""
     from matplotlib.figure import Figure
 
-    (x,) = maps.places
+    (x,) = maps.coordinates
     rows = 1 if maps.velocity is None else 2
     figure = Figure(figsize=(WIDTH, 2.8 * rows), layout="constrained")
     axes = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]

@@ -74,9 +74,9 @@ class PlanMaps:
         return areas_of(self.edges)
 
     @property
-    def places(self) -> tuple[Floats, ...]:
-        """Of the cells along x and z [m], shapes [X] and [Z] (`places_in`)."""
-        return places_in(self.edges)
+    def coordinates(self) -> tuple[Floats, ...]:
+        """Of the cells along x and z [m], shapes [X] and [Z] (`coordinates_in`)."""
+        return coordinates_in(self.edges)
 
 
 def areas_of(edges: tuple[Floats, ...]) -> Floats:
@@ -85,7 +85,7 @@ def areas_of(edges: tuple[Floats, ...]) -> Floats:
     return lengths[0] if len(lengths) == 1 else np.outer(*lengths)
 
 
-def places_in(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
+def coordinates_in(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
     """What the cells stand for along x and z [m], shapes [X] and [Z]: their middles, in 2D the stations."""
     middles = tuple(0.5 * (along[1:] + along[:-1]) for along in edges)
     if len(middles) == 1:
@@ -98,10 +98,10 @@ def map_edges(scene: Scene, cell: float) -> tuple[Floats, ...]:
 
     Raises InputError for a cell that is not positive or longer than a side of the box.
     """
-    sides = [scene.domain.size[axis] for axis in plan_axes(scene)]
-    if not 0.0 < cell <= min(sides):
-        raise InputError(f"expected a length of at most {min(sides):g} m, the box, got {cell:g} m", key="--cell")
-    return tuple(np.arange(math.ceil(side / cell - 1e-6) + 1, dtype=np.float64) * cell for side in sides)
+    lengths = [scene.domain.size[axis] for axis in plan_axes(scene)]
+    if not 0.0 < cell <= min(lengths):
+        raise InputError(f"expected a length of at most {min(lengths):g} m, the box, got {cell:g} m", key="--cell")
+    return tuple(np.arange(math.ceil(side / cell - 1e-6) + 1, dtype=np.float64) * cell for side in lengths)
 
 
 def station_edges(scene: Scene, spacing: float) -> tuple[Floats, ...]:
@@ -156,22 +156,22 @@ class Spread:
 
 
 def axis_shares(
-    places: Floats, sizes: Floats, edges: Floats, wall: float
+    coordinates: Floats, sizes: Floats, edges: Floats, wall: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `places` [m] [N].
+    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `coordinates` [m] [N].
 
     sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m]. Shares of a tent add
     up to 1; those of cells beyond the last are 0.
     """
-    first = np.searchsorted(edges, places - sizes, side="right") - 1
+    first = np.searchsorted(edges, coordinates - sizes, side="right") - 1
     first = np.clip(first, 0, len(edges) - 2)
-    last = np.clip(np.searchsorted(edges, places + sizes, side="left"), first + 1, len(edges) - 1)
+    last = np.clip(np.searchsorted(edges, coordinates + sizes, side="left"), first + 1, len(edges) - 1)
     count = int((last - first).max())
     bounds = edges[np.minimum(first[:, None] + np.arange(count + 1), len(edges) - 1)]
     # Beyond the walls there is nothing: what would be there is that of the tent's mirror images within.
     bounds = np.minimum(bounds, wall)
-    share = np.zeros((len(places), count))
-    for image in (places, -places, 2.0 * wall - places):
+    share = np.zeros((len(coordinates), count))
+    for image in (coordinates, -coordinates, 2.0 * wall - coordinates):
         share += np.diff(tent_below((bounds - image[:, None]) / sizes[:, None]), axis=1)
     return first, share
 
@@ -220,8 +220,8 @@ class Mapper:
         length = max(1, CHUNK // each)
         for begin in range(0, len(present), length):
             chosen = present[begin : begin + length]
-            places = self.trajectory.positions[frame][chosen][:, self.axes].astype(np.float64)
-            spread = Spread(np.clip(places, 0.0, self.walls), self.sizes[chosen], self.edges, self.walls)
+            coordinates = self.trajectory.positions[frame][chosen][:, self.axes].astype(np.float64)
+            spread = Spread(np.clip(coordinates, 0.0, self.walls), self.sizes[chosen], self.edges, self.walls)
             volume += spread.total(self.volumes[chosen])
             if velocity is not None:
                 for axis in range(dimension):
@@ -276,12 +276,12 @@ def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
     """
     surface = surface_of(scene)
     walls = [scene.domain.size[axis] for axis in plan_axes(scene)]
-    places = [np.clip(along, 0.0, wall) for along, wall in zip(places_in(edges), walls, strict=True)]
+    coordinates = [np.clip(along, 0.0, wall) for along, wall in zip(coordinates_in(edges), walls, strict=True)]
     if surface is None:
-        return np.zeros([len(along) for along in places])
+        return np.zeros([len(along) for along in coordinates])
     if surface.dimension == 2:
-        return _ground_line(surface.corners, places[0])
-    return _ground_map(surface.corners, places)
+        return _ground_line(surface.corners, coordinates[0])
+    return _ground_map(surface.corners, coordinates)
 
 
 def _ground_line(corners: Floats, x: Floats) -> Floats:
@@ -295,9 +295,9 @@ def _ground_line(corners: Floats, x: Floats) -> Floats:
     return np.asarray(np.where(over, height, 0.0).max(axis=0, initial=0.0))
 
 
-def _ground_map(corners: Floats, places: list[Floats]) -> Floats:
+def _ground_map(corners: Floats, coordinates: list[Floats]) -> Floats:
     """The highest of the triangles [F, 3, 3] over each (x, z) [m]; 0 where there is none."""
-    x, z = places
+    x, z = coordinates
     low, high = corners[:, :, [0, 2]].min(axis=1), corners[:, :, [0, 2]].max(axis=1)
     first = np.stack([np.searchsorted(x, low[:, 0]), np.searchsorted(z, low[:, 1])], axis=1)
     last = np.stack(

@@ -195,8 +195,8 @@ def extrapolated(
 ) -> list[tuple[float, float]] | None:
     """Rows (distance from the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
 
-    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the last rows
-    [m]; largest: height of the deposit [m].
+    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the
+    last rows [m]; largest: height of the deposit [m].
     """
     if height <= EDGE * largest or gap <= 0.0:
         return []

@@ -10,21 +10,23 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
 from datasets.scene import SIDES, Scene
-from mpm.arrays.barrier_layout import Gate, Held, Holding
+from mpm.arrays.features import features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
     PADDING,
     Contact,
     Energy,
-    Features,
+    Gate,
+    Held,
+    Holding,
     Offset,
     Precision,
     StepControl,
     Worker,
 )
 from mpm.arrays.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
-from mpm.initial.release import gate_rows, held_rows, holding_rows, release_times
+from mpm.initial.barriers import gate_rows, held_rows, holding_rows, release_times
 from mpm.output import rest
 from mpm.output.request import ALL, Recording
 from mpm.solids.obstacles import initial_contacts, obstacles_of
@@ -35,8 +37,8 @@ Array = NDArray[Any]
 class Batch:
     """The state of several scenes and what is recorded of it.
 
-    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded; `until_rest`
-    lets a scene end when its deposit has come to rest. `particles` are those of each scene at the start. Raises
+    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
+    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. Raises
     InputError for more particles times frames than can be counted.
     """
 
@@ -47,15 +49,12 @@ class Batch:
         precision: Precision,
         workers: int = 1,
         record: Recording = ALL,
-        until_rest: bool = False,
         gpu: bool = False,
         particles: Sequence[Particles] | None = None,
     ) -> None:
         self.scenes, self.recording = list(scenes), record
         self.particles = particles_of(scenes) if particles is None else list(particles)
-        self.features = features_of(
-            scenes, self.particles, precision, record=record, until_rest=until_rest, shared=workers > 1, gpu=gpu
-        )
+        self.features = features_of(scenes, self.particles, precision, record=record, shared=workers > 1, gpu=gpu)
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
@@ -304,7 +303,7 @@ class Batch:
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
 
     def release_times(self, index: int) -> list[float | None] | None:
-        """When each mass of one scene was let go [s]; see `mpm.initial.release.release_times`."""
+        """When each mass of one scene was let go [s]; see `mpm.initial.barriers.release_times`."""
         first = self.offsets[index, Offset.HELD]
         opened = self.held[first : first + self.offsets[index, Offset.HELDS], Held.OPENED]
         return release_times(self.scenes[index], opened)
@@ -337,47 +336,6 @@ def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
 def wall_slots(scene: Scene, record: Recording) -> int:
     """Recorded impulses of the box: its sides and the gates, or none."""
     return 2 * scene.dimension + 1 if record.wall_forces else 0
-
-
-def features_of(
-    scenes: Sequence[Scene],
-    particles: Sequence[Particles],
-    precision: Precision,
-    *,
-    record: Recording = ALL,
-    until_rest: bool = False,
-    shared: bool = False,
-    gpu: bool = False,
-) -> Features:
-    """What has to be compiled for these scenes, all of one dimension."""
-    materials = [material for each in particles for material in each.materials]
-    return Features(
-        dimension=scenes[0].dimension,
-        precision=precision,
-        relaxed=any(scene.relaxation > 0.0 for scene in scenes),
-        damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(material.cohesive for material in materials),
-        dilates=any(material.dilation_deg > 0.0 for material in materials),
-        softens=any(material.softening_length is not None for material in materials),
-        corrected=any(scene.remembers_gaps for scene in scenes),
-        heterogeneous=any(
-            len(each.materials) > 1
-            or each.common_volume is None
-            or any(material.strength_gradient > 0.0 for material in each.materials)
-            for each in particles
-        ),
-        contact=any(scene.baffles or scene.solids for scene in scenes),
-        open=any(scene.open_sides for scene in scenes),
-        velocity_recorded="velocity" in record.fields,
-        stress_recorded="stress" in record.fields,
-        pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
-        strain_recorded="plastic_strain" in record.fields,
-        walls_recorded=record.wall_forces,
-        gated=any(mass.release is not None for scene in scenes for mass in scene.masses),
-        rests=until_rest,
-        shared=shared,
-        gpu=gpu,
-    )
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:

@@ -5,14 +5,13 @@ particle (its first coordinate, its second, ...), so a block is brought forward 
 and from the grid reach single lanes of the same memory through a second, scalar view of it.
 """
 
-from dataclasses import dataclass
 from enum import IntEnum, auto
-from typing import ClassVar, Literal
+from typing import Literal
 
 Precision = Literal["f32", "f64"]
 
 INDEX_LIMIT = 2**30
-"""Numbers that an array of the particles may hold (`mpm.arrays.lanes.bounded`)."""
+"""Numbers that an array of the particles may hold (`mpm.arrays.access.bounded`)."""
 PADDING = 3
 """Cells of grid beyond every wall: a quadratic B-spline reaches one and a half."""
 ALIGNMENT = 64
@@ -142,238 +141,45 @@ class Energy(Column):
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
+class Gate(Column):
+    """Columns of `gates`, integers, shape [gates, len(Gate)]: a range of nodes that is held, [low, high)."""
+
+    HELD = auto()  # line of its mass in `held`
+    AXIS = auto()  # across which nodes are held; len(Gate): they are damped
+    LOW_X = auto()
+    LOW_Y = auto()
+    LOW_Z = auto()
+    HIGH_X = auto()
+    HIGH_Y = auto()
+    HIGH_Z = auto()
+
+
+class Held(Column):
+    """Columns of `held`, integers, shape [held masses, len(Held)]."""
+
+    FIRST = auto()  # its particles: [first, last) of the scene's
+    LAST = auto()
+    RELEASE = auto()  # the frame in which its gates open; 0: when it has settled
+    CALM = auto()  # frames in a row in which it was settled
+    OPENED = auto()  # the frame in which its gates opened; 0 while they are closed
+
+
+class Holding(Column):
+    """Columns of `holding`, real, shape [held masses, len(Holding)]."""
+
+    RATE = auto()  # of damping [1/s]
+    PARTICLE = auto()  # mass of a particle [kg, per metre of width in 2D]
+    MOST_KINETIC = auto()  # of a settled mass [J, per metre of width in 2D]
+    MOST_IMPULSE = auto()  # change of its momentum in a frame [N s]
+    KINETIC = auto()  # in the frame that is recorded
+    MOMENTUM_X = auto()
+    MOMENTUM_Y = auto()
+    MOMENTUM_Z = auto()
+    EARLIER_X = auto()  # momentum in the frame before
+    EARLIER_Y = auto()
+    EARLIER_Z = auto()
+
+
 def component(i: int, j: int, dimension: int) -> int:
     """Where sigma_ij stands among the components xx, yy, zz, xy, yz, zx; no yz, zx in 2D."""
     return i if i == j else {(0, 1): 3, (1, 2): 4, (0, 2): 5}[min(i, j), max(i, j)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Features:
-    """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
-
-    dimension: int
-    precision: Precision
-    relaxed: bool = True
-    """Velocity that the grid cannot represent decays in a relaxation time (AFLIP); else it is lost each step (APIC)."""
-    damped: bool = False
-    cohesive: bool = False
-    """Strength without pressure: cohesion, and with it a tension cutoff."""
-    dilates: bool = False
-    softens: bool = False
-    """Strength and dilation fall with plastic strain, which is then part of the state."""
-    corrected: bool = False
-    """A particle remembers the gap to its neighbours: volume correction."""
-    heterogeneous: bool = False
-    """A scene has several materials, or particles of several volumes."""
-    contact: bool = False
-    """Solids stand in the box: baffles, ground, obstacles."""
-    open: bool = False
-    """A side of the box lets particles out."""
-    velocity_recorded: bool = False
-    stress_recorded: bool = False
-    pressure_recorded: bool = False
-    """Recorded by itself, where the stress is not."""
-    strain_recorded: bool = False
-    """Plastic strain is summed up and recorded."""
-    walls_recorded: bool = False
-    """The momentum that floor and walls take is recorded."""
-    shared: bool = False
-    """One scene, on several threads."""
-    gpu: bool = False
-    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
-    gated: bool = False
-    """Masses stand behind gates until their release."""
-    rests: bool = False
-    """A scene ends when its deposit has come to rest."""
-
-    _data_oriented: ClassVar[bool] = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
-
-    @property
-    def lanes(self) -> int:
-        """Particles in a block: what a register of 64 bytes holds; one on a GPU."""
-        if self.gpu:
-            return 1
-        return 16 if self.precision == "f32" else 8
-
-    # The vectors of a block: position from 0, velocity, C row by row, stress, and what only some scenes need.
-
-    @property
-    def velocity(self) -> int:
-        """First vector of a block that holds velocity."""
-        return self.dimension
-
-    @property
-    def affine(self) -> int:
-        """First of the D x D vectors of APIC's C, row by row."""
-        return 2 * self.dimension
-
-    @property
-    def stress(self) -> int:
-        """First vector of the stress: xx, yy, zz, xy and, in 3D, yz, zx."""
-        return self.affine + self.dimension**2
-
-    @property
-    def stresses(self) -> int:
-        """Components of the stress; 2D is plane strain."""
-        return 4 if self.dimension == 2 else 6
-
-    @property
-    def plastic_strain(self) -> int:
-        """Vector of the plastic strain, where `strained`."""
-        return self.stress + self.stresses
-
-    @property
-    def strained(self) -> bool:
-        """Plastic strain is accumulated."""
-        return self.strain_recorded or self.softens
-
-    @property
-    def gap(self) -> int:
-        """Vector of the mean stress that what opened would have made [Pa], where `corrected`."""
-        return self.plastic_strain + int(self.strained)
-
-    @property
-    def properties(self) -> int:
-        """First vector of the material properties, where `heterogeneous`."""
-        return self.gap + int(self.corrected)
-
-    @property
-    def remainder(self) -> int:
-        """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
-        return self.properties + (self.columns if self.heterogeneous else 0)
-
-    @property
-    def before(self) -> int:
-        """First of the D vectors of the velocity at the end of the frame before, where `rests`."""
-        return self.remainder + (self.dimension if self.compensated else 0)
-
-    @property
-    def contacts(self) -> int:
-        """First of the vectors that `Contact` lists, where `contact`."""
-        return self.before + (self.dimension if self.rests else 0)
-
-    @property
-    def present(self) -> int:
-        """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.contacts + (len(Contact) + 2 * self.dimension - 1 if self.contact else 0)
-
-    @property
-    def columns(self) -> int:
-        """How many of the columns of `Property` a particle of its own material carries."""
-        return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
-
-    @property
-    def block(self) -> int:
-        """Vectors in a block."""
-        return self.present + 1
-
-    @property
-    def compensated(self) -> bool:
-        """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would rest."""
-        return self.precision == "f32"
-
-    @property
-    def impulses(self) -> bool:
-        """The momentum that solids take is recorded."""
-        return self.contact or self.walls_recorded
-
-    # What is recorded of a particle besides its position: velocity, stress or pressure, plastic strain.
-
-    @property
-    def recorded_stress(self) -> int:
-        """Which of a particle's recorded numbers is the first of its stress, or its pressure."""
-        return self.dimension if self.velocity_recorded else 0
-
-    @property
-    def recorded_strain(self) -> int:
-        """Which of a particle's recorded numbers is its plastic strain."""
-        return self.recorded_stress + (self.stresses if self.stress_recorded else int(self.pressure_recorded))
-
-    @property
-    def recorded(self) -> int:
-        """Numbers that are recorded of a particle besides its position."""
-        return self.recorded_strain + int(self.strain_recorded)
-
-    # A face, a line of `faces`: its corners, its normal and those of its corners and, in 3D, edges; friction at each
-    # corner, adhesion, number of its solid.
-
-    @property
-    def face_normal(self) -> int:
-        """Column of a face's normal; those of its D corners and, in 3D, of its 3 edges follow."""
-        return self.dimension**2
-
-    @property
-    def face_friction(self) -> int:
-        """Column of the friction at a face's first corner [-]."""
-        return self.face_normal + self.dimension * (1 + self.dimension + (3 if self.dimension == 3 else 0))
-
-    @property
-    def face_adhesion(self) -> int:
-        """Column of a face's adhesion [Pa]."""
-        return self.face_friction + self.dimension
-
-    @property
-    def face_solid(self) -> int:
-        """Column of the number of a face's solid."""
-        return self.face_adhesion + 1
-
-    # A node: momentum, mass and, where forces stay apart, force.
-
-    @property
-    def forces(self) -> bool:
-        """Nodes hold forces apart from momentum: local damping and AFLIP both need them."""
-        return self.damped or self.relaxed
-
-    @property
-    def node(self) -> int:
-        """Numbers in a node: a short vector, a power of two long."""
-        return 8 if self.forces else 4
-
-    @property
-    def used(self) -> int:
-        """Numbers of a node that mean something; the others stay zero."""
-        return self.dimension + 1 + (self.dimension if self.forces else 0)
-
-    @property
-    def force(self) -> int:
-        """First number of a node that holds force, where `forces`."""
-        return self.dimension + 1
-
-    @property
-    def change(self) -> int:
-        """First number of a node that holds its change of velocity, where `relaxed`; mass and force are done with."""
-        return self.force
-
-    # The scratch vectors of a worker: weights of the three nodes along each axis, these times their distances, what a
-    # block gives to its nodes, its lowest nodes.
-
-    @property
-    def values(self) -> int:
-        """First of the scratch vectors of what a block gives: a node's value at the lowest one, and D slopes of it."""
-        return 6 * self.dimension
-
-    @property
-    def lowest(self) -> int:
-        """First of the D scratch vectors that hold each particle's lowest node."""
-        return self.values + self.node * (1 + self.dimension)
-
-    @property
-    def scratch(self) -> int:
-        """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
-        return self.push + (2 * self.dimension if self.contact else 0)
-
-    @property
-    def push(self) -> int:
-        """First of the 2 D scratch vectors of the contact's force per volume and its arm, where `contact`."""
-        return self.origin + (self.dimension if self.contact else 0)
-
-    @property
-    def origin(self) -> int:
-        """First of the D scratch vectors of the positions before a step, where `contact`."""
-        return self.density + (1 + self.dimension if self.corrected else 0)
-
-    @property
-    def density(self) -> int:
-        """First of the 1 + D scratch vectors of the grid's mass at each particle and its slopes, where `corrected`."""
-        return self.lowest + self.dimension * (3 if self.relaxed else 1)

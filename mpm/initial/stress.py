@@ -15,7 +15,7 @@ displacements u through the gradient that the kernel uses,
 
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
-would have to be pulled, nor across a gate (`mpm.initial.release`); under an elastic mass a rough floor holds it altogether. A
+would have to be pulled, nor across a gate (`mpm.initial.barriers`); under an elastic mass a rough floor holds it altogether. A
 geostatic mass stands between smooth gates on all its lateral faces. Solids push as in `mpm.physics.contact`, by whose law they
 are part of C_p and of K, with shear tractions where they are rough and the mass elastic.
 
@@ -41,8 +41,8 @@ from scipy.sparse.linalg import splu
 from datasets.particles import Particles
 from datasets.scene import SIDES, TOLERANCE, Mass, Scene
 from mpm.arrays.layout import PADDING
+from mpm.initial.barriers import gates, inside
 from mpm.initial.grid_operators import ContactOperator, gradient_matrices
-from mpm.initial.release import gates, inside
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ from datasets.files import replacing
 from datasets.scene import Scene
 from datasets.trajectory import read_arrays
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Features, Offset
+from mpm.arrays.features import Features
+from mpm.arrays.layout import Offset
 from mpm.output.request import Recording
 
 ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "held", "holding")

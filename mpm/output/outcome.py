@@ -1,16 +1,20 @@
-"""What a scene of a batch came to: its trajectory, or why there is none."""
+"""The result of a scene of a batch: its trajectory with a summary, or why there is none."""
+
+import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
-from datasets.scene import SIDES
+from datasets.measures import front, runout, toe
+from datasets.particles import Particles
+from datasets.scene import SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Offset, Worker
-from mpm.output.failure import explain
-from mpm.output.summary import summarise
-from mpm.physics.smoothing import density, smoothed
+from mpm.arrays.layout import Energy, Offset, Precision, Worker
+from mpm.output.recorder import RUNAWAY
+from mpm.output.smoothing import density, smoothed
 from mpm.runtime import Arch
 
 
@@ -98,7 +102,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         friction=particles.friction,
         scene=scene,
         **fields,
-        solid_impulse=impulses[kept, :solids] if solids and record.baffle_forces else None,
+        solid_impulse=impulses[kept, :solids] if solids else None,
         summary=summarise(
             positions[-1],
             energy=energies,
@@ -116,3 +120,99 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
             precision=batch.features.precision,
         ),
     )
+
+
+def summarise(
+    deposit: NDArray[np.float32],
+    *,
+    energy: NDArray[np.float64],
+    steps: int,
+    clamped: int,
+    rest_time: float | None,
+    end_time: float,
+    relaxation_time: float,
+    release_time: list[float | None] | None,
+    wall_impulse: NDArray[np.float64] | None,
+    outflow: dict[str, float] | None,
+    wall_s: float,
+    compile_s: float,
+    arch: Arch,
+    precision: Precision,
+) -> dict[str, Any]:
+    """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
+
+    Lengths in metres; `energy` is a series with a value at every frame of the scene; `clamped` counts how often a
+    particle was put back into the box; `rest_time` [s] is when the deposit came to rest, where the run may end there,
+    and `end_time` [s] until when it was computed; `release_time` [s] when each mass was let go, where gates hold one;
+    `relaxation_time` [s] that of the scene, its default worked out; `wall_impulse` [N s] the momentum that the sides of
+    the box and the gates have taken up to each frame, shape [T, 2 D + 1, D], where asked for: their sum and, as
+    `side_impulse`, each; `outflow` [kg] what left through each open side; `wall_s` is that of all scenes that ran
+    together, compilation apart.
+    """
+    summary = {
+        "runout": runout(deposit),
+        "front": front(deposit),
+        "toe": list(toe(deposit)),
+        "steps": steps,
+        "particles": len(deposit),
+        "clamped": clamped,
+        "rest_time": rest_time,
+        "end_time": end_time,
+        "relaxation_time": relaxation_time,
+        "energy": {
+            column.name.lower(): [float(f"{e:.6g}") for e in energy[:, column]]
+            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
+        },
+        "wall_s": wall_s,
+        "compile_s": compile_s,
+        "arch": arch,
+        "precision": precision,
+    }
+    if release_time is not None:
+        summary["release_time"] = release_time
+    if wall_impulse is not None:
+        summary["wall_impulse"] = rounded(wall_impulse.sum(axis=1))
+        sides = SIDES[: 2 * deposit.shape[1]]
+        summary["side_impulse"] = {side: rounded(wall_impulse[:, number]) for number, side in enumerate(sides)}
+    if outflow is not None:
+        summary["outflow"] = outflow
+    return summary
+
+
+def rounded(series: NDArray[np.float64]) -> list[list[float]]:
+    """A series of vectors, shape [T, D], with six digits."""
+    return [[float(f"{p:.6g}") for p in row] for row in series]
+
+
+def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating], frame: int) -> str:
+    """One line on a scene that ended after `frame` with `velocities` [m/s], shape [N, D].
+
+    A particle faster than RUNAWAY times the wave speed ends a scene. Where gravity and the initial velocities can make
+    it that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, that is the flow itself, and the material is
+    too soft for it; where they cannot, or where there is no number, the integration was unstable.
+    """
+    when, speed = f"t = {scene.frame_dt * frame:g} s", _fastest(velocities)
+    fall = 2.0 * sum(abs(g) * length for g, length in zip(scene.gravity_vector, scene.domain.size, strict=True))
+    possible = math.sqrt(_fastest(particles.velocities) ** 2 + fall)
+    # Some slack, for a pile-up hands energy to the few that it throws.
+    if not math.isfinite(speed) or speed > 2.0 * possible:
+        return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
+    stiffest = max(particles.materials, key=lambda material: material.wave_speed)
+    wave_speed = stiffest.wave_speed
+    young = _rounded_up(stiffest.young * (speed / (RUNAWAY * wave_speed)) ** 2)
+    return (
+        f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
+        f"{wave_speed:.3g} m/s: a shorter step does not help; "
+        f"a young of at least {young:.2g} Pa or a lower velocity does"
+    )
+
+
+def _fastest(velocities: NDArray[np.floating]) -> float:
+    """The largest speed [m/s] of velocities [N, D]; nan where one is."""
+    return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
+
+
+def _rounded_up(value: float) -> float:
+    """The next larger number of two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(1.001 * value / unit) * unit

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.arrays.lanes import add, lane_maximum, lane_sum, larger
+from mpm.arrays.access import add, lane_maximum, lane_sum, larger
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.physics.barriers import free_since, measure_held, open_gates
 from mpm.physics.transfer import particles_in, property_of

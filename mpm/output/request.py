@@ -1,6 +1,6 @@
-"""What a simulation is asked to record, and in which frames."""
+"""What a simulation is asked to record, in which frames, and until when it runs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import InputError
@@ -9,28 +9,30 @@ FieldName = Literal["velocity", "stress", "pressure", "density", "plastic_strain
 
 FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "density", "plastic_strain")
 """All that can be recorded of a particle besides its position."""
-USUAL: frozenset[FieldName] = frozenset({"velocity", "pressure", "plastic_strain"})
-"""What `fields=True` stands for, with the forces on the walls."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """A request: memory is allocated, and code compiled, for this alone.
 
+        simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity", "stress"}), wall_forces=True))
+
     The series of the summary (energies, impulse on the walls) have a value at every `frame_dt` of the scene, whichever
-    frames keep their positions. Raises InputError for what cannot be recorded.
+    frames keep their positions; the impulse on solids is recorded in the frames that are kept wherever there are solids.
+    Raises InputError for what cannot be recorded.
     """
 
     frames: Literal["all", "last"] | int = "all"
     """Which frames keep positions and fields: all, the last alone, or every k-th from the first on and the last."""
     fields: frozenset[FieldName] = frozenset()
     """What is recorded of every particle besides its position."""
-    baffle_forces: bool = True
-    """Whether the momentum that each baffle has taken is recorded, where there are any."""
     wall_forces: bool = False
-    """Whether the momentum that floor and walls have taken together is recorded."""
+    """Whether the momentum that each side of the box has taken is recorded."""
     raw: bool = False
-    """Stress and pressure as the particles carry them, not smoothed through the grid (`mpm.physics.smoothing`)."""
+    """Stress and pressure as the particles carry them, not smoothed through the grid (`mpm.output.smoothing`)."""
+    until_rest: bool = False
+    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the last
+    one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fields", frozenset(self.fields))
@@ -57,11 +59,10 @@ class Recording:
 
 
 ALL = Recording()
-"""All positions."""
+"""The positions in all frames."""
 LAST = Recording(frames="last")
 """The deposit alone."""
-
-
-def with_usual_fields(record: Recording) -> Recording:
-    """`record` and the usual fields: `USUAL`, and the forces on the walls."""
-    return replace(record, fields=record.fields | USUAL, wall_forces=True)
+AT_REST = Recording(frames="last", until_rest=True)
+"""The deposit alone, of a run that ends when it rests."""
+WITH_FIELDS = Recording(fields=frozenset({"velocity", "pressure", "plastic_strain"}), wall_forces=True)
+"""All frames with velocity, pressure and plastic strain, and the forces on the walls."""

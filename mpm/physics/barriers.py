@@ -1,6 +1,6 @@
 """Masses held until their release: smooth vertical gates at their lateral faces, and damping while they settle.
 
-A node that a gate holds loses its velocity across the gate (which nodes: `mpm.initial.release`). A mass that is to be released
+A node that a gate holds loses its velocity across the gate (which nodes: `mpm.initial.barriers`). A mass that is to be released
 when "settled" is damped meanwhile, at the nodes in its box:
 
     v_i = exp(-2 omega dt) v_i,   omega = pi c / (2 H)
@@ -14,8 +14,7 @@ held compile none of it.
 
 import taichi as ti
 
-from mpm.arrays.barrier_layout import Gate, Held, Holding
-from mpm.arrays.layout import Offset
+from mpm.arrays.layout import Gate, Held, Holding, Offset
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
@@ -74,7 +73,7 @@ def measure_held(scene, block, arrays: ti.template()):
 
 @ti.func
 def add_to(table: ti.template(), row, column, value, arrays: ti.template()):
-    """table[row, column] += value; atomic on a GPU alone, as `mpm.arrays.lanes.add`."""
+    """table[row, column] += value; atomic on a GPU alone, as `mpm.arrays.access.add`."""
     if ti.static(arrays.features.gpu):
         ti.atomic_add(table[row, column], value)
     else:

@@ -7,7 +7,7 @@ A node on or beyond a wall that moves into it by v_n loses v_n, and of its tange
 
 import taichi as ti
 
-from mpm.arrays.lanes import add
+from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
 
 

@@ -31,7 +31,7 @@ keep it in balance; it is held like a node behind a wall of the box (`mpm.physic
 
 import taichi as ti
 
-from mpm.arrays.lanes import add, lane_maximum, lane_minimum, larger, smaller
+from mpm.arrays.access import add, lane_maximum, lane_minimum, larger, smaller
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import stopped_by
 from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of

@@ -13,8 +13,8 @@ Only the bounding box of the material is cleared and updated.
 
 import taichi as ti
 
+from mpm.arrays.access import cells_of, rows_of
 from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
-from mpm.arrays.nodes import cells_of, rows_of
 from mpm.physics.barriers import against_gates
 from mpm.physics.boundary import against_walls, record_wall
 from mpm.physics.contact import against_solids

@@ -36,7 +36,7 @@ Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the me
 
 import taichi as ti
 
-from mpm.arrays.lanes import between, larger, smaller
+from mpm.arrays.access import between, larger, smaller
 from mpm.physics.principal import TINY
 
 

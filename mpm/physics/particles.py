@@ -2,13 +2,12 @@
 
 import taichi as ti
 
-from mpm.arrays.lanes import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
+from mpm.arrays.access import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
 from mpm.physics.boundary import closed
 from mpm.physics.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.physics.mohr_coulomb import softened
-from mpm.physics.strain import midpoint_increment
-from mpm.physics.stress import stress_step
+from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import gap_followed
 

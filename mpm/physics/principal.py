@@ -16,7 +16,7 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from mpm.arrays.lanes import between, larger, smaller
+from mpm.arrays.access import between, larger, smaller
 from mpm.arrays.layout import Precision
 
 TINY = 1.0e-30

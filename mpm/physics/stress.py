@@ -19,7 +19,7 @@ right where stresses meet, too. In plane strain this is a scaled deviator around
 
 import taichi as ti
 
-from mpm.arrays.lanes import between, larger, smaller
+from mpm.arrays.access import between, larger, smaller
 from mpm.physics.mohr_coulomb import return_principal
 from mpm.physics.principal import TINY, principal_deviator
 
@@ -236,3 +236,21 @@ def equivalent_strain(g1, g2, g3, shear):
     mean = (g1 + g2 + g3) / 3.0
     square = (g1 - mean) * (g1 - mean) + (g2 - mean) * (g2 - mean) + (g3 - mean) * (g3 - mean)
     return ti.sqrt(square / 6.0) / shear
+
+
+@ti.func
+def midpoint_increment(a: ti.template(), dimension: ti.template()):
+    """G [-] of the increment `a` = dt * velocity gradient [-], both row by row, shape [D * D]."""
+    return [
+        a[i] - 0.5 * row_times_column(a, ti.static(i // dimension), ti.static(i % dimension), dimension)
+        for i in ti.static(range(dimension * dimension))
+    ]
+
+
+@ti.func
+def row_times_column(a: ti.template(), row: ti.template(), column: ti.template(), dimension: ti.template()):
+    """(A A)_ij of a matrix given row by row."""
+    value = a[row * dimension] * a[column]
+    for k in ti.static(range(1, dimension)):
+        value = value + a[row * dimension + k] * a[k * dimension + column]
+    return value

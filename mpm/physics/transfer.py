@@ -31,7 +31,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.lanes import add, bounded
+from mpm.arrays.access import add, bounded
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.contact import prepare_contact
 

@@ -24,7 +24,7 @@ At a boundary of soils of different density the grid sees another density than t
 
 import taichi as ti
 
-from mpm.arrays.lanes import larger
+from mpm.arrays.access import larger
 from mpm.arrays.layout import Contact, Offset, Property, Setting
 from mpm.arrays.properties import GAP_REACH
 from mpm.physics.transfer import property_of

@@ -5,8 +5,8 @@ Lists and lines: `mpm.solids.obstacles`. What it finds is what `datasets.geometr
 
 import taichi as ti
 
+from mpm.arrays.access import rows_of
 from mpm.arrays.layout import PADDING, Offset, Setting
-from mpm.arrays.nodes import rows_of
 
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""

@@ -132,7 +132,7 @@ def test_the_reach_is_that_of_the_largest_part(flow: Trajectory) -> None:
     lost = dataclasses.replace(flow, positions=astray)
     maps = maps_of(lost, map_edges(flow.scene, 0.05), threshold=0.02)
     assert len(outline(maps.thickness, 0.05, LOCAL, 0.02)) == 2
-    assert summary(lost, maps, LOCAL)["reach"] == pytest.approx(0.7, abs=0.05)
+    assert summary(lost, maps, LOCAL)["extent"] == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.parametrize("place", [LOCAL, PLACE])
@@ -161,7 +161,7 @@ def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     assert said["area_release"] == pytest.approx(0.2 * 0.1, rel=0.7)
     assert said["area_deposit"] == pytest.approx(said["area_release"], rel=0.05)
     assert said["area_covered"] > 2.5 * said["area_deposit"]
-    assert said["reach"] == pytest.approx(0.7, abs=0.05)
+    assert said["extent"] == pytest.approx(0.7, abs=0.05)
     assert said["thickness_max"] == pytest.approx(0.1, rel=0.25)
     assert said["velocity_max"] == pytest.approx(np.hypot(1.0, 0.2), rel=1e-3)
     velocity, _ = band(tmp_path / "velocity.tif")
@@ -250,7 +250,7 @@ def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
     np.testing.assert_allclose(rows["largest_velocity"][rows["largest_depth"] > 0.09], 1.0, rtol=1e-3)
     said = json.loads((tmp_path / "maps.json").read_text())
     assert said["volume"] == pytest.approx(0.02)
-    assert said["reach"] == pytest.approx(0.7, abs=0.05)
+    assert said["extent"] == pytest.approx(0.7, abs=0.05)
     assert "area_deposit" not in said
     assert imread(tmp_path / "profile.png").shape[0] > 300
 

@@ -96,12 +96,12 @@ def test_profile_error_of_equal_shorter_and_disjoint_deposits() -> None:
 
 def before_baffles(*, dimension: int) -> Scene:
     """Two rows of baffles in a box, the first at x = 0.5 m; in 3D two in the first row."""
-    places = [(0.5, 0.0), (0.8, 0.0)] if dimension == 2 else [(0.5, 0.0, 0.1), (0.5, 0.0, 0.6), (0.8, 0.0, 0.3)]
+    corners = [(0.5, 0.0), (0.8, 0.0)] if dimension == 2 else [(0.5, 0.0, 0.1), (0.5, 0.0, 0.6), (0.8, 0.0, 0.3)]
     return Scene(
         domain=Domain(size=(1.0,) * dimension, cell=0.05),
         material=Material(friction_deg=30.0),
         masses=(Mass(lower=(0.0,) * dimension, size=(0.1,) * dimension),),
-        baffles=tuple(Baffle(lower=place, size=(0.1,) * dimension) for place in places),
+        baffles=tuple(Baffle(lower=corner, size=(0.1,) * dimension) for corner in corners),
     )
 
 

@@ -51,10 +51,10 @@ def test_volume_is_that_of_the_particles(dimension: int, cell: float) -> None:
     )
     scene = scene_of(size, *boxes)
     start = initial_particles(scene)
-    places = np.random.default_rng(1).random(start.positions.shape) * size
-    places[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(dimension, -1).T[[0, -1] * 4]
+    coordinates = np.random.default_rng(1).random(start.positions.shape) * size
+    coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(dimension, -1).T[[0, -1] * 4]
     edges = station_edges(scene, cell) if dimension == 2 else map_edges(scene, cell)
-    maps = maps_of(still(scene, start.positions, places), edges)
+    maps = maps_of(still(scene, start.positions, coordinates), edges)
     assert volume_in(maps) == pytest.approx(start.volume.sum(), rel=1e-12)
     assert maps.volume == pytest.approx(start.volume.sum(), rel=1e-12)
     assert maps.left == 0.0
@@ -84,9 +84,9 @@ def test_a_layer_on_an_incline_is_measured_vertically() -> None:
     """t normal to a ground of angle alpha is t / cos(alpha) in the map."""
     angle, normal = np.radians(35.0), 0.04
     scene = scene_of((1.0, 1.0, 0.4), ((0.0, 0.0, 0.0), (1.0, normal / np.cos(angle), 0.4)), cell=0.02)
-    places = initial_particles(scene).positions
-    places[:, 1] += 0.9 - np.tan(angle) * places[:, 0]
-    maps = maps_of(still(scene, places), map_edges(scene, 0.05))
+    coordinates = initial_particles(scene).positions
+    coordinates[:, 1] += 0.9 - np.tan(angle) * coordinates[:, 0]
+    maps = maps_of(still(scene, coordinates), map_edges(scene, 0.05))
     np.testing.assert_allclose(maps.thickness, normal / np.cos(angle), rtol=1e-5)
 
 
@@ -102,7 +102,7 @@ def test_a_cone() -> None:
     scene = scene_of((1.0, 0.5, 1.0), ((0.0, 0.0, 0.0), (1.0, exact, 1.0)), cell=0.02)
     assert len(cone) * spacing**3 == pytest.approx(exact, rel=5e-3)
     maps = maps_of(still(scene, cone), map_edges(scene, 0.05), threshold=0.01)
-    middle = np.meshgrid(*maps.places, indexing="ij")
+    middle = np.meshgrid(*maps.coordinates, indexing="ij")
     true = np.maximum(0.0, height * (1.0 - np.hypot(middle[0] - 0.5, middle[1] - 0.5) / radius))
     assert volume_in(maps) == pytest.approx(exact, rel=1e-9)
     # The pyramids round the tip and the foot off; the flank is straight.
@@ -165,7 +165,7 @@ def test_the_ground_of_terrain_and_baffles() -> None:
         baffles=(Baffle(lower=(0.6, 0.0, 0.0), size=(0.1, 0.4, 0.2)),),
     )
     maps = maps_of(still(scene, initial_particles(scene).positions), map_edges(scene, 0.05))
-    x, z = np.meshgrid(*maps.places, indexing="ij")
+    x, z = np.meshgrid(*maps.coordinates, indexing="ij")
     wanted = np.where((x > 0.6) & (x < 0.7) & (z < 0.2), 0.4, 0.3 - 0.2 * x)
     np.testing.assert_allclose(maps.ground, wanted, atol=1e-6)
 
@@ -177,7 +177,7 @@ def test_the_ground_line_in_two_dimensions() -> None:
         baffles=(Baffle(lower=(0.7, 0.0), size=(0.1, 0.2)),),
     )
     maps = maps_of(still(scene, initial_particles(scene).positions), station_edges(scene, 0.03125))
-    (x,) = maps.places
+    (x,) = maps.coordinates
     assert (x[0], x[-1]) == (0.0, 1.0)
     wanted = np.where((x >= 0.7) & (x <= 0.8), 0.2, np.maximum(0.0, 0.3 - 0.6 * x))
     np.testing.assert_allclose(maps.ground, wanted, atol=1e-9)

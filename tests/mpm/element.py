@@ -12,7 +12,8 @@ from scipy.optimize import root
 from datasets.material import Material
 from mpm import runtime
 from mpm.arrays.batch import aligned
-from mpm.arrays.layout import Features, Precision, Property
+from mpm.arrays.features import Features
+from mpm.arrays.layout import Precision, Property
 from mpm.arrays.properties import properties_row
 from mpm.physics.mohr_coulomb import return_principal, softened
 from mpm.physics.stress import plastic_return, stress_step

@@ -8,7 +8,7 @@ import pytest
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.simulate import simulate, simulate_many
+from mpm import WITH_FIELDS, simulate, simulate_many
 
 SAND = Material(friction_deg=30.0)
 CELL = 0.02
@@ -48,7 +48,7 @@ def test_no_point_comes_inside_and_most_stay_behind() -> None:
 def test_momentum_goes_into_walls_and_baffles_alone() -> None:
     for precision, tolerance in (("f64", 1e-4), ("f32", 1e-3)):
         scene = flow(Baffle(lower=(0.5, 0.0), size=(0.1, 0.12)), Baffle(lower=(0.9, 0.0), size=(0.05, 0.3)))
-        trajectory = simulate(scene, fields=True, precision=precision)  # type: ignore[arg-type]
+        trajectory = simulate(scene, record=WITH_FIELDS, precision=precision)  # type: ignore[arg-type]
         assert trajectory.velocities is not None
         assert trajectory.baffle_impulse is not None
         mass = SAND.density * scene.particle_volume

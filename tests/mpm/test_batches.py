@@ -10,8 +10,8 @@ from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.output.failure import explain
-from mpm.simulate import ScenesFailed, simulate, simulate_each, simulate_many
+from mpm import ScenesFailed, simulate, simulate_each, simulate_many
+from mpm.output.outcome import explain
 from tests.mpm.scenes import COLUMN, SAND, box, room
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))

@@ -11,7 +11,7 @@ from datasets.geometry.surface import surface_of
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.simulate import simulate
+from mpm import WITH_FIELDS, simulate
 
 SAND = Material(friction_deg=30.0, density=1500.0, young=1.0e6, poisson=0.3)
 CELL, GRAVITY = 0.02, 9.81
@@ -215,7 +215,7 @@ def test_momentum_goes_into_sides_and_solids_alone() -> None:
         duration=0.6,
         frame_dt=0.01,
     )
-    flow = simulate(scene, fields=True, precision="f64")
+    flow = simulate(scene, record=WITH_FIELDS, precision="f64")
     assert flow.velocities is not None
     assert flow.solid_impulse is not None
     mass = SAND.density * scene.particle_volume

@@ -7,8 +7,7 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.output.request import LAST
-from mpm.simulate import simulate
+from mpm import LAST, simulate
 
 SAND = Material(friction_deg=30.0)
 BED = Scene(

@@ -10,11 +10,11 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import simulate as runs
+from mpm import AT_REST, WITH_FIELDS, simulate, simulate_many
+from mpm import simulation as runs
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING
-from mpm.initial.release import gates, inside
-from mpm.simulate import simulate, simulate_many
+from mpm.initial.barriers import gates, inside
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -38,7 +38,7 @@ def momentum(flow: Trajectory) -> NDArray[np.float64]:
 @pytest.mark.parametrize("precision", ["f32", "f64"])
 @pytest.mark.parametrize(("scene", "frame"), [(SCENE, 20), (SCENE_3D, 8)], ids=["2D", "3D"])
 def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, precision: str) -> None:
-    flow = simulate(scene, precision=precision, threads=1, fields=True)  # type: ignore[arg-type]
+    flow = simulate(scene, precision=precision, threads=1, record=WITH_FIELDS)  # type: ignore[arg-type]
     mass = scene.masses[0]
     assert flow.summary["release_time"] == [mass.release]
     for axis in (0, 2)[: scene.dimension - 1]:
@@ -56,7 +56,7 @@ def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, p
 
 def test_smooth_gates_carry_no_weight() -> None:
     # Behind gates the floor carries everything: sand in a silo whose walls are smooth.
-    flow = simulate(of(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, fields=True)
+    flow = simulate(of(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, record=WITH_FIELDS)
     impulse = np.array(flow.summary["wall_impulse"])
     weight = 0.2 * 0.3 * SAND.density * 9.81
     np.testing.assert_allclose(-impulse[20, 1] / (20 * 0.0025), weight, rtol=1e-5)
@@ -67,7 +67,7 @@ def test_smooth_gates_carry_no_weight() -> None:
 @pytest.mark.parametrize("release", [0.05, "settled"])
 def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> None:
     scene = of(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
-    flow = simulate(scene, precision="f64", threads=1, fields=True)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     total = momentum(flow)
     mass = 0.2 * 0.3 * SAND.density
     gravity = mass * flow.time[:, None] * np.array(scene.gravity_vector)
@@ -77,7 +77,7 @@ def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> 
 
 def test_a_mass_settles_before_it_is_let_go() -> None:
     scene = of(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.5)
-    flow = simulate(scene, precision="f64", threads=1, fields=True)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     (release,) = flow.summary["release_time"]
     assert 0.01 < release < 0.4
     frame = round(release / scene.frame_dt)
@@ -111,7 +111,7 @@ def test_masses_have_their_own_times() -> None:
     settling = Mass(lower=(0.55, 0.0), size=(0.1, 0.1), release="settled")
     # Without volume correction, which the falling mass would ask for: gaps that close slowly keep a mass from settling.
     scene = of(SCENE, first, second, third, settling, duration=0.15, jitter=0.4, volume_correction=False)
-    flow = simulate(scene, precision="f64", threads=1, fields=True)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     particles = initial_particles(flow.scene)
     times = flow.summary["release_time"]
     assert times[:3] == [0.05, 0.1, 0.0]
@@ -128,10 +128,10 @@ def test_masses_have_their_own_times() -> None:
 
 def test_rest_waits_for_the_release() -> None:
     scene = of(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
-    flow = simulate(scene, threads=1, until_rest=True)
+    flow = simulate(scene, threads=1, record=AT_REST)
     assert flow.summary["rest_time"] > 0.5
     settling = of(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=3.0, floor_friction=0.4)
-    flow = simulate(settling, threads=1, until_rest=True)
+    flow = simulate(settling, threads=1, record=AT_REST)
     assert flow.summary["rest_time"] > flow.summary["release_time"][0] + 0.3
 
 

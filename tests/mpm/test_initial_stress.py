@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
+from mpm import WITH_FIELDS, simulate
 from mpm.arrays.layout import PADDING
 from mpm.initial.stress import Equilibrium, initial_stress, overburden
-from mpm.simulate import simulate
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -42,7 +42,7 @@ def stress_of(scene: Scene) -> NDArray[np.float64]:
 
 def fastest(scene: Scene, precision: str) -> float:
     """Largest speed of any particle in any frame [m/s]."""
-    velocities = simulate(scene, precision=precision, threads=1, fields=True).velocities  # type: ignore[arg-type]
+    velocities = simulate(scene, precision=precision, threads=1, record=WITH_FIELDS).velocities  # type: ignore[arg-type]
     assert velocities is not None
     return float(np.linalg.norm(velocities, axis=2).max())
 
@@ -74,7 +74,9 @@ def test_in_3d_too(precision: str) -> None:
 def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
     # There is no admissible equilibrium where a cohesionless edge hangs on single particles: how much misses is said.
     with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
-        flow = simulate(dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, fields=True)
+        flow = simulate(
+            dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, record=WITH_FIELDS
+        )
     assert flow.velocities is not None
     speed = np.linalg.norm(flow.velocities, axis=2)
     assert speed.max() < 2.0e-3
@@ -204,7 +206,7 @@ def test_without_a_release_the_gates_are_gone_at_the_start() -> None:
     scene = with_masses(BED_2D, column, duration=0.1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        flow = simulate(scene, threads=1, fields=True)
+        flow = simulate(scene, threads=1, record=WITH_FIELDS)
     assert flow.velocities is not None
     assert flow.velocities[-1, :, 0].max() > 0.3
     # What it starts with is recorded: pressure and elastic energy in frame 0.

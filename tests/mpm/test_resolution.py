@@ -8,6 +8,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
+from mpm import simulate
 from mpm.arrays.batch import Batch
 from mpm.resolution import (
     Measured,
@@ -21,7 +22,6 @@ from mpm.resolution import (
     read_tolerance,
     resolved,
 )
-from mpm.simulate import simulate
 
 
 def scene(*masses: tuple[tuple[float, ...], tuple[float, ...]], size: tuple[float, ...] = (1.0, 1.0)) -> Scene:

@@ -15,11 +15,12 @@ from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import simulate as solver
+from mpm import AT_REST, LAST, WITH_FIELDS, Recording, simulate
+from mpm import simulation as solver
 from mpm.output.checkpoint import Checkpoint, difference
-from mpm.output.request import FIELDS, LAST, Recording
+from mpm.output.request import FIELDS
 from mpm.run import command
-from mpm.simulate import Interrupted, Options, simulate, simulate_resumably
+from mpm.simulation import Interrupted, Options, simulate_resumably
 from tests.mpm.scenes import COLUMN, SAND, box
 
 RECORD = Recording(frames=3, fields=frozenset(FIELDS), wall_forces=True)
@@ -61,7 +62,7 @@ def test_a_resumed_run_is_the_unbroken_one(
 
 def test_rest_is_remembered(tmp_path: Path) -> None:
     scene = box(floor_friction=0.5, duration=1.5)
-    options: Options = {"until_rest": True, "record": LAST, "threads": 1}
+    options: Options = {"record": AT_REST, "threads": 1}
     whole = simulate(scene, **options)
     for duration in (0.7, 1.2):
         _, checkpoint = simulate_resumably(dataclasses.replace(scene, duration=duration), **options)
@@ -86,9 +87,9 @@ def checkpoint() -> Checkpoint:
         (box(domain=Domain(size=(1.0, 1.0), cell=0.01)), {}, "domain.cell: expected the scene"),
         (box(duration=0.015), {}, "duration: expected at least the 0.02 s of the checkpoint, got 0.015"),
         (box(), {"record": LAST}, "frames: expected what the checkpoint was recorded with"),
-        (box(), {"fields": True}, "fields: expected what the checkpoint was recorded with"),
+        (box(), {"record": WITH_FIELDS}, "fields: expected what the checkpoint was recorded with"),
         (box(), {"precision": "f64"}, "precision: expected f32 as in the checkpoint, got f64"),
-        (box(), {"until_rest": True}, "rests: expected False as in the checkpoint, got True"),
+        (box(), {"record": Recording(until_rest=True)}, "until_rest: expected what the checkpoint was recorded with"),
     ],
 )
 def test_another_run_is_refused_with_the_key(checkpoint: Checkpoint, scene: Scene, options: Any, said: str) -> None:

@@ -7,11 +7,10 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm import runtime
-from mpm.arrays.batch import features_of
-from mpm.arrays.layout import Features, Property
+from mpm import WITH_FIELDS, runtime, simulate
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_row
-from mpm.simulate import simulate
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
 
 CLAY = Material(
@@ -190,7 +189,7 @@ def test_a_gpus_kernel_softens_alike(dimension: int, monkeypatch: pytest.MonkeyP
         duration=0.05,
         frame_dt=0.005,
     )
-    cpu, gpu = (simulate(scene, precision="f64", fields=True, arch=arch) for arch in ("cpu", "cuda"))
+    cpu, gpu = (simulate(scene, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
     assert cpu.plastic_strain is not None
     assert gpu.plastic_strain is not None
     assert cpu.plastic_strain.max() > 0.1

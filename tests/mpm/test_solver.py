@@ -13,8 +13,7 @@ from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import runtime
-from mpm.simulate import simulate, simulate_many
+from mpm import WITH_FIELDS, runtime, simulate, simulate_many
 from validation.bench.columns.paper import read_paper
 
 SAND = Material(friction_deg=30.0)
@@ -322,7 +321,7 @@ def test_a_ball_of_sand_comes_to_rest_as_a_round_heap() -> None:
         for y in steps
         if (reach := math.floor(math.sqrt(max(radius**2 - x * x - y * y, 0.0)) / cell + 0.5) * cell) > 0.0
     ]
-    trajectory = simulate(room(*masses, floor_friction=0.5, duration=1.0), fields=True)
+    trajectory = simulate(room(*masses, floor_friction=0.5, duration=1.0), record=WITH_FIELDS)
     heap = trajectory.positions[-1] - middle
     spread = heap.std(axis=0)
     assert spread[0] == pytest.approx(spread[2], rel=0.05)
@@ -343,7 +342,7 @@ def test_a_slope_at_repose_stays_and_a_steeper_one_slides() -> None:
             floor_friction=2.0,
             duration=0.4,
         )
-        trajectory = simulate(scene, fields=True)
+        trajectory = simulate(scene, record=WITH_FIELDS)
         assert trajectory.velocities is not None
         # The middle of the layer's surface, far from both of its ends.
         start = trajectory.positions[0]
@@ -363,11 +362,11 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         duration=0.1,
     )
     for scene in (flat, deep):
-        monkeypatch.setattr("mpm.simulate.PARTICLES_PER_WORKER", 10**9)
-        alone = simulate(scene, precision="f64", threads=2, fields=True)
-        monkeypatch.setattr("mpm.simulate.PARTICLES_PER_WORKER", 100)
-        monkeypatch.setattr("mpm.simulate.SORTED", 0)
-        shared = simulate(scene, precision="f64", threads=2, fields=True)
+        monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 10**9)
+        alone = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
+        monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 100)
+        monkeypatch.setattr("mpm.simulation.SORTED", 0)
+        shared = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
         # Where principal stresses meet, half of the digits are lost (`mpm.physics.principal`), and another order of sums shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
@@ -378,7 +377,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
 
 def test_fields_are_what_the_points_carry() -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), damping=0.3, duration=1.0, jitter=0.0)
-    trajectory = simulate(scene, fields=True)
+    trajectory = simulate(scene, record=WITH_FIELDS)
     assert trajectory.velocities is not None
     assert trajectory.pressure is not None
     assert trajectory.plastic_strain is not None
@@ -418,7 +417,7 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
     ]
     deep = [room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.24, 0.2)), duration=0.05)]
     for scenes in (flat, deep):
-        cpu, gpu = (simulate_many(scenes, precision="f64", fields=True, arch=arch) for arch in ("cpu", "cuda"))
+        cpu, gpu = (simulate_many(scenes, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
         for one, other in zip(cpu, gpu, strict=True):
             # As above: half of the digits where principal stresses meet.
             np.testing.assert_allclose(other.positions, one.positions, atol=5e-6)

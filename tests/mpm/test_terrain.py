@@ -10,9 +10,8 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.output.request import Recording
-from mpm.physics.smoothing import density
-from mpm.simulate import simulate
+from mpm import Recording, simulate
+from mpm.output.smoothing import density
 
 SAND = Material(friction_deg=32.0, density=1600.0, young=1.0e6, poisson=0.3)
 CELL = 0.04

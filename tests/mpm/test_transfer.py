@@ -9,8 +9,8 @@ import pytest
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
+from mpm import WITH_FIELDS, simulate, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.simulate import simulate, simulate_many
 
 SAND = Material(friction_deg=30.0)
 ROCK = Material(friction_deg=30.0, cohesion=1.0e9, tension_cutoff=1.0e9)
@@ -83,7 +83,7 @@ def test_momentum_is_conserved_in_free_flight() -> None:
         duration=0.25,
         frame_dt=0.01,
     )
-    flow = simulate(scene, precision="f64", fields=True)
+    flow = simulate(scene, precision="f64", record=WITH_FIELDS)
     assert flow.velocities is not None
     momentum = flow.velocities.astype(np.float64).mean(axis=1)
     np.testing.assert_allclose(momentum[-1], momentum[0], atol=1e-6)

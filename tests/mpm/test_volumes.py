@@ -8,8 +8,8 @@ import pytest
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
+from mpm import WITH_FIELDS, simulate
 from mpm.arrays.batch import Batch
-from mpm.simulate import simulate
 
 SAND = Material(friction_deg=30.0)
 THIN = Mass(lower=(0.05, 0.3), size=(0.4, 0.003))
@@ -36,7 +36,7 @@ def test_the_floor_takes_the_weight_of_each() -> None:
     # Both lie on the floor: a layer of a seventh of a cell and a slab, which spreads.
     masses = tuple(dataclasses.replace(mass, lower=(mass.lower[0], 0.0)) for mass in (THIN, THICK))
     scene = dataclasses.replace(SCENE, masses=masses, duration=0.2, floor_friction=1.0)
-    flow = simulate(scene, precision="f64", threads=1, fields=True)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     assert flow.velocities is not None
     volume = initial_particles(scene).volume
     momentum = np.einsum("n, tnd -> td", SAND.density * volume, flow.velocities.astype(np.float64))

@@ -12,8 +12,8 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import particle_volumes
+from mpm import simulate_many
 from mpm.output.request import LAST
-from mpm.simulate import simulate_many
 from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow

@@ -11,8 +11,8 @@ from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from mpm import ScenesFailed
 from mpm.output.request import ALL, Recording
-from mpm.simulate import ScenesFailed
 from tests.validation.conftest import FakeMpm
 from validation.loop.runs import KeptRuns
 

@@ -8,8 +8,8 @@ import pytest
 from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.particles import initial_particles, particle_count
-from mpm.arrays.batch import features_of
-from mpm.simulate import recording
+from mpm import ALL, WITH_FIELDS
+from mpm.arrays.features import features_of
 from validation.bench.speed import bench as speed
 from validation.bench.speed import gains, rates
 from validation.bench.speed.page import page
@@ -129,7 +129,7 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
             scenes,
             [initial_particles(scene) for scene in scenes],
             "f32",
-            record=recording({"fields": runs[name].fields}),
+            record=WITH_FIELDS if runs[name].fields else ALL,
         )
         return dataclasses.asdict(found)
 

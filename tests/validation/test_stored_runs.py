@@ -12,7 +12,7 @@ from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.output.request import ALL, LAST, Recording
-from mpm.simulate import ScenesFailed
+from mpm.simulation import ScenesFailed
 from tests.validation.conftest import FakeMpm
 from validation import runs
 from validation.runs import SHARE, Run, RunStore

@@ -86,7 +86,7 @@ BENCHES = {
     "memory": Bench(module="validation.bench.speed.memory", says="memory of rollout and gradient, and what bounds it"),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
-        says="error and time of inversions by every method",
+        says="cost and quality of a gradient by every method: on problems, over unknowns, over particles",
     ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", says="the shipped GNS weights against the MPM"),
     "ablation": Bench(module="validation.bench.speed.ablation", says="what each part of the solver's speed is due to"),

@@ -1,7 +1,7 @@
 """A measured experiment as data: `NAME/experiment.toml` and the scenes beside it.
 
-A number is there because it stood in a source that was read, or follows from such numbers; `status` says which. What
-the authors do not state is listed with the choice made for it.
+Every number was read in a source, or worked out from such numbers; `status` says which. What the authors do not state
+is listed with the choice made for it.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ class Angle(Record):
     name: str
     """Such as avalanche or repose."""
     lower_deg: float
-    """Least value that the sources allow [deg]."""
+    """Smallest value in the sources [deg]."""
     upper_deg: float
     """Largest one [deg]."""
     status: Status
@@ -82,15 +82,15 @@ class Measured(Record):
     """Where the spread comes from."""
     status: Status
     source: str
-    beyond: str = ""
-    """Why the computation may miss it: printed where it does, by more than twice the spread."""
+    explanation: str = ""
+    """Why the computation may differ: printed where it does, by more than twice the spread."""
     thicker_than: float | None = None
     """Thickness [m] by which the measurement defines a front."""
     beside_walls: float | None = None
-    """In 3D, width [m] of the strips along both side walls over which a front by thickness is taken: what a camera sees
+    """In 3D, width [m] of the strips along both side walls over which a front by thickness is measured, as by a camera
     that looks through a wall. The whole width where absent."""
     within: float | None = None
-    """Strip [m] next to the wall over which a height is taken."""
+    """Strip [m] next to the wall over which a height is measured."""
     x: tuple[float, ...] = ()
     """Where the heights of a profile were measured [m], ascending."""
     heights: tuple[float, ...] = ()
@@ -110,7 +110,7 @@ class Measured(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course(Record):
+class TimeSeries(Record):
     """An extent over time; time counts from the first row on, at which the computation is as far as the measurement."""
 
     times: tuple[float, ...]
@@ -137,7 +137,7 @@ class Course(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case(Record):
+class MeasuredScene(Record):
     """A scene and what was measured in it."""
 
     name: str
@@ -147,30 +147,30 @@ class Case(Record):
     """Its own grid cells [m]; the experiment's where absent."""
     measured: tuple[Measured, ...]
     """The first one that is a front or a radius is what an angle is inferred from."""
-    course: Course | None = None
+    series: TimeSeries | None = None
     """The same extent over time, to be held against a run at the angle that was inferred."""
 
     @property
-    def target(self) -> int | None:
-        """Index of the measured number that an angle is inferred from."""
+    def extent(self) -> Measured | None:
+        """The measured number that an angle is inferred from."""
         extents = (Quantity.FRONT, Quantity.RADIUS)
-        return next((number for number, each in enumerate(self.measured) if each.quantity in extents), None)
+        return next((each for each in self.measured if each.quantity in extents), None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant(Record):
-    """A scene that differs in one respect, computed on the coarse cells: what that respect is worth."""
+    """A scene that differs in one respect, computed on the coarse cells: the effect of that respect."""
 
     name: str
     case: str
     scene: str
-    says: str
+    comment: str
     """What differs, and why it is tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unsaid(Record):
-    """Something the authors do not state."""
+class Assumption(Record):
+    """The choice for something that the authors do not state."""
 
     what: str
     choice: str
@@ -191,9 +191,9 @@ class Experiment(Record):
     """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
-    cases: tuple[Case, ...]
+    cases: tuple[MeasuredScene, ...]
     variants: tuple[Variant, ...] = ()
-    unsaid: tuple[Unsaid, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.floor, str) and self.floor != "material":
@@ -214,7 +214,7 @@ class Shipped:
     folder: Path
     experiment: Experiment
 
-    def cells(self, case: Case) -> tuple[float, float]:
+    def cells(self, case: MeasuredScene) -> tuple[float, float]:
         """Grid cells of a case, the coarse and the fine one [m]."""
         return case.cells or self.experiment.cells
 

@@ -1,4 +1,4 @@
-"""What a computed deposit shows of the quantities that experiments measure."""
+"""The quantities that experiments measure, of a computed deposit."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ SURFACE_QUANTILE = 0.99
 
 
 def quantity(measured: Measured, scene: Scene, positions: Positions) -> float:
-    """What the deposit at `positions` [m], shape [N, D], of `scene` shows of `measured` [m]."""
+    """The quantity of `measured` [m] in the deposit of `scene` at `positions` [m], shape [N, D]."""
     if measured.quantity is Quantity.RADIUS:
         x = positions.astype(np.float64)
         return float(np.quantile(np.hypot(x[:, 0], x[:, -1]), FRONT_QUANTILE))
@@ -43,23 +43,23 @@ def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_wa
     width = scene.domain.size[2]
     strip = 0.5 * width if beside_walls is None else beside_walls
     z = positions[:, 2]
-    seen = (z <= strip) | (z >= width - strip)
-    return height_profile(positions[seen], volumes[seen] / (2.0 * strip), stations)
+    beside = (z <= strip) | (z >= width - strip)
+    return height_profile(positions[beside], volumes[beside] / (2.0 * strip), stations)
 
 
-def edge(stations: Floats, heights: Floats, least: float) -> float:
-    """The x [m] beyond the highest station where a profile first falls below `least` [m], linear in between.
+def edge(stations: Floats, heights: Floats, thickness: float) -> float:
+    """The x [m] beyond the highest station where a profile first falls below `thickness` [m], linear in between.
 
     stations, heights: [m], shape [S] each; the last station where it never does.
     """
     top = int(np.argmax(heights))
-    below = np.flatnonzero(heights[top:] < least)
+    below = np.flatnonzero(heights[top:] < thickness)
     if len(below) == 0:
         return float(stations[-1])
     right = top + int(below[0])
     if right == top:
         return float(stations[top])
-    share = (heights[right - 1] - least) / (heights[right - 1] - heights[right])
+    share = (heights[right - 1] - thickness) / (heights[right - 1] - heights[right])
     return float(stations[right - 1] + share * (stations[right] - stations[right - 1]))
 
 

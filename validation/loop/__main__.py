@@ -18,7 +18,7 @@ from inverse.observations.target import Target
 from inverse.optimise import Bounds
 from inverse.problem import Problem, Surrogate, read_problem
 from inverse.result import Purpose, Result, RunRecord, Verdict, named
-from mpm.simulate import simulate_many
+from mpm import simulate_many
 from validation.loop import answers, starts
 from validation.loop import least_squares as several
 from validation.loop import report as loop_report

@@ -24,7 +24,7 @@ from inverse.observations.target import Target, read_target
 from inverse.problem import Observable, Problem, read_problem
 from inverse.report.markdown import quantity, table
 from inverse.result import Result
-from mpm.simulate import simulate_many
+from mpm import simulate_many
 from validation.loop.__main__ import solve
 from validation.loop.runs import KeptRuns
 

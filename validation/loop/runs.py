@@ -12,9 +12,9 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.forward.interface import Simulate
+from mpm import ScenesFailed
 from mpm.output.request import ALL, LAST, Recording
-from mpm.processors import processors
-from mpm.simulate import ScenesFailed
+from mpm.process import processors
 
 SHARE = "share_s"
 """In the summary of a kept run: its share of the wall time of all that ran beside it [s]."""

@@ -63,17 +63,19 @@ class Page:
         command: str,
         conclusion: Sequence[str],
         packages: Mapping[str, str] = MPM,
+        measured: str = "",
         quick: bool = False,
     ) -> None:
         """command: what measured the page. packages: those whose version matters, see `validation.report.machine`.
 
+        measured: when and on what, of a page of kept measurements; today and here unless given.
         quick: the figures are of coarse cells or few runs, and the page says so.
         """
         if not 0 < len(conclusion) <= CONCLUSION:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
         self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
         self._parts = [f"# {title}", self.conclusion]
-        self.text(f"`{command}`, {date.today().isoformat()}, on {machine(packages)}.")
+        self.text(f"`{command}`, {measured or f'{date.today().isoformat()}, on {machine(packages)}'}.")
         if quick:
             self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
 

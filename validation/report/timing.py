@@ -1,5 +1,6 @@
 """Work timed in turn, so that what else the machine does meets all of it alike."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,8 +10,8 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from datasets.scene import Scene
+from mpm import ALL, WITH_FIELDS, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.simulate import simulate_many
 
 Key = TypeVar("Key")
 Found = TypeVar("Found")
@@ -89,7 +90,10 @@ def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> di
 def timed(run: Run) -> Took:
     """Simulate once."""
     flows = simulate_many(
-        run.scenes, precision=run.precision, threads=run.threads, fields=run.fields, until_rest=run.until_rest
+        run.scenes,
+        precision=run.precision,
+        threads=run.threads,
+        record=dataclasses.replace(WITH_FIELDS if run.fields else ALL, until_rest=run.until_rest),
     )
     summaries = [flow.summary for flow in flows]
     return Took(

@@ -65,11 +65,11 @@ def write_tiff(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", *
         file.write(values, 1)
 
 
-def ground(found: Scene, places: list[tuple[float, float, float]]) -> np.ndarray:
+def ground(found: Scene, positions: list[tuple[float, float, float]]) -> np.ndarray:
     """Signed distances from the surface of a scene."""
     surface = surface_of(found)
     assert surface is not None
-    return nearest(surface, np.array(places)).distance
+    return nearest(surface, np.array(positions)).distance
 
 
 def test_a_ground_line(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def surface(scene: Scene) -> Surface:
     return found
 
 
-def places(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> Floats:
+def random_positions(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> Floats:
     """Points at random in a box, shape [count, D]."""
     return np.random.default_rng(7).uniform(low, high, (count, len(low)))
 
@@ -45,7 +45,7 @@ def consistent(points: Floats, found: object) -> None:
 def test_a_box(dimension: int, turned_deg: float) -> None:
     low, size = (0.8, 0.4, 0.3)[:dimension], (0.4, 0.2, 0.3)[:dimension]
     scene = scene_of(Solid(lower=low, size=size, turned_deg=turned_deg), size=(2.0, 1.0, 1.0)[:dimension])
-    points = places(3000, (0.5, 0.1, 0.0)[:dimension], (1.5, 0.9, 0.9)[:dimension])
+    points = random_positions(3000, (0.5, 0.1, 0.0)[:dimension], (1.5, 0.9, 0.9)[:dimension])
     centre, half = np.add(low, np.multiply(0.5, size)), np.multiply(0.5, size)
     plane = [0, 1] if dimension == 2 else [0, 2]
     c, s = math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))
@@ -62,7 +62,7 @@ def test_a_polygon_with_reflex_corners() -> None:
         for k in range(10)
         for r, a in [((0.4, 0.15)[k % 2], 0.2 * math.pi * k)]
     ]
-    points = places(3000, (0.5, 0.0), (1.5, 1.0))
+    points = random_positions(3000, (0.5, 0.0), (1.5, 1.0))
     polygon = shapely.Polygon(star)
     expected = shapely.distance(shapely.points(points), polygon.exterior)
     sign = np.where(shapely.contains_xy(polygon, *points.T), -1.0, 1.0)
@@ -73,7 +73,7 @@ def test_a_polygon_with_reflex_corners() -> None:
 
 
 def test_a_ground_line_with_a_kink_and_a_valley() -> None:
-    points = places(3000, (0.0, 0.0), (2.0, 1.0))
+    points = random_positions(3000, (0.0, 0.0), (2.0, 1.0))
     valley = Solid(kind="terrain", points=((0.0, 0.6), (0.8, 0.1), (1.4, 0.3), (2.0, 0.3)))
     found = nearest(surface(scene_of(valley)), points)
     # It goes on straight beyond the sides.
@@ -92,7 +92,7 @@ def test_a_valley_on_a_height_field() -> None:
     rows = tuple(tuple(0.1 + 0.6 * np.abs(z - 0.5)) for _ in range(41))
     solid = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.05, 0.05), heights=rows)
     scene = scene_of(solid, size=(2.0, 1.0, 1.0), cell=0.05)
-    points = places(2000, (0.3, 0.0, 0.2), (1.7, 0.4, 0.8))
+    points = random_positions(2000, (0.3, 0.0, 0.2), (1.7, 0.4, 0.8))
     found = nearest(surface(scene), points)
     # A plane on either side; above the valley's line the nearer of both, below it the line itself where that is nearer.
     across = (points[:, 1] - 0.1 - 0.6 * np.abs(points[:, 2] - 0.5)) / math.hypot(1.0, 0.6)
@@ -146,7 +146,7 @@ def test_a_sphere(flipped: bool) -> None:
         vertices=tuple(map(tuple, vertices.tolist())),
         triangles=tuple(map(tuple, (triangles[:, ::-1] if flipped else triangles).tolist())),
     )
-    points = places(1000, (0.6, 0.1, 0.1), (1.4, 0.9, 0.9))
+    points = random_positions(1000, (0.6, 0.1, 0.1), (1.4, 0.9, 0.9))
     found = nearest(surface(scene_of(solid, size=(2.0, 1.0, 1.0))), points)
     expected = np.linalg.norm(points - centre, axis=1) - 0.3
     # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
@@ -165,7 +165,7 @@ def test_what_lies_farther_than_asked_for_is_not_looked_at(dimension: int) -> No
     size = (2.0, 1.0, 1.0)[:dimension]
     boxes = [Solid(lower=(x, 0.0, 0.3)[:dimension], size=(0.1, 0.3, 0.2)[:dimension]) for x in (0.2, 0.9, 1.3)]
     solids = surface(scene_of(*boxes, size=size))
-    points = places(2000, (0.0,) * dimension, size)
+    points = random_positions(2000, (0.0,) * dimension, size)
     exact, found = nearest(solids, points), nearest(solids, points, within=0.05)
     close = np.abs(exact.distance) <= 0.05
     assert 10 < close.sum() < 1900

@@ -1,4 +1,4 @@
-"""A tiny experiment whose front has a formula, and an MPM that knows it."""
+"""A tiny experiment whose front has a formula, and deposits by that formula."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,9 +42,9 @@ spread = 0.005
 spread_from = "this test"
 status = "read"
 source = "this test"
-beyond = "The wedge is imaginary."
+explanation = "The wedge is imaginary."
 
-[[unsaid]]
+[[assumptions]]
 what = "everything"
 choice = "nothing"
 reason = "a test"

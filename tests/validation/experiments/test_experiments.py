@@ -10,14 +10,14 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from validation.experiments.experiment import (
     Angle,
-    Case,
-    Course,
+    Assumption,
     Experiment,
     Measured,
+    MeasuredScene,
     Quantity,
     Shipped,
     Status,
-    Unsaid,
+    TimeSeries,
     Variant,
     read_experiment,
     read_experiments,
@@ -36,9 +36,9 @@ def test_there_are_experiments() -> None:
 def test_every_number_has_source_licence_and_status(shipped: Shipped) -> None:
     one = shipped.experiment
     assert all((one.title, one.what, one.source, one.licence))
-    assert one.unsaid
-    assert all(each.what and each.choice and each.reason for each in one.unsaid)
-    numbers = [*one.angles, *(measured for case in one.cases for measured in case.measured)]
+    assert one.assumptions
+    assert all(each.what and each.choice and each.reason for each in one.assumptions)
+    numbers: list[Angle | Measured] = [*one.angles, *(measured for case in one.cases for measured in case.measured)]
     assert all(each.status in Status and len(each.source) > 5 for each in numbers)
     assert all(measured.spread_from for case in one.cases for measured in case.measured)
 
@@ -104,7 +104,7 @@ def test_a_missing_scene_is_named(shelf: Path) -> None:
 def test_the_page_on_formats_names_every_key() -> None:
     page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
-    for kind in (Experiment, Angle, Case, Measured, Course, Variant, Unsaid):
+    for kind in (Experiment, Angle, MeasuredScene, Measured, TimeSeries, Variant, Assumption):
         for each in dataclasses.fields(kind):
             assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
     for status in Status:

@@ -1,7 +1,7 @@
 """A case history: a scene on real ground, a runout that was observed, and the bed friction that explains it.
 
 Where no deposit was surveyed, the runout is that of a twin: the same release on the same ground, computed with a bed
-friction that the back-analysis is not told and another initial jitter, and then rounded to the raster of a survey.
+friction that the back-analysis does not use and another initial jitter, and then rounded to the raster of a survey.
 """
 
 import math
@@ -17,9 +17,9 @@ from datasets.errors import InputError
 from datasets.measures import Positions, front
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
-from validation.bench.experiments.angle import Inferred, Search, search_all
+from validation.bench.experiments.angle import AngleSearch, InferredAngle, search_all
 from validation.bench.experiments.computed import Simulate
-from validation.experiments.experiment import Unsaid
+from validation.experiments.experiment import Assumption
 
 FOLDER = Path(__file__).parent
 
@@ -29,7 +29,7 @@ class Twin(Record):
     """How the observed runout was made."""
 
     bed_friction: float
-    """Coulomb coefficient that the back-analysis is not told [-]."""
+    """Coulomb coefficient [-]; the back-analysis does not use it."""
     seed: int
     """Of its initial jitter."""
     cell: float
@@ -57,7 +57,7 @@ class History(Record):
     spread_from: str
     """Where it comes from."""
     twin: Twin
-    unsaid: tuple[Unsaid, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
         for key in ("raster", "spread"):
@@ -95,15 +95,17 @@ class ReadHistory:
 
 @dataclass(frozen=True, kw_only=True)
 class BackAnalysis:
-    """What the back-analysis of a case history came to."""
+    """The result of the back-analysis of a case history."""
 
     read: ReadHistory
     observed: float
     """Runout that was observed [m]."""
     twin: Positions
     """The deposit that it was observed on [m], shape [N, D]."""
-    inferred: tuple[Inferred, Inferred]
-    """Angle of the bed friction on the coarse and the fine cells."""
+    coarse: InferredAngle
+    """Angle of the bed friction on the coarse cells."""
+    fine: InferredAngle
+    """On the fine cells."""
     deposit: Positions
     """The deposit at the inferred friction on the fine cells [m], shape [N, D]."""
     start: Positions
@@ -115,28 +117,27 @@ class BackAnalysis:
         return math.degrees(math.atan(self.read.history.twin.bed_friction))
 
     @property
-    def holds(self) -> bool:
-        """Whether the interval on the fine cells holds the truth."""
-        fine = self.inferred[1]
-        return abs(fine.deg - self.truth_deg) <= fine.half_width_deg
+    def covers_truth(self) -> bool:
+        """Whether the interval on the fine cells covers the truth."""
+        return abs(self.fine.deg - self.truth_deg) <= self.fine.half_width_deg
 
     @property
     def travel_deg(self) -> float:
         """Travel angle [deg] of the twin: slope of the line between the centres of mass of release and deposit."""
-        drop, way = (self.start.mean(axis=0) - self.twin.mean(axis=0))[[1, 0]]
-        return math.degrees(math.atan2(drop, -way))
+        drop, distance = (self.start.mean(axis=0) - self.twin.mean(axis=0))[[1, 0]]
+        return math.degrees(math.atan2(drop, -distance))
 
 
 def put(data: dict[str, Any], key: str, value: float, path: Path) -> None:
     """Set `key`, such as solids[0].friction, in parsed TOML. Raises InputError, which names the file and the key."""
     *parents, last = key.replace("]", "").replace("[", ".").split(".")
-    place: Any = data
+    node: Any = data
     try:
         for part in parents:
-            place = place[int(part)] if isinstance(place, list) else place[part]
-        place[last] = value
+            node = node[int(part)] if isinstance(node, list) else node[part]
+        node[last] = value
     except (KeyError, IndexError, ValueError, TypeError):
-        raise InputError("expected what the bed of the history names", where=str(path), key=key) from None
+        raise InputError("expected the key that `bed` of the history names", where=str(path), key=key) from None
 
 
 def read_history(folder: Path) -> ReadHistory:
@@ -154,14 +155,14 @@ def rounded(runout: float, raster: float) -> float:
 
 
 def analyse(read: ReadHistory, simulate: Simulate, start: Positions) -> BackAnalysis:
-    """Make the twin, forget its friction, and find it again from the runout alone; start: of the release [m]."""
+    """Compute the twin, and infer its bed friction from its runout alone; start: of the release [m]."""
     history = read.history
     (twin,) = simulate([read.scene(history.twin.bed_friction, history.twin.cell, history.twin.seed)])
     observed = rounded(front(twin), history.raster)
-    searches = {cell: Search(target=observed, spread=history.spread) for cell in history.cells}
+    searches = {cell: AngleSearch(target=observed, spread=history.spread) for cell in history.cells}
 
-    def extents(asked: Sequence[tuple[float, float]]) -> list[float]:
-        scenes = [read.scene(math.tan(math.radians(angle)), cell, history.twin.seed + 1) for cell, angle in asked]
+    def extents(requested: Sequence[tuple[float, float]]) -> list[float]:
+        scenes = [read.scene(math.tan(math.radians(angle)), cell, history.twin.seed + 1) for cell, angle in requested]
         return [front(deposit) for deposit in simulate(scenes)]
 
     search_all(searches, extents)
@@ -169,4 +170,4 @@ def analyse(read: ReadHistory, simulate: Simulate, start: Positions) -> BackAnal
     deposit: Positions = np.zeros((0, twin.shape[1]))
     if not math.isnan(fine.deg):
         (deposit,) = simulate([read.scene(math.tan(math.radians(fine.deg)), history.cells[1], history.twin.seed + 1)])
-    return BackAnalysis(read=read, observed=observed, twin=twin, inferred=(coarse, fine), deposit=deposit, start=start)
+    return BackAnalysis(read=read, observed=observed, twin=twin, coarse=coarse, fine=fine, deposit=deposit, start=start)

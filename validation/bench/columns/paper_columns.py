@@ -1,8 +1,7 @@
-"""python -m validation.bench.columns.paper_columns --out DIR: the paper's four columns in our MPM, beside the paper's runouts."""
+"""`python -m validation.bench columns`: the paper's four columns in our MPM, beside the paper's runouts."""
 
 import dataclasses
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.command_line import run
-from datasets.files import write_text
 from datasets.library import read_scene
 from datasets.measures import front, runout
 from datasets.scene import Domain, Scene
-from inverse.report.markdown import table
-from validation.bench.accuracy.page import paragraph, percent
 from validation.bench.columns.paper import read_paper
-from validation.report.machine import machine
+from validation.report.page import Page, percent, signed
 from validation.runs import Run, RunStore
 
 DAMPINGS = (0.12, 0.05, 0.0)
@@ -27,7 +22,9 @@ CELL, FINE = 0.01, 0.005
 STEP, SHORT = 0.9, 0.4
 """Steps as fractions of cell / wave speed."""
 CLOSE = 0.05
-"""Root mean square deviation from the paper's runouts that is asked for [-]."""
+"""Criterion of the root mean square deviation from the paper's runouts [-]."""
+
+Lengths = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,55 +49,48 @@ class Variant:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a variant came to."""
+class Columns:
+    """The deposits of the columns by a variant."""
 
-    runouts: Mapping[str, NDArray[np.float64]]
+    runouts: Mapping[str, Lengths]
     """d [m] by column, one per seed."""
-    fronts: Mapping[str, NDArray[np.float64]]
+    fronts: Mapping[str, Lengths]
     """Front [m] by column, one per seed."""
 
-    def rms(self, stated: Mapping[str, float]) -> float:
-        """Root mean square deviation of the mean runouts from `stated` [m], relative."""
-        return math.sqrt(np.mean([(self.runouts[name].mean() / d - 1.0) ** 2 for name, d in stated.items()]))
+    def deviations(self, stated: Mapping[str, float]) -> Lengths:
+        """Of the mean runouts from `stated` [m], relative, one per column."""
+        return np.array([self.runouts[name].mean() / d - 1.0 for name, d in stated.items()])
 
-    def mean(self, stated: Mapping[str, float]) -> float:
-        """Mean relative deviation: whether columns run too far."""
-        return float(np.mean([self.runouts[name].mean() / d - 1.0 for name, d in stated.items()]))
+    def rms(self, stated: Mapping[str, float]) -> float:
+        """Root mean square of the deviations."""
+        return math.sqrt(np.mean(self.deviations(stated) ** 2))
 
 
 def variants(cell: float, fine: float) -> list[Variant]:
     """Each damping at both steps and on both cells, then APIC."""
-    tried = [
-        each
+    default = [
+        Variant(damping=damping, cell=size, step=step)
         for damping in DAMPINGS
-        for each in (
-            Variant(damping=damping, cell=cell),
-            Variant(damping=damping, cell=cell, step=SHORT),
-            Variant(damping=damping, cell=fine),
-        )
+        for size, step in ((cell, STEP), (cell, SHORT), (fine, STEP))
     ]
-    return [*tried, *(Variant(damping=damping, cell=cell, apic=True) for damping in DAMPINGS)]
+    return [*default, *(Variant(damping=damping, cell=cell, apic=True) for damping in DAMPINGS)]
 
 
-def carry_out(
-    tried: Sequence[Variant], names: Sequence[str], seeds: int, finest_seeds: int, folder: Path
-) -> dict[Variant, Outcome]:
-    """Run what `folder` does not have yet; the finest cells with fewer jitters."""
+def compute(tried: Sequence[Variant], names: Sequence[str], seeds: int, store: RunStore) -> dict[Variant, Columns]:
+    """Run the columns `names` by each variant, half as many jitters on the finest cells."""
     finest = min(each.cell for each in tried)
     runs = {
         (each, name): [
             Run(scene=each.scene(read_scene(f"column-{name}"), seed))
-            for seed in range(finest_seeds if each.cell == finest else seeds)
+            for seed in range(max(1, seeds // 2) if each.cell == finest else seeds)
         ]
         for each in tried
         for name in names
     }
-    store = RunStore(folder)
-    store.run([one for group in runs.values() for one in group])
+    store.run([run for group in runs.values() for run in group])
     last = {key: [flow.positions[-1] for flow in store.run(group)] for key, group in runs.items()}
     return {
-        each: Outcome(
+        each: Columns(
             runouts={name: np.array([runout(x) for x in last[each, name]]) for name in names},
             fronts={name: np.array([front(x) for x in last[each, name]]) for name in names},
         )
@@ -108,102 +98,76 @@ def carry_out(
     }
 
 
-def command(*, out: Path, keep: Path = Path("runs/columns"), seeds: int = 4, quick: bool = False) -> None:
-    """Compare the runout of the paper's four columns with ours: three dampings, two cells, two steps, APIC.
-
-    Parameters
-    ----------
-    out
-        Folder for columns.md.
-    keep
-        Folder for the deposits; what is there is not run again.
-    seeds
-        Jitters per column, half as many on the finer grid; the table gives mean and standard deviation.
-    quick
-        On coarse cells, to try the command; the figures mean nothing.
-    """
+def bench(out: Path, *, quick: bool, keep: Path, seeds: int = 4) -> str:
+    """Compare the paper's four columns with ours: columns.md. quick: coarse cells. seeds: jitters per column."""
     stated = {scenario.name: scenario.runout for scenario in read_paper().scenarios}
     tried = variants(4.0 * CELL, 2.0 * CELL) if quick else variants(CELL, FINE)
-    found = carry_out(tried, list(stated), 2 if quick else seeds, max(1, seeds // 2), keep)
-    write_text(out / "columns.md", text(found, stated, seeds))
+    seeds = 2 if quick else seeds
+    found = compute(tried, list(stated), seeds, RunStore(keep))
+    return write(out / "columns.md", found, stated, seeds, quick=quick)
 
 
-def text(found: Mapping[Variant, Outcome], stated: Mapping[str, float], seeds: int) -> str:
-    """columns.md."""
-    rows = [["the paper", "", f"{CELL:g}", "", *(f"{d:.4f}" for d in stated.values()), ""]]
-    for each, outcome in found.items():
-        rows.append(
-            [
-                "APIC" if each.apic else "default",
-                f"{each.damping:g}",
-                f"{each.cell:g}",
-                f"{each.step:g}",
-                *(spread(outcome.runouts[name], 4) for name in stated),
-                percent(outcome.rms(stated)),
-            ]
-        )
+def write(
+    path: Path, found: Mapping[Variant, Columns], stated: Mapping[str, float], seeds: int, *, quick: bool = False
+) -> str:
+    """Write the page, and return its conclusion."""
     best = closest(found, stated)
-    return "\n".join(
-        [
-            "# The paper's columns",
-            "",
-            *conclusion(found, stated),
-            *paragraph(f"""
-                `python -m validation.bench.columns.paper_columns --seeds {seeds} --out docs`. Runout d [m] (largest x) at 1 s, mean ±
-                standard deviation over {seeds} jitters, half as many on the finer grid; step as a fraction of cell /
-                wave speed. The default transfer is AFLIP with a relaxation time. The paper states neither its damping
-                nor the friction of its floor; ours is 0.385.
-            """),
-            *table(["transfer", "damping", "cell [m]", "step", *stated, "rms deviation"], rows),
-            "",
-            f"Front (99.5 % of the particles behind) at damping {best.damping:g}, cell {best.cell:g} m, step"
-            f" {best.step:g}:",
-            "",
-            *table(["column", "front [m]"], [[name, spread(x, 4)] for name, x in found[best].fronts.items()]),
-            "",
-        ]
+    page = Page(
+        "The paper's columns",
+        command=f"python -m validation.bench columns --seeds {seeds} --out docs",
+        conclusion=conclusion(found, stated),
+        quick=quick,
     )
+    page.text(f"""
+        Runout d [m] (largest x) at 1 s, mean ± standard deviation over {seeds} jitters, half as many on the finer grid;
+        step as a fraction of cell / wave speed. The default transfer is AFLIP with a relaxation time. The paper states
+        neither its damping nor the friction of its floor; ours is {read_scene("column-tall-42").floor_friction:g}.
+    """)
+    paper: dict[str, object] = {"transfer": "the paper", "damping": None, "cell [m]": CELL, "step": None}
+    rows = [paper | {name: f"{d:.4f}" for name, d in stated.items()} | {"rms deviation": None}]
+    for each, columns in found.items():
+        kind: dict[str, object] = {"transfer": "APIC" if each.apic else "default", "damping": f"{each.damping:g}"}
+        runouts = {name: spread(columns.runouts[name]) for name in stated}
+        grid = {"cell [m]": each.cell, "step": each.step}
+        rows.append(kind | grid | runouts | {"rms deviation": percent(columns.rms(stated))})
+    page.table(rows)
+    page.text(
+        f"Front (99.5 % of the particles behind) at damping {best.damping:g}, cell {best.cell:g} m, step {best.step:g}:"
+    )
+    page.table([{"column": name, "front [m]": spread(x)} for name, x in found[best].fronts.items()])
+    return page.write(path)
 
 
-def spread(values: NDArray[np.float64], digits: int) -> str:
+def spread(values: Lengths) -> str:
     """Mean ± standard deviation."""
-    width = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-    return f"{values.mean():.{digits}f}{width}"
+    return f"{values.mean():.4f}" + (f" ± {values.std(ddof=1):.4f}" if len(values) > 1 else "")
 
 
-def closest(found: Mapping[Variant, Outcome], stated: Mapping[str, float]) -> Variant:
-    """The default transfer at the damping that comes closest on the paper's cell, at the usual step."""
+def closest(found: Mapping[Variant, Columns], stated: Mapping[str, float]) -> Variant:
+    """The default transfer at the damping with the smallest deviation, on the paper's cell, at the usual step."""
     cell = max(each.cell for each in found)
-    return min(
-        (each for each in found if not each.apic and (each.cell, each.step) == (cell, STEP)),
-        key=lambda each: found[each].rms(stated),
-    )
+    usual = (each for each in found if not each.apic and (each.cell, each.step) == (cell, STEP))
+    return min(usual, key=lambda each: found[each].rms(stated))
 
 
-def conclusion(found: Mapping[Variant, Outcome], stated: Mapping[str, float]) -> list[str]:
-    """What was found, in a few lines, each from its numbers."""
-    best = closest(found, stated)
-    lines = []
+def conclusion(found: Mapping[Variant, Columns], stated: Mapping[str, float]) -> list[str]:
+    """What was found, each sentence from its numbers."""
+    best, fine = closest(found, stated), min(each.cell for each in found)
+    smallest = found[best].rms(stated)
+    lines = [
+        f"The damping with the smallest deviation from the paper's runouts is {best.damping:g}, with {percent(smallest)}"
+        f" rms (criterion {percent(CLOSE)}: {'met' if smallest <= CLOSE else '**missed**'})."
+    ]
     for damping in DAMPINGS:
-        coarse, short, apic = (
-            dataclasses.replace(best, damping=damping, **change) for change in ({}, {"step": SHORT}, {"apic": True})
+        usual = dataclasses.replace(best, damping=damping)
+        changed = (
+            dataclasses.replace(usual, step=SHORT),
+            dataclasses.replace(usual, cell=fine),
+            dataclasses.replace(usual, apic=True),
         )
-        fine = dataclasses.replace(best, damping=damping, cell=min(each.cell for each in found))
-        outcome = found[coarse]
-        way = "far" if outcome.mean(stated) > 0.0 else "short"
+        rms, short, finer, apic = (percent(found[each].rms(stated)) for each in (usual, *changed))
         lines.append(
-            f"- Damping {damping:g}: {percent(outcome.rms(stated))} rms from the paper's runouts, on average"
-            f" {percent(abs(outcome.mean(stated)))} too {way}; at step {SHORT:g} {percent(found[short].rms(stated))},"
-            f" on cells of {1000 * fine.cell:g} mm {percent(found[fine].rms(stated))}; by APIC"
-            f" {percent(found[apic].rms(stated))}."
+            f"Damping {damping:g}: {rms} rms, {signed(found[usual].deviations(stated).mean())} on average; at step"
+            f" {SHORT:g} {short} rms, on cells of {1000 * fine:g} mm {finer}, by APIC {apic}."
         )
-    least = found[best].rms(stated)
-    lines.append(
-        f"- The closest is {best.damping:g}, with {percent(least)} rms: within {percent(CLOSE)}"
-        f" {'it is' if least <= CLOSE else '**it is not**'}."
-    )
-    return [*lines, f"- {machine()}.", ""]
-
-
-if __name__ == "__main__":
-    sys.exit(run(command, "python -m validation.bench.columns.paper_columns"))
+    return lines

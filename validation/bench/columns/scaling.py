@@ -9,8 +9,8 @@ from datasets.files import write_text
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.output.request import LAST
-from mpm.simulate import LARGE, simulate, simulate_many
+from mpm import AT_REST, simulate, simulate_many
+from mpm.simulation import LARGE
 from validation.bench.columns import scaling_page as scaling_report
 from validation.bench.columns.collapse import (
     FRICTION_DEG,
@@ -36,11 +36,9 @@ def collapse(scenes: Sequence[Scene], aspects: Sequence[float]) -> tuple[Deposit
     small = [index for index, size in enumerate(sizes) if size < LARGE]
     flows: dict[int, Trajectory] = {}
     if small:
-        flows |= zip(
-            small, simulate_many([scenes[index] for index in small], until_rest=True, record=LAST), strict=True
-        )
+        flows |= zip(small, simulate_many([scenes[index] for index in small], record=AT_REST), strict=True)
     for index in set(range(len(scenes))) - set(small):
-        flows[index] = simulate(scenes[index], until_rest=True, record=LAST)
+        flows[index] = simulate(scenes[index], record=AT_REST)
     return tuple(
         measured(aspect, flows[index].positions[-1], flows[index].summary["rest_time"])
         for index, aspect in enumerate(aspects)

@@ -11,8 +11,8 @@ from datasets.geometry.nearest import nearest
 from datasets.geometry.surface import surface_of
 from datasets.measures import front, toe
 from datasets.trajectory import Trajectory
-from mpm.output.request import LAST
-from mpm.simulate import simulate, simulate_many
+from mpm.output.request import LAST, WITH_FIELDS
+from mpm.simulation import simulate, simulate_many
 from validation.bench.contact.flume import SCENE, draw, run_flume
 from validation.bench.contact.scenes import (
     CELL,
@@ -68,7 +68,7 @@ def layer_error(kind: str, dimension: int, offsets: tuple[float, ...], duration:
     settlement = SAND.density * GRAVITY * DEPTH**2 / (3.0 * modulus)
     heights, gains, forces = [], [], []
     for offset in offsets:
-        flow = simulate(layer(offset, kind=kind, dimension=dimension, duration=duration), fields=True)
+        flow = simulate(layer(offset, kind=kind, dimension=dimension, duration=duration), record=WITH_FIELDS)
         half = len(flow.time) // 2
         mean = flow.positions[:, :, 1].mean(axis=1, dtype=float)
         heights.append(float(mean[half:].mean() - mean[0] + settlement) / CELL)

@@ -12,7 +12,7 @@ from datasets.measures import front
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
 from mpm.output.request import Recording
-from mpm.simulate import simulate
+from mpm.simulation import simulate
 from validation.report.plots import INK, ORANGE, figure, pane
 
 SCENE = "flume-35"

@@ -1,1 +1,1 @@
-"""What a gradient costs by each method and what it is worth: on the paper's problems, over unknowns, over points."""
+"""Cost and quality of gradients by each method: on the paper's problems, over unknowns, over particles."""

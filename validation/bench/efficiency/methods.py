@@ -1,4 +1,4 @@
-"""The methods that are compared on a problem: whose flow, whose gradient, which optimiser, which step."""
+"""The methods that are compared on a problem: forward model, gradient, optimiser, step of the differences."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ from inverse.problem import Method, OptimiserSettings, Problem, Unknown
 from validation.bench.columns.paper import Paper
 
 PAPER_STEP_DEG = 0.05
-CLEAR = {"deg": 2.0, "Pa": 100.0, "m/s": 0.15, "m": 0.02}
-"""Steps whose differences stand clear of the scatter that a jitter gives the MPM, by the unit of the unknown."""
-COMPARED = "friction-tall-42"
+STEPS = {"deg": 2.0, "Pa": 100.0, "m/s": 0.15, "m": 0.02}
+"""Steps whose differences exceed the MPM's scatter over its jitter, by the unit of the unknown."""
+PAPER_PROBLEM = "friction-tall-42"
 """The problem on which the paper compares gradients."""
-PAPERS_WAY = OptimiserSettings(method=Method.GRADIENT_DESCENT, max_iterations=20, stop_below=5.0e-4)
+PAPER_DESCENT = OptimiserSettings(method=Method.GRADIENT_DESCENT, max_iterations=20, stop_below=5.0e-4)
 
 
-class Model(StrEnum):
-    """Whose flow."""
+class ForwardModel(StrEnum):
+    """What predicts the observation."""
 
     GNS = "GNS"
-    MPM = "our MPM"
+    MPM = "MPM"
 
 
-class Slope(StrEnum):
-    """Whose gradient."""
+class GradientBy(StrEnum):
+    """How the gradient is computed."""
 
     AD = "AD"
     DIFFERENCES = "differences"
@@ -32,78 +32,75 @@ class Slope(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class SearchMethod:
     """A row of the comparison."""
 
     name: str
-    model: Model
-    slope: Slope
+    model: ForwardModel
+    gradient: GradientBy
     problem: Problem
     """With the optimiser and the steps of this row."""
     paper: float | None = None
     """The paper's seconds per iteration."""
-    newton: bool = False
-    """Minimise by Gauss-Newton, whatever the problem says: differences have the Jacobian of any observation."""
-
-    @property
-    def settings(self) -> OptimiserSettings:
-        """How it is minimised, and when that is over."""
-        settings = self.problem.optimiser
-        return dataclasses.replace(settings, method=Method.GAUSS_NEWTON) if self.newton else settings
 
     @property
     def optimiser(self) -> str:
         """What minimises."""
-        return str(self.settings.sampler if self.slope is Slope.NONE else self.settings.method)
+        settings = self.problem.optimiser
+        return str(settings.sampler if self.gradient is GradientBy.NONE else settings.method)
 
 
-def ways(problem: Problem, paper: Paper) -> list[Way]:
+def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     """All methods for `problem`: the same start, the same rule to stop by, the optimiser of its file.
 
-    A Gauss-Newton search wants the Jacobian, which differences have at no further cost and AD for a backward pass per
-    observed number: there the others take L-BFGS-B, and the MPM's differences run both.
+    Gauss-Newton needs the Jacobian, which differences have at no further cost and AD for a backward pass per observed
+    number: where the file names it, the others use L-BFGS-B, and the MPM's differences run both.
     """
-    several = len(problem.unknowns) > 1
-    # A single number and a single unknown: L-BFGS-B's first step is Gauss-Newton's already.
     if problem.optimiser.method is Method.GAUSS_NEWTON:
-        settings = dataclasses.replace(problem.optimiser, method=Method.LBFGSB)
-        problem = dataclasses.replace(problem, optimiser=settings)
-    clear = stepped(problem, None)
-    seconds = paper.seconds_per_iteration if problem.name == COMPARED else {}
-    found = [Way(name="AD, GNS", model=Model.GNS, slope=Slope.AD, problem=problem, paper=seconds.get("ad_gns"))]
-    if problem.name == COMPARED:
-        descent = dataclasses.replace(problem, optimiser=PAPERS_WAY)
-        name, price = "AD, GNS, the paper's descent", seconds.get("ad_gns")
-        found.append(Way(name=name, model=Model.GNS, slope=Slope.AD, problem=descent, paper=price))
-    for model, key in ((Model.GNS, "fd_gns"), (Model.MPM, "fd_mpm")):
-        if problem.name == COMPARED:
-            name = f"differences of {PAPER_STEP_DEG:g} deg, {model}"
-            fine = stepped(problem, PAPER_STEP_DEG)
-            found.append(Way(name=name, model=model, slope=Slope.DIFFERENCES, problem=fine, paper=seconds.get(key)))
-        name = f"differences of {told(clear)}, {model}"
-        found.append(Way(name=name, model=model, slope=Slope.DIFFERENCES, problem=clear))
-    if several:
-        name = f"differences of {told(clear)}, {Model.MPM}, Gauss-Newton"
-        found.append(Way(name=name, model=Model.MPM, slope=Slope.DIFFERENCES, problem=clear, newton=True))
-    for model in Model:
-        found.append(Way(name=f"Optuna, {model}", model=model, slope=Slope.NONE, problem=problem))
-    return found
+        problem = with_optimiser(problem, Method.LBFGSB)
+    is_paper = problem.name == PAPER_PROBLEM
+    seconds = paper.seconds_per_iteration if is_paper else {}
+    found = [_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns"))]
+    if is_paper:
+        descent = dataclasses.replace(problem, optimiser=PAPER_DESCENT)
+        found.append(_row(", the paper's descent", ForwardModel.GNS, GradientBy.AD, descent, seconds.get("ad_gns")))
+    wide = with_steps(problem, None)
+    for model, key in ((ForwardModel.GNS, "fd_gns"), (ForwardModel.MPM, "fd_mpm")):
+        if is_paper:
+            fine = with_steps(problem, PAPER_STEP_DEG)
+            found.append(_row("", model, GradientBy.DIFFERENCES, fine, seconds.get(key)))
+        found.append(_row("", model, GradientBy.DIFFERENCES, wide, None))
+    # With a single number and a single unknown L-BFGS-B's first step is Gauss-Newton's already.
+    if len(problem.unknowns) > 1:
+        newton = with_optimiser(wide, Method.GAUSS_NEWTON)
+        found.append(_row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, newton, None))
+    return found + [_row("", model, GradientBy.NONE, problem, None) for model in ForwardModel]
 
 
-def stepped(problem: Problem, step: float | None) -> Problem:
-    """`problem` with this step of its differences, or with one that is clear of the scatter.
+def _row(suffix: str, model: ForwardModel, gradient: GradientBy, problem: Problem, paper: float | None) -> SearchMethod:
+    by = f"differences of {steps_text(problem)}" if gradient is GradientBy.DIFFERENCES else str(gradient)
+    return SearchMethod(name=f"{by}, {model}{suffix}", model=model, gradient=gradient, problem=problem, paper=paper)
 
-    The bounds come nearer by a step, so that no difference leaves them.
+
+def with_optimiser(problem: Problem, method: Method) -> Problem:
+    """`problem` minimised by another method."""
+    return dataclasses.replace(problem, optimiser=dataclasses.replace(problem.optimiser, method=method))
+
+
+def with_steps(problem: Problem, step: float | None) -> Problem:
+    """`problem` with this step of its differences, or with that of `STEPS`; its bounds are a step narrower.
+
+    So no difference leaves them.
     """
 
     def with_step(unknown: Unknown) -> Unknown:
-        h = CLEAR[kind(unknown.name).unit] if step is None else step
+        h = STEPS[kind(unknown.name).unit] if step is None else step
         return dataclasses.replace(unknown, step=h, lower=unknown.lower + h, upper=unknown.upper - h)
 
     return dataclasses.replace(problem, unknowns=tuple(with_step(unknown) for unknown in problem.unknowns))
 
 
-def told(problem: Problem) -> str:
-    """The steps in words."""
+def steps_text(problem: Problem) -> str:
+    """The steps with their units, each once."""
     steps = {f"{h:g} {kind(name).unit}": None for name, h in zip(problem.names, problem.steps, strict=True)}
     return " and ".join(steps)

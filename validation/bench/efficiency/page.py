@@ -1,200 +1,217 @@
-"""`efficiency.md`: every table with the command and the machine that made it, every sentence from its numbers."""
+"""`efficiency.md` and its pictures, from the parts that were measured."""
 
-from collections.abc import Sequence
+from pathlib import Path
 
-from inverse.report.markdown import table
-from validation.bench.accuracy.page import paragraph
-from validation.bench.columns.paper import Paper
-from validation.bench.efficiency.crossing import leaders, points_said, race_said, unknowns_said
-from validation.bench.efficiency.kept import Parts
-from validation.bench.efficiency.rows import Made, OverPoints, OverUnknowns, Race, Row
+from matplotlib.axes import Axes
 
-TIMES = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""When it is asked who leads [s]."""
-UNKNOWNS_PICTURE, POINTS_PICTURE = "pictures/efficiency-unknowns.png", "pictures/efficiency-points.png"
+from validation.bench.columns.paper import read_paper
+from validation.bench.efficiency import gradients
+from validation.bench.efficiency.findings import best_of, conclusion, costs_of, gradient_curve
+from validation.bench.efficiency.records import (
+    AD,
+    FD_GNS,
+    FD_MPM,
+    MethodResult,
+    OverParticles,
+    OverUnknowns,
+    Parts,
+    ProblemResult,
+)
+from validation.report.page import Page, Row
+from validation.report.plots import BLUE, GREEN, INK, ORANGE, figure, pane
+
+COMMAND = "python -m validation.bench efficiency"
+COLOURS = {AD: BLUE, FD_GNS: GREEN, FD_MPM: ORANGE}
+MARKERS = "os^Dv*PX"
+PICTURES = "pictures"
+PROBLEM_TEXT = """
+    A method by differences has its bounds a step narrower, so that no difference leaves them. A surrogate's seconds
+    include its start. The loss is that of an MPM run at the answer, with a jitter that neither target nor search used;
+    it is not among the MPM runs. A search by Optuna is one draw of its random numbers. "≈": seconds per iteration times
+    the iterations that the problem allows, where the search ran out of time before.
+"""
+PARTICLES_TEXT = """
+    The paper's tall column on the same cells, longer and higher with its box; a second of flow. Each case is a process
+    of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
+    two rollouts for each unknown and one more; steps to a second's, with the states that the missing ones leave behind;
+    runs of the MPM side by side, with their memory. AD's pass is the same for any number of unknowns.
+"""
 
 
-def race_picture(problem: str) -> str:
-    """The picture of a problem, beside the page."""
-    return f"pictures/efficiency-{problem}.png"
-
-
-def page(parts: Parts, paper: Paper) -> str:
-    """The whole page, of the parts that there are."""
-    lines = ["# What a gradient costs, and what it is worth", "", *conclusion(parts)]
-    for race in parts.races.values():
-        lines += race_lines(race, paper)
+def write(out: Path, parts: Parts) -> str:
+    """Write OUT/efficiency.md with its pictures; returns the conclusion."""
+    for result in parts.problems.values():
+        draw_problem(out / PICTURES / f"efficiency-{result.problem}.png", result)
     if parts.unknowns is not None:
-        lines += unknowns_lines(parts.unknowns)
-    if parts.points is not None:
-        lines += points_lines(parts.points)
-    return "\n".join(lines).rstrip() + "\n"
+        draw_unknowns(out / PICTURES / "efficiency-unknowns.png", parts.unknowns)
+    if parts.particles is not None:
+        draw_particles(out / PICTURES / "efficiency-particles.png", parts.particles)
+    return page(parts).write(out / "efficiency.md")
 
 
-def conclusion(parts: Parts) -> list[str]:
-    """Where each method wins: sentences made of the numbers below."""
-    lines = ["## Where each method wins", ""]
+def page(parts: Parts) -> Page:
+    """The page, of the parts that there are, at least one."""
+    origins = [each.origin for each in parts.all()]
+    found = Page(
+        "What a gradient costs",
+        command=COMMAND,
+        conclusion=conclusion(parts),
+        measured="; ".join(dict.fromkeys(f"{each.date}, on {each.machine}" for each in origins)),
+        quick=any(each.quick for each in origins),
+    )
+    if parts.problems:
+        found.section("Problems")
+        found.text(PROBLEM_TEXT)
+    for result in parts.problems.values():
+        problem_section(found, result)
     if parts.unknowns is not None:
-        lines += paragraph(" ".join(["**Unknowns.**", *unknowns_said(parts.unknowns.gradients)]))
-    if parts.points is not None:
-        lines += paragraph(" ".join(["**Points.**", *points_said(parts.points.costs)]))
-    for race in parts.races.values():
-        problem, *rest = " ".join(race_said(race)).split(": ", 1)
-        lines += paragraph(f"**{problem}.** {' '.join(rest)}")
-    return lines
+        unknowns_section(found, parts.unknowns)
+    if parts.particles is not None:
+        particles_section(found, parts.particles)
+    return found
 
 
-def made_line(made: Made) -> list[str]:
-    """How a table was made."""
-    trial = " **A trial of the program (`--quick`): these figures say nothing.**" if made.quick else ""
-    return paragraph(f"`{made.command}`, {made.date}, on {made.machine}.{trial}")
+def problem_section(found: Page, result: ProblemResult) -> None:
+    """One problem: its outcome in a sentence, table, picture."""
+    found.section(result.problem, level=3)
+    found.text(f"{best_of(result)}\n\nStart: {result.start}. Stop: {result.rule}, or after {result.limit:g} s.")
+    found.table([problem_row(each) for each in result.methods])
+    if any(each.paper is not None for each in result.methods):
+        phi = read_paper().fd_gns_phi_estimated
+        found.text(
+            "The paper's seconds: AD on one GPU, the MPM on 56 cores. Its angle by differences with its GNS:"
+            f" {phi:.2f} deg."
+        )
+    found.picture(f"{PICTURES}/efficiency-{result.problem}.png", "MPM loss over seconds")
 
 
-def race_lines(race: Race, paper: Paper) -> list[str]:
-    """One problem: table, picture, who leads when."""
-    several = any(row.ended == "out of time" and row.allowed > row.iterations for row in race.rows)
-    lines = [
-        f"## {race.problem}",
-        "",
-        *made_line(race.made),
-        *paragraph(f"""
-            Start: {race.start}. Stop: {race.rule}, or after {race.limit:g} s, within which the next iteration must end.
-            The bounds of a method by differences are a step nearer, so that no difference leaves them. A surrogate's
-            seconds include its start. The loss is that of an MPM run at the answer, whose jitter neither target nor
-            search used; it is not among the MPM runs. A search by Optuna is one draw of its random numbers.
-            {floor_said(race)}
-        """),
-        *table(HEAD, [race_row(row) for row in race.rows]),
-        "",
-    ]
-    if several:
-        lines += paragraph("""
-            "≈" is extrapolated: seconds per iteration times the iterations that the problem allows, where the search
-            ran out of time before.
-        """)
-    if any(row.paper is not None for row in race.rows):
-        lines += paragraph(f"""
-            The paper's seconds: AD on one GPU, the MPM on 56 cores. Its angle by differences with its GNS:
-            {paper.fd_gns_phi_estimated:.2f} deg.
-        """)
-    lines += [f"![loss over seconds]({race_picture(race.problem)})", ""]
-    rows = [
-        [f"{time:g} s", *(("-", "-") if leader is None else (leader[0], f"{leader[1]:.1e}"))]
-        for time, leader in leaders(race, TIMES).items()
-        if time <= max(row.seconds for row in race.rows) or time == TIMES[0]
-    ]
-    return [*lines, *table(["after", "best answer by", "its loss in the MPM"], rows), ""]
-
-
-HEAD = [
-    "method",
-    "optimiser",
-    "seconds per iteration",
-    "forward, backward",
-    "the paper's",
-    "iterations",
-    "ended",
-    "all iterations",
-    "MPM runs",
-    "seconds",
-    "rms error of the unknowns",
-    "loss in the MPM",
-]
-
-
-def race_row(row: Row) -> list[str]:
+def problem_row(row: MethodResult) -> Row:
     """One method as a line."""
     # A search without gradients has no iterations of its own to count.
     cut = row.ended == "out of time" and row.backward > 0.0
-    return [
-        row.method,
-        row.optimiser,
-        f"{row.per_iteration:.2f}",
-        f"{row.forward:.2f}, {row.backward:.2f}" if row.backward else f"{row.forward:.2f}, -",
-        "-" if row.paper is None else f"{row.paper:g}",
-        str(row.iterations),
-        row.ended,
-        f"≈ {row.per_iteration * row.allowed:.0f} s for {row.allowed}" if cut else "-",
-        str(row.mpm_runs),
-        f"{row.seconds:.1f}",
-        ", ".join(f"{value:.3g} {unit}" for unit, value in row.error.items()) or "-",
-        f"{row.loss:.1e}",
-    ]
+    return {
+        "method": row.method,
+        "optimiser": row.optimiser,
+        "s per iteration": f"{row.per_iteration:.2f}",
+        "forward, backward [s]": f"{row.forward:.2f}, " + (f"{row.backward:.2f}" if row.backward else "-"),
+        "the paper's [s]": None if row.paper is None else f"{row.paper:g}",
+        "iterations": row.iterations,
+        "ended": row.ended,
+        "all iterations": f"≈ {row.per_iteration * row.allowed:.0f} s for {row.allowed}" if cut else None,
+        "MPM runs": row.mpm_runs,
+        "seconds": f"{row.seconds:.1f}",
+        "rms error of the unknowns": ", ".join(f"{value:.3g} {unit}" for unit, value in row.error.items()),
+        "MPM loss": f"{row.loss:.1e}",
+    }
 
 
-def floor_said(race: Race) -> str:
-    """What the truth shows."""
-    return "" if race.floor is None else f"At the truth such a run shows {race.floor:.1e}: the MPM's own scatter."
-
-
-def unknowns_lines(over: OverUnknowns) -> list[str]:
-    """The cuts of one heap."""
+def unknowns_section(found: Page, over: OverUnknowns) -> None:
+    """The cuts of the same sand."""
     steps = ", ".join(f"{step:g} m/s at {number}" for number, step in over.steps.items())
-    rows = []
-    for each in over.gradients:
-        rows.append(
-            [
-                str(each.unknowns),
-                each.method,
-                f"{'≈ ' if each.multiplied else ''}{each.seconds:.2f}",
-                f"{each.columns} of {each.unknowns}" if each.multiplied else "all",
-                "-" if each.cosine is None else f"{each.cosine:.4f}",
-                "-" if each.error is None else f"{100.0 * each.error:.1f} %",
-            ]
-        )
-    return [
-        "## Over the unknowns",
-        "",
-        *made_line(over.made),
-        *paragraph(f"""
-            The paper's heap of 0.35 x 0.28 m, {over.points:,} points, cut into 1, 2 and 10 layers and 10 x 10 blocks,
-            between its points; the velocity of each along x is unknown. True ones fall from 1.5 m/s at the floor to
-            0.15 at the top; the gradient of the deposit's loss is taken at half of them. Step of the differences:
-            {steps} unknowns. "≈": the differences of some unknowns were run and their seconds multiplied; there, cosine
-            and distance from the MPM's differences are over those unknowns. The last row of each tells how well the MPM
-            itself knows its gradient.
-        """),
-        *table(["unknowns", "method", "seconds", "differences run", "cosine", "off by"], rows),
-        "",
-        f"![seconds over unknowns]({UNKNOWNS_PICTURE})",
-        "",
-    ]
-
-
-def points_lines(over: OverPoints) -> list[str]:
-    """The sizes of one column."""
-    rows = [
+    cuts = ", ".join(f"{x} x {y}" for x, y in gradients.CUTS)
+    found.section("Over the unknowns")
+    found.text(f"""
+        The paper's sand of ten layers, {over.particles:,} particles, cut into {cuts} blocks between its particles; the
+        velocity of each along x is unknown. True ones fall from {gradients.AT_FLOOR:g} m/s at the floor to
+        {gradients.AT_TOP:g} at the top; the gradient of the deposit's loss is evaluated at {gradients.FRACTION:g} of
+        them. Step of the differences: {steps} unknowns. "≈": the differences of some unknowns were run and their
+        seconds multiplied; there, cosine and error are over those unknowns. The last row of each is the scatter of the
+        MPM's own gradient.
+    """)
+    found.table(
         [
-            f"{each.points:,}",
-            each.method,
-            f"{each.followed:,}",
-            str(each.unknowns),
-            f"{'≈ ' if each.measured else ''}{each.seconds:.1f}",
-            f"{each.memory / 1.0e6:,.0f}",
-            each.measured or "all",
+            {
+                "unknowns": each.unknowns,
+                "method": each.method,
+                "seconds": f"{'≈ ' if each.extrapolated else ''}{each.seconds:.2f}",
+                "differences run": f"{each.columns} of {each.unknowns}" if each.extrapolated else "all",
+                "cosine": each.cosine,
+                "error": each.error,
+            }
+            for each in over.gradients
+        ],
+        formats={"cosine": ".4f", "error": ".1%"},
+    )
+    found.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds over unknowns")
+
+
+def particles_section(found: Page, over: OverParticles) -> None:
+    """The sizes of one column."""
+    found.section("Over the particles")
+    found.text(PARTICLES_TEXT)
+    found.table(
+        [
+            {
+                "particles": f"{each.particles:,}",
+                "method": each.method,
+                "nodes or particles": f"{each.nodes:,}",
+                "unknowns": each.unknowns,
+                "seconds": f"{'≈ ' if each.measured else ''}{each.seconds:.1f}",
+                "memory [MB]": f"{each.memory / 1.0e6:,.0f}",
+                "run": each.measured or "all",
+            }
+            for each in over.costs
         ]
-        for each in over.costs
-    ]
-    return [
-        "## Over the points",
-        "",
-        *made_line(over.made),
-        *paragraph("""
-            The paper's tall column on the same cells, as large as its points ask for, its box with it; a second of
-            flow. Each case is a process of its own; its memory is the greatest resident size above what it held before.
-            "≈" is multiplied from what was run: two rollouts for each unknown and one more; steps to a second's, and
-            the states that the missing ones leave behind are added to the memory; runs of the MPM side by side, and
-            their memory with them. AD's pass is the same for any number of unknowns.
-        """),
-        *table(["points", "method", "it computes with", "unknowns", "seconds", "memory [MB]", "run"], rows),
-        "",
-        f"![seconds and memory over points]({POINTS_PICTURE})",
-        "",
-    ]
+    )
+    found.picture(f"{PICTURES}/efficiency-particles.png", "seconds and memory over particles")
 
 
-def started(names: Sequence[str], values: Sequence[float]) -> str:
-    """The start in words; equal values of many unknowns once."""
-    if len(names) > 2 and len(set(values)) == 1:
-        return f"all {len(names)} unknowns at {values[0]:g}"
-    return ", ".join(f"{name} = {value:g}" for name, value in zip(names, values, strict=True))
+def draw_problem(path: Path, result: ProblemResult) -> None:
+    """MPM loss at each method's best iterate over the seconds."""
+    with figure(path, size=(8.0, 4.5)) as axes:
+        axis = pane(axes)
+        for number, row in enumerate(result.methods):
+            seconds, losses = [each.seconds for each in row.curve], [each.loss for each in row.curve]
+            # An answer stays until there is a better one, or the search ends.
+            ends = [*seconds, max(row.seconds, seconds[-1])]
+            (line,) = axis.plot(ends, [*losses, losses[-1]], drawstyle="steps-post", linewidth=1.2)
+            marker = MARKERS[number % len(MARKERS)]
+            axis.plot(seconds, losses, marker, color=line.get_color(), markersize=5, label=row.method)
+        if result.floor:
+            axis.axhline(result.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
+        axis.set_title(result.problem)
+        logarithmic(axis, "seconds", "MPM loss at the best iterate")
+
+
+def draw_unknowns(path: Path, over: OverUnknowns) -> None:
+    """Seconds per gradient over the unknowns; a ring where they were multiplied."""
+    multiplied = {(each.method, float(each.unknowns)) for each in over.gradients if each.extrapolated}
+    with figure(path, size=(7.0, 4.5)) as axes:
+        axis = pane(axes)
+        for method, colour in COLOURS.items():
+            curve = gradient_curve(over, method)
+            axis.plot(*zip(*curve, strict=True), color=colour, linewidth=1.2, label=method)
+            for unknowns, seconds in curve:
+                fill = "none" if (method, unknowns) in multiplied else colour
+                axis.plot(unknowns, seconds, "o", color=colour, mfc=fill)
+        logarithmic(axis, "unknowns", "seconds per gradient")
+
+
+def draw_particles(path: Path, over: OverParticles) -> None:
+    """Seconds and memory of a gradient over the particles; a ring where they were multiplied."""
+    with figure(path, columns=2, size=(5.5, 4.5)) as axes:
+        left, right = pane(axes), pane(axes, 0, 1)
+        for unknowns, style in zip(sorted({each.unknowns for each in over.costs}), ("-", "--", ":"), strict=False):
+            for method, colour in COLOURS.items():
+                costs = costs_of(over, method, unknowns)
+                label = f"{method}, {unknowns} unknown{'s' if unknowns > 1 else ''}"
+                for axis, values in (
+                    (left, [each.seconds for each in costs]),
+                    (right, [each.memory / 1.0e9 for each in costs]),
+                ):
+                    particles = [each.particles for each in costs]
+                    axis.plot(particles, values, style, color=colour, linewidth=1.2, label=label)
+                    for each, value in zip(costs, values, strict=True):
+                        fill = "none" if each.measured else colour
+                        axis.plot(each.particles, value, "o", color=colour, mfc=fill, markersize=5)
+        logarithmic(left, "particles", "seconds per gradient")
+        logarithmic(right, "particles", "peak memory above the start [GB]")
+
+
+def logarithmic(axis: Axes, x: str, y: str) -> None:
+    """Logarithmic axes with labels and a legend."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.legend()

@@ -1,9 +1,8 @@
 """Backward: the angle of friction at which the MPM comes as far as the measurement.
 
-The front falls with the angle. Each round runs every search once more, at the angle where the line through the two
-runs next to the target meets it (regula falsi where they enclose it, else the secant), until a run is within a fifth of
-the measurement's spread. The half-width is the spread over the slope of the front there: it holds what the measurement
-leaves open, not what the model misses.
+The front falls with the angle. Each round makes one more run of every search, by regula falsi where two runs enclose
+the target, else by the secant, until a run is within a fifth of the measurement's spread. The half-width is the spread
+over the slope of the front there: the uncertainty of the measurement, without the discrepancy of the model.
 """
 
 import itertools
@@ -22,20 +21,19 @@ ROUNDS = 4
 SECOND_DEG = 3.0
 """From the first angle to the second [deg]."""
 LARGEST_DEG = 8.0
-"""Step beyond the angles that were tried [deg]."""
+"""Largest step beyond the angles that were tried [deg]."""
 INSIDE = 0.1
 """Share of a bracket that a new angle keeps from its ends."""
-LEAST_DEG = 0.5
-"""Least step beyond the angles that were tried [deg]."""
+SMALLEST_DEG = 0.5
+"""The same, the smallest."""
 APART_DEG = 2.0
-"""Runs closer than this tell no slope [deg]: the scatter of a front would be much of their difference."""
-
+"""Least distance of the runs that a slope is taken from [deg]: closer, scatter would be much of the difference."""
 
 K = TypeVar("K", bound=Hashable)
 
 
 @dataclass(kw_only=True)
-class Search:
+class AngleSearch:
     """The search for the angle that gives one measured extent."""
 
     target: float
@@ -47,13 +45,13 @@ class Search:
 
     @property
     def done(self) -> bool:
-        """Whether a run is close enough and another tells the slope, or the bounds have been reached without."""
+        """Whether a run is close enough and another gives the slope, or the target is out of bounds."""
         close = any(abs(found - self.target) <= CLOSE * self.spread for found in self.known.values())
         return (close and len(self.known) > 1) or self.exhausted
 
     @property
     def exhausted(self) -> bool:
-        """Whether the target lies beyond what the bounds give."""
+        """Whether the target is beyond the extents at the bounds."""
         low, high = BOUNDS_DEG
         return self.known.get(low, math.inf) < self.target or self.known.get(high, -math.inf) > self.target
 
@@ -72,7 +70,7 @@ class Search:
             return min(max(line, below + margin), above - margin)
         steeper = self.known[above] > self.target
         nearest = max(self.known) if steeper else min(self.known)
-        step = min(max(abs(line - nearest), LEAST_DEG), LARGEST_DEG) if math.isfinite(line) else LARGEST_DEG
+        step = min(max(abs(line - nearest), SMALLEST_DEG), LARGEST_DEG) if math.isfinite(line) else LARGEST_DEG
         return min(max(nearest + math.copysign(step, 1.0 if steeper else -1.0), low), high)
 
     def neighbours(self) -> tuple[float, float]:
@@ -93,22 +91,22 @@ class Search:
         other = next((angle for angle in others if abs(angle - near) >= APART_DEG), others[-1])
         return (self.known[other] - self.known[near]) / (other - near)
 
-    def inferred(self) -> "Inferred":
-        """What the runs so far say."""
+    def inferred(self) -> "InferredAngle":
+        """The angle by the runs so far."""
         nearest = min(self.known, key=lambda angle: abs(self.known[angle] - self.target))
         if self.exhausted:
-            return Inferred(deg=math.nan, half_width_deg=math.nan, runs=len(self.known), miss=math.nan)
+            return InferredAngle(deg=math.nan, half_width_deg=math.nan, runs=len(self.known), miss=math.nan)
         slope = self.slope(nearest)
         miss = (self.known[nearest] - self.target) / self.spread
         if not slope < 0.0:
-            return Inferred(deg=nearest, half_width_deg=math.inf, runs=len(self.known), miss=miss)
+            return InferredAngle(deg=nearest, half_width_deg=math.inf, runs=len(self.known), miss=miss)
         shift = (self.target - self.known[nearest]) / slope
-        return Inferred(deg=nearest + shift, half_width_deg=-self.spread / slope, runs=len(self.known), miss=miss)
+        return InferredAngle(deg=nearest + shift, half_width_deg=-self.spread / slope, runs=len(self.known), miss=miss)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inferred:
-    """An angle that the computation infers."""
+class InferredAngle:
+    """The angle at which the computation agrees with a measured extent."""
 
     deg: float
     """[deg]; nan where none within the bounds gives what was measured."""
@@ -121,12 +119,14 @@ class Inferred:
 
 
 def search_all(
-    searches: Mapping[K, Search], extents: Callable[[Sequence[tuple[K, float]]], Sequence[float]], rounds: int = ROUNDS
+    searches: Mapping[K, AngleSearch],
+    extents: Callable[[Sequence[tuple[K, float]]], Sequence[float]],
+    rounds: int = ROUNDS,
 ) -> None:
     """Run all searches, in rounds: `extents` gives the extent [m] of each (key of a search, angle [deg])."""
     for _ in range(rounds):
-        asked = [(key, search.next_deg()) for key, search in searches.items() if not search.done]
-        if not asked:
+        requested = [(key, search.next_deg()) for key, search in searches.items() if not search.done]
+        if not requested:
             return
-        for (key, angle), found in zip(asked, extents(asked), strict=True):
+        for (key, angle), found in zip(requested, extents(requested), strict=True):
             searches[key].known[angle] = found

@@ -7,55 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import mpm.simulate
 from datasets.measures import Positions
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from validation.bench.experiments.angle import ROUNDS, Search, search_all
-from validation.bench.experiments.scores import AngleScore, Score
-from validation.experiments.experiment import Angle, Case, Course, Shipped, Variant
+from mpm import simulate as simulate_scene
+from validation.bench.experiments.angle import ROUNDS, AngleSearch, search_all
+from validation.bench.experiments.scores import AngleScore, Score, SeriesScore, VariantScore
+from validation.experiments.experiment import MeasuredScene, Shipped, TimeSeries
 from validation.experiments.quantities import Floats, quantity
 
 Simulate = Callable[[Sequence[Scene]], Sequence[Positions]]
-"""Scenes in, their deposits [m], each of shape [N, D], out."""
+"""Scenes to their deposits [m], each of shape [N, D]."""
+Follow = Callable[[Scene], Trajectory]
+"""A scene to its whole motion."""
 Key = tuple[str, str, float]
 """Experiment, case and cell [m]."""
-Follow = Callable[[Scene], Trajectory]
-"""A scene in, its whole motion out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class VariantFound:
-    """What a scene that differs in one respect shows, beside the one that it differs from."""
-
-    shipped: Shipped
-    variant: Variant
-    measured: tuple[float, float]
-    """Value and spread [m]."""
-    found: float
-    """Extent of the variant [m]."""
-    usual: float
-    """Extent of the case itself, on the same cells at the same angle [m]."""
-    cell: float
-    """[m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CourseFound:
-    """An extent over time at the angle that was inferred from its end, beside the measured one."""
-
-    experiment: str
-    case: Case
-    course: Course
-    deg: float
-    """Angle of friction [deg]."""
-    found: tuple[float, ...]
-    """Extents [m] at the times of the course."""
+Deposits = Mapping[tuple[str, str, float, float], tuple[Scene, Positions]]
+"""By experiment, case, cell [m] and angle [deg]: the scene and its deposit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """Everything that a page says."""
+    """All that the page is made from."""
 
     shipped: tuple[Shipped, ...]
     scores: tuple[Score, ...]
@@ -63,8 +36,8 @@ class Findings:
     others: tuple[Score, ...]
     """By its other angles."""
     angles: tuple[AngleScore, ...]
-    variants: tuple[VariantFound, ...]
-    courses: tuple[CourseFound, ...] = ()
+    variants: tuple[VariantScore, ...]
+    series: tuple[SeriesScore, ...] = ()
 
 
 def with_cells(shipped: Shipped, factor: float) -> Shipped:
@@ -82,160 +55,121 @@ def with_cells(shipped: Shipped, factor: float) -> Shipped:
 
 
 def compute(
-    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = mpm.simulate.simulate, rounds: int = ROUNDS
+    shipped: Sequence[Shipped], simulate: Simulate, *, follow: Follow = simulate_scene, rounds: int = ROUNDS
 ) -> Findings:
     """Run everything; follow: for extents over time; rounds: of the search for the angles."""
-    forward = run_forward(shipped, simulate)
-    places = {
-        (each.name, case.name, cell): (each, case)
-        for each in shipped
-        for case in each.experiment.cases
-        if case.target is not None
-        for cell in each.cells(case)
+    pairs = [(each, case) for each in shipped for case in each.experiment.cases]
+    deposits = run_forward(pairs, simulate)
+    targets = {(each.name, case.name, cell): (each, case) for each, case in pairs for cell in each.cells(case)}
+    searches = {
+        key: AngleSearch(
+            target=case.extent.value,
+            spread=case.extent.spread,
+            known={angle.deg: quantity(case.extent, *deposits[*key, angle.deg]) for angle in each.experiment.angles},
+        )
+        for key, (each, case) in targets.items()
+        if case.extent is not None
     }
-    searches = {key: search_from(*places[key], key[2], forward) for key in places}
 
-    def extents(asked: Sequence[tuple[Key, float]]) -> list[float]:
-        scenes = [places[key][0].scene(places[key][1].scene, key[2], angle) for key, angle in asked]
+    def extents(requested: Sequence[tuple[Key, float]]) -> list[float]:
+        runs = [(*targets[key], key[2], angle) for key, angle in requested]
+        scenes = [each.scene(case.scene, cell, angle) for each, case, cell, angle in runs]
         return [
-            extent(*places[key], scene, deposit)
-            for (key, _), scene, deposit in zip(asked, scenes, simulate(scenes), strict=True)
+            quantity(case.extent, scene, deposit)
+            for (_, case, *_), scene, deposit in zip(runs, scenes, simulate(scenes), strict=True)
+            if case.extent is not None
         ]
 
     search_all(searches, extents, rounds)
-    scores = [score(each, case, angle, forward) for each, case, angle in forward_cases(shipped)]
-    flat = [one for some in scores for one in some]
-    first = {each.name: each.experiment.angles[0] for each in shipped if each.experiment.angles}
+    by_angle: tuple[list[Score], list[Score]] = ([], [])
+    for each, case in pairs:
+        for number, angle in enumerate(each.experiment.angles):
+            runs = [deposits[each.name, case.name, cell, angle.deg] for cell in each.cells(case)]
+            for measured in case.measured:
+                coarse, fine = (quantity(measured, *run) for run in runs)
+                by_angle[number > 0].append(
+                    Score(experiment=each.name, case=case, measured=measured, angle=angle, coarse=coarse, fine=fine)
+                )
+    angles = [angle_score(each, case, searches) for each, case in pairs if case.extent is not None]
     return Findings(
         shipped=tuple(shipped),
-        scores=tuple(one for one in flat if one.angle == first[one.experiment]),
-        others=tuple(one for one in flat if one.angle != first[one.experiment]),
-        angles=tuple(
-            angle_score(each, case, searches)
-            for each in shipped
-            for case in each.experiment.cases
-            if case.target is not None
-        ),
-        variants=tuple(run_variants(shipped, simulate, forward)),
-        courses=tuple(run_courses(shipped, searches, follow)),
+        scores=tuple(by_angle[0]),
+        others=tuple(by_angle[1]),
+        angles=tuple(angles),
+        variants=tuple(run_variants(shipped, simulate, deposits)),
+        series=tuple(run_series(pairs, angles, follow)),
     )
 
 
-def angle_score(shipped: Shipped, case: Case, searches: Mapping[Key, Search]) -> AngleScore:
-    """What the searches of a case came to."""
-    assert case.target is not None, "only asked of cases that have one"
-    coarse, fine = (searches[shipped.name, case.name, cell].inferred() for cell in shipped.cells(case))
-    return AngleScore(
-        experiment=shipped.name,
-        case=case,
-        measured=case.measured[case.target],
-        angles=shipped.experiment.angles,
-        inferred=(coarse, fine),
-    )
-
-
-Forward = dict[tuple[str, str, float, float], tuple[Scene, Positions]]
-"""(experiment, case, cell [m], angle [deg]): the scene and its deposit."""
-
-
-def forward_cases(shipped: Sequence[Shipped]) -> list[tuple[Shipped, Case, Angle]]:
-    """Every case with every angle of its material."""
-    return [
-        (each, case, angle) for each in shipped for case in each.experiment.cases for angle in each.experiment.angles
+def run_forward(pairs: Sequence[tuple[Shipped, MeasuredScene]], simulate: Simulate) -> Deposits:
+    """The deposits of every case at every angle of its material, on both cells."""
+    runs = [
+        (each, case, cell, angle.deg)
+        for each, case in pairs
+        for angle in each.experiment.angles
+        for cell in each.cells(case)
     ]
-
-
-def run_forward(shipped: Sequence[Shipped], simulate: Simulate) -> Forward:
-    """The deposits of every case at every angle, on both cells."""
-    keys = [(each, case, cell, angle.deg) for each, case, angle in forward_cases(shipped) for cell in each.cells(case)]
-    scenes = [each.scene(case.scene, cell, deg) for each, case, cell, deg in keys]
+    scenes = [each.scene(case.scene, cell, deg) for each, case, cell, deg in runs]
     return {
         (each.name, case.name, cell, deg): (scene, deposit)
-        for (each, case, cell, deg), scene, deposit in zip(keys, scenes, simulate(scenes), strict=True)
+        for (each, case, cell, deg), scene, deposit in zip(runs, scenes, simulate(scenes), strict=True)
     }
 
 
-def extent(shipped: Shipped, case: Case, scene: Scene, deposit: Positions) -> float:
-    """The front or radius [m] that an angle is inferred from, of a deposit."""
-    assert case.target is not None, "only asked of cases that have one"
-    return quantity(case.measured[case.target], scene, deposit)
+def angle_score(shipped: Shipped, case: MeasuredScene, searches: Mapping[Key, AngleSearch]) -> AngleScore:
+    """The results of the searches of a case."""
+    coarse, fine = (searches[shipped.name, case.name, cell].inferred() for cell in shipped.cells(case))
+    return AngleScore(experiment=shipped.name, case=case, angles=shipped.experiment.angles, coarse=coarse, fine=fine)
 
 
-def search_from(shipped: Shipped, case: Case, cell: float, forward: Forward) -> Search:
-    """A search that knows the runs forward."""
-    assert case.target is not None, "only asked of cases that have one"
-    measured = case.measured[case.target]
-    known = {
-        deg: extent(shipped, case, *forward[shipped.name, case.name, cell, deg])
-        for deg in (angle.deg for angle in shipped.experiment.angles)
-    }
-    return Search(target=measured.value, spread=measured.spread, known=known)
-
-
-def score(shipped: Shipped, case: Case, angle: Angle, forward: Forward) -> list[Score]:
-    """The scores of a case's measured numbers at an angle."""
-    cells = shipped.cells(case)
-    runs = [forward[shipped.name, case.name, cell, angle.deg] for cell in cells]
+def run_variants(shipped: Sequence[Shipped], simulate: Simulate, deposits: Deposits) -> list[VariantScore]:
+    """The variants of all experiments that have an angle, at the first one, on the coarse cells."""
     scores = []
-    for measured in case.measured:
-        coarse, fine = (quantity(measured, scene, deposit) for scene, deposit in runs)
-        scores.append(
-            Score(experiment=shipped.name, case=case, measured=measured, angle=angle, cells=cells, found=(coarse, fine))
-        )
+    for each in shipped:
+        for variant in each.experiment.variants if each.experiment.angles else ():
+            case = next(case for case in each.experiment.cases if case.name == variant.case)
+            assert case.extent is not None, "a variant is of a case with an extent"
+            cell, deg = each.cells(case)[0], each.experiment.angles[0].deg
+            scene = each.scene(variant.scene, cell, deg)
+            (deposit,) = simulate([scene])
+            scores.append(
+                VariantScore(
+                    experiment=each.name,
+                    variant=variant,
+                    measured=case.extent,
+                    found=quantity(case.extent, scene, deposit),
+                    usual=quantity(case.extent, *deposits[each.name, case.name, cell, deg]),
+                    cell=cell,
+                )
+            )
     return scores
 
 
-def run_variants(shipped: Sequence[Shipped], simulate: Simulate, forward: Forward) -> list[VariantFound]:
-    """The variants of all experiments that have an angle, at the first one."""
-    asked = [(each, variant) for each in shipped if each.experiment.angles for variant in each.experiment.variants]
-    cases = [next(case for case in each.experiment.cases if case.name == variant.case) for each, variant in asked]
-    cells = [each.cells(case)[0] for (each, _), case in zip(asked, cases, strict=True)]
-    scenes = [
-        each.scene(variant.scene, cell, each.experiment.angles[0].deg)
-        for (each, variant), cell in zip(asked, cells, strict=True)
-    ]
-    found = []
-    for (each, variant), case, cell, scene, deposit in zip(asked, cases, cells, scenes, simulate(scenes), strict=True):
-        assert case.target is not None, "a variant is of a case with an extent"
-        measured = case.measured[case.target]
-        usual = forward[each.name, case.name, cell, each.experiment.angles[0].deg]
-        found.append(
-            VariantFound(
-                shipped=each,
-                variant=variant,
-                measured=(measured.value, measured.spread),
-                found=extent(each, case, scene, deposit),
-                usual=extent(each, case, *usual),
-                cell=cell,
-            )
-        )
-    return found
+def run_series(
+    pairs: Sequence[tuple[Shipped, MeasuredScene]], angles: Sequence[AngleScore], follow: Follow
+) -> list[SeriesScore]:
+    """Extents over time, on the fine cells, at the angles that were inferred."""
+    inferred = {(each.experiment, each.case.name): each for each in angles}
+    scores = []
+    for each, case in pairs:
+        if case.series is None or case.extent is None:
+            continue
+        score = inferred[each.name, case.name]
+        if math.isnan(score.fine.deg):
+            continue
+        flow = follow(each.scene(case.scene, each.cells(case)[1], score.fine.deg))
+        extents = [quantity(case.extent, flow.scene, positions) for positions in flow.positions]
+        found = extents_over_time(flow.time, extents, case.series)
+        scores.append(SeriesScore(label=score.label, series=case.series, deg=score.fine.deg, found=found))
+    return scores
 
 
-def run_courses(shipped: Sequence[Shipped], searches: Mapping[Key, Search], follow: Follow) -> list[CourseFound]:
-    """Extents over time, on the fine cells, at the angles that the searches came to."""
-    found = []
-    for each in shipped:
-        for case in each.experiment.cases:
-            if case.course is None or case.target is None:
-                continue
-            cell = each.cells(case)[1]
-            deg = searches[each.name, case.name, cell].inferred().deg
-            if math.isnan(deg):
-                continue
-            flow = follow(each.scene(case.scene, cell, deg))
-            extents = [extent(each, case, flow.scene, positions) for positions in flow.positions]
-            extents_at = extents_over_time(flow.time, extents, case.course)
-            found.append(CourseFound(experiment=each.name, case=case, course=case.course, deg=deg, found=extents_at))
-    return found
-
-
-def extents_over_time(time: Floats, extents: Sequence[float], course: Course) -> tuple[float, ...]:
-    """The extents [m] of a motion at the times of a course, counted from when it is as far as the course's first row.
+def extents_over_time(time: Floats, extents: Sequence[float], series: TimeSeries) -> tuple[float, ...]:
+    """The extents [m] of a motion at the times of a series, counted from when it is as far as the series' first row.
 
     time: [s] of the motion's frames, extents: [m] at them.
     """
-    # What falls back by the scatter of a quantile has still been there.
+    # The quantile of a front scatters; the furthest extent so far does not fall.
     furthest = np.maximum.accumulate(np.array(extents))
-    start = float(np.interp(course.values[0], furthest, time))
-    return tuple(float(value) for value in np.interp(start + np.array(course.times), time, furthest))
+    start = float(np.interp(series.values[0], furthest, time))
+    return tuple(float(value) for value in np.interp(start + np.array(series.times), time, furthest))

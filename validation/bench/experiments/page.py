@@ -1,217 +1,253 @@
-"""experiments.md: what was found, in five lines, then every number with its source."""
+"""experiments.md and experiments.png: measured against computed, every number with its source."""
 
 import math
-from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from inverse.report.markdown import table
-from validation.bench.accuracy.page import paragraph, percent, signed
-from validation.bench.experiments.computed import CourseFound, Findings, VariantFound
+from validation.bench.experiments.computed import Findings
 from validation.bench.experiments.scores import CLOSE, AngleScore, Score, rms
 from validation.experiments.experiment import Quantity, Shipped
-from validation.report.machine import machine
+from validation.report.page import Page, percent, signed
+from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
 
 
-def page(findings: Findings, *, quick: bool) -> str:
-    """experiments.md."""
-    lines = [
-        "# Measured experiments",
-        "",
-        *conclusion(findings),
-        *quickly(quick),
-        *method(),
-        *tables(findings).split("\n"),
-    ]
-    lines += ["![measured against found](experiments.png)", "", *outside(findings), *variants(findings.variants)]
-    lines += courses(findings.courses)
-    lines += ["## The experiments", ""]
-    for each in findings.shipped:
-        lines += described(each)
-    return "\n".join(lines)
-
-
-def conclusion(findings: Findings) -> list[str]:
-    """What was found, in five lines, each from its numbers."""
-    scores, angles = findings.scores, [each for each in findings.angles if not math.isnan(each.difference_deg)]
-    lines = []
-    if scores:
-        inside = [each for each in scores if each.agrees]
-        worst = max(scores, key=lambda each: abs(each.error))
-        lines.append(
-            f"- **Forward**, with angles of friction that were measured independently, no fitting, no damping:"
-            f" {len(inside)} of {len(scores)} measured numbers are met within {CLOSE:g} times their spread; rms"
-            f" {rms(each.error for each in scores):.1f} spreads, the worst {worst.error:+.1f} ({label(worst)})."
-        )
-        fronts = [each for each in scores if each.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
-        far = [each.found[1] / each.measured.value - 1.0 for each in fronts]
-        mean = float(np.mean(far))
-        moved = max(abs(each.found[1] / each.found[0] - 1.0) for each in fronts)
-        lines.append(
-            f"- **Fronts** come {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average,"
-            f" {signed(min(far))} to {signed(max(far))}; from coarse to fine cells they move by"
-            f" {percent(moved)} at most."
-        )
-    if angles:
-        off = [each.difference_deg for each in angles]
-        agreed = sum(each.agrees for each in angles)
-        lines.append(
-            f"- **Backward**, the angle inferred from the front alone is {np.mean(off):+.1f}° from the measured one on"
-            f" average, {min(off):+.1f} to {max(off):+.1f}°; in {agreed} of {len(angles)} cases the two ranges overlap."
-        )
-    if findings.others:
-        both = {(each.experiment, each.case.name) for each in findings.others}
-        first = rms(each.error for each in scores if (each.experiment, each.case.name) in both)
-        other = rms(each.error for each in findings.others)
-        nearer, names = ("first" if first < other else "second"), sorted({each.angle.name for each in findings.others})
-        kept = sorted({each.angle.name for each in scores if (each.experiment, each.case.name) in both})
-        lines.append(
-            f"- **Which angle**: where two were measured, the {' or '.join(kept)} angle leaves {first:.1f} spreads rms,"
-            f" the {' or '.join(names)} angle {other:.1f}: the {nearer} is the one to compute with."
-        )
-    return [*lines, f"- {machine()}.", ""]
-
-
-def quickly(quick: bool) -> list[str]:
-    """A warning on a page of coarse cells."""
-    return ["**Made with --quick: coarse cells, 2D alone; the figures mean little.**", ""] if quick else []
-
-
-def method() -> list[str]:
-    """How the numbers come about."""
-    return paragraph(f"""
-        `python -m validation.bench experiments --out docs`. Every experiment is a folder in `validation/experiments`
-        with its scene, its numbers, their spread, source and licence. A number there stood in a source that was read or
-        is worked out from such numbers; where sources disagree the band between them is the target, its half width the
-        spread. Scenes are computed until they rest, undamped, with a step of 0.9 of cell / wave speed, once on coarse
-        and once on fine cells, one jitter each; nothing is chosen by the outcome. The error is (found - measured) /
-        spread on the fine cells, and a number beyond {CLOSE:g} has its reason below. Where both an avalanche and a
-        repose angle were measured, the avalanche angle is the one to compute with, as Rousseau et al. (2023) find for
-        Drucker-Prager continua; the other is shown beside it. The angle inferred is the one at which the MPM's front is
-        the measured one, floor included where it is as rough as the grains; ± is what the measurement's spread leaves
-        open, not what the model misses.
+def write(path: Path, findings: Findings, *, quick: bool) -> str:
+    """Write the page, and return its conclusion."""
+    page = Page(
+        "Measured experiments",
+        command="python -m validation.bench experiments --out docs",
+        conclusion=conclusion(findings),
+        quick=quick,
+    )
+    page.text(f"""
+        Every experiment is a folder in `validation/experiments` with its scene, its numbers, their spread, source and
+        licence. A number was read in a source or is worked out from such numbers; where sources disagree the band
+        between them is the target, its half width the spread. Scenes are computed until they rest, undamped, with a
+        step of 0.9 of cell / wave speed, once on coarse and once on fine cells, one jitter each; nothing is fitted. The
+        error is (computed - measured) / spread on the fine cells; bold where it is beyond {CLOSE:g}, with the reason
+        below. Where both an avalanche and a repose angle were measured, the avalanche angle is the one to compute with,
+        as Rousseau et al. (2023) find for Drucker-Prager continua; the other is shown beside it. The inferred angle is
+        the one at which the MPM's front is the measured one, floor included where it is as rough as the grains; ± is
+        the uncertainty by the measurement's spread, without the discrepancy of the model.
     """)
-
-
-def tables(findings: Findings) -> str:
-    """The score tables."""
-    lines = ["## Forward", ""]
-    rows = []
-    for each in findings.scores:
-        coarse, fine = each.found
-        rows.append(
-            [
+    page.section("Forward")
+    page.table(
+        [
+            (
                 each.experiment,
                 f"{each.case.name}, {each.measured.quantity}",
                 f"{each.angle.deg:.1f}° ({each.angle.name})",
                 f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
-                f"{coarse:.4f}",
-                f"{fine:.4f}",
+                each.coarse,
+                each.fine,
                 f"{each.error:+.1f}" if each.agrees else f"**{each.error:+.1f}**",
-                beside(each, findings.others),
-            ]
-        )
-    head = ["experiment", "", "angle", "measured [m]", "found, coarse", "fine", "error [spreads]", "at the other angle"]
-    lines += [*table(head, rows), "", "## Backward", ""]
-    rows = [
-        [
-            each.experiment,
-            each.case.name,
-            ", ".join(f"{angle.deg:.1f} ± {angle.half_width_deg:.1f}° ({angle.name})" for angle in each.angles) or "-",
-            *(angle_text(each, number) for number in (0, 1)),
-            f"{each.difference_deg:+.1f}°" if not math.isnan(each.difference_deg) else "-",
-            f"{each.inferred[1].runs}",
-        ]
-        for each in findings.angles
-    ]
-    head = ["experiment", "", "measured angle", "inferred, coarse", "fine", "difference", "runs"]
-    return "\n".join([*lines, *table(head, rows), ""])
-
-
-def angle_text(each: AngleScore, number: int) -> str:
-    """An inferred angle and its half-width."""
-    found = each.inferred[number]
-    return "none" if math.isnan(found.deg) else f"{found.deg:.1f} ± {found.half_width_deg:.1f}°"
-
-
-def beside(score: Score, others: Sequence[Score]) -> str:
-    """The errors of the same number at the material's other angles."""
-    same = [each for each in others if each.case == score.case and each.measured == score.measured]
-    return ", ".join(
-        f"{each.error:+.1f} at {each.angle.deg:.1f}°" for each in same if each.experiment == score.experiment
-    )
-
-
-def outside(findings: Findings) -> list[str]:
-    """Why a number is missed by more than twice its spread, where one is."""
-    missed = [each for each in findings.scores if not each.agrees]
-    if not missed:
-        return ["Every number is within twice its spread.", ""]
-    lines = ["## Outside twice the spread", ""]
-    for each in missed:
-        reason = each.measured.beyond or "No reason is known."
-        lines.append(f"- {label(each)}, {each.error:+.1f} spreads: {reason}")
-    return [*lines, ""]
-
-
-def variants(found: Sequence[VariantFound]) -> list[str]:
-    """What a difference in one respect is worth."""
-    if not found:
-        return []
-    lines = ["## What one respect is worth", ""]
-    for each in found:
-        value, spread = each.measured
-        error = (each.found - value) / spread
-        moved = 1000.0 * (each.found - each.usual)
-        lines.append(
-            f"- {each.shipped.name}, {each.variant.name}: the front is at {each.found:.3f} m, {moved:+.0f} mm from that"
-            f" of the case itself on the same cells ({1000.0 * each.cell:g} mm) and {error:+.1f}"
-            f" spreads from the measured one: {each.variant.says}"
-        )
-    return [*lines, ""]
-
-
-def courses(found: Sequence[CourseFound]) -> list[str]:
-    """Extents over time at an effective angle: what one angle cannot say of a flow."""
-    lines = ["## Over time", ""] if found else []
-    for each in found:
-        course = each.course
-        errors = [(f - v) / s for f, v, s in zip(each.found, course.values, course.spreads, strict=True)][1:]
-        worst = max(errors, key=abs)
-        lines += paragraph(f"""
-            {each.experiment}, {each.case.name}, at the angle that its end implies, {each.deg:.1f}°: the extent over
-            time differs from the measured one by {rms(errors):.1f} spreads rms, {worst:+.1f} at most. Time counts from
-            the first row, where both are equally far. {course.status}: {course.source}. Spread: {course.spread_from}.
-        """)
-        rows = [
-            [f"{time:.3f}", f"{1000.0 * value:.1f} ± {1000.0 * spread:.1f}", f"{1000.0 * computed:.1f}", f"{miss:+.1f}"]
-            for time, value, spread, computed, miss in zip(
-                course.times, course.values, course.spreads, each.found, [0.0, *errors], strict=True
+                at_other_angles(each, findings),
             )
-        ]
-        lines += [*table(["time [s]", "measured [mm]", "found [mm]", "error [spreads]"], rows), ""]
-    return lines
+            for each in findings.scores
+        ],
+        formats={
+            "experiment": "",
+            "case": "",
+            "angle": "",
+            "measured [m]": "",
+            "coarse cells [m]": ".4f",
+            "fine cells [m]": ".4f",
+            "error [spreads]": "",
+            "at the other angle": "",
+        },
+    )
+    page.section("Backward")
+    page.table(
+        [
+            (
+                each.experiment,
+                each.case.name,
+                ", ".join(f"{angle.deg:.1f} ± {angle.half_width_deg:.1f}° ({angle.name})" for angle in each.angles),
+                *(
+                    "none" if math.isnan(found.deg) else f"{found.deg:.1f} ± {found.half_width_deg:.1f}°"
+                    for found in (each.coarse, each.fine)
+                ),
+                each.difference_deg,
+                each.fine.runs,
+            )
+            for each in findings.angles
+        ],
+        formats={
+            "experiment": "",
+            "case": "",
+            "measured angle": "",
+            "inferred, coarse cells": "",
+            "fine cells": "",
+            "difference [°]": "+.1f",
+            "runs": "",
+        },
+    )
+    page.picture("experiments.png", "measured against computed")
+    page.section(f"Beyond {CLOSE:g} spreads")
+    beyond = [each for each in findings.scores if not each.agrees]
+    page.text(
+        "\n".join(
+            f"- {each.label}, {each.error:+.1f} spreads: {each.measured.explanation or 'No reason is known.'}"
+            for each in beyond
+        )
+        or f"Every number is within {CLOSE:g} spreads."
+    )
+    if findings.variants:
+        page.section("Effect of one respect")
+    for variant in findings.variants:
+        off = (variant.found - variant.measured.value) / variant.measured.spread
+        page.text(
+            f"- {variant.experiment}, {variant.variant.name}: the front is at {variant.found:.3f} m,"
+            f" {1000.0 * (variant.found - variant.usual):+.0f} mm from that of the case itself on the same cells"
+            f" ({1000.0 * variant.cell:g} mm) and {off:+.1f} spreads from the measured one: {variant.variant.comment}"
+        )
+    if findings.series:
+        page.section("Over time")
+    for each in findings.series:
+        series = each.series
+        page.text(
+            f"{each.label}, at the angle that its end implies, {each.deg:.1f}°: the extent over time differs from the"
+            f" measured one by {rms(each.errors[1:]):.1f} spreads rms, {max(each.errors, key=abs):+.1f} at most. Time"
+            f" counts from the first row, where both are equally far. Source ({series.status}): {series.source}."
+            f" Spread: {series.spread_from}."
+        )
+        page.table(
+            [
+                (time, f"{1000.0 * value:.1f} ± {1000.0 * spread:.1f}", 1000.0 * found, error)
+                for time, value, spread, found, error in zip(
+                    series.times, series.values, series.spreads, each.found, each.errors, strict=True
+                )
+            ],
+            formats={"time [s]": ".3f", "measured [mm]": "", "computed [mm]": ".1f", "error [spreads]": "+.1f"},
+        )
+    page.section("The experiments")
+    for shipped in findings.shipped:
+        describe(page, shipped)
+    return page.write(path)
 
 
-def described(shipped: Shipped) -> list[str]:
+def conclusion(findings: Findings) -> list[str]:
+    """What was found, each sentence from its numbers."""
+    scores, angles = findings.scores, [each for each in findings.angles if not math.isnan(each.difference_deg)]
+    lines = []
+    if scores:
+        agreed = sum(each.agrees for each in scores)
+        largest = max(scores, key=lambda each: abs(each.error))
+        lines.append(
+            f"**Forward**, with angles of friction that were measured independently, no fitting, no damping: {agreed}"
+            f" of {len(scores)} measured numbers are within {CLOSE:g} times their spread; rms"
+            f" {rms(each.error for each in scores):.1f} spreads, at most {largest.error:+.1f} ({largest.label})."
+        )
+        fronts = [each for each in scores if each.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
+        far = [each.fine / each.measured.value - 1.0 for each in fronts]
+        mean = float(np.mean(far))
+        lines.append(
+            f"**Fronts** come {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average,"
+            f" {signed(min(far))} to {signed(max(far))}; from coarse to fine cells they move by"
+            f" {percent(max(abs(each.fine / each.coarse - 1.0) for each in fronts))} at most."
+        )
+    if angles:
+        off = [each.difference_deg for each in angles]
+        lines.append(
+            f"**Backward**, the angle inferred from the front alone is {np.mean(off):+.1f}° from the measured one on"
+            f" average, {min(off):+.1f} to {max(off):+.1f}°; in {sum(each.agrees for each in angles)} of {len(angles)}"
+            " cases the two ranges overlap."
+        )
+    if findings.others:
+        cases = {(each.experiment, each.case.name) for each in findings.others}
+        same = [each for each in scores if (each.experiment, each.case.name) in cases]
+        first, other = (rms(each.error for each in some) for some in (same, findings.others))
+        names = [" or ".join(sorted({each.angle.name for each in some})) for some in (same, findings.others)]
+        lines.append(
+            f"**Which angle**: where two were measured, the {names[0]} angle leaves {first:.1f} spreads rms, the"
+            f" {names[1]} angle {other:.1f}: the {names[first > other]} angle is the one to compute with."
+        )
+    return lines or ["No experiment has a measured extent."]
+
+
+def at_other_angles(score: Score, findings: Findings) -> str:
+    """The errors of the same number at the material's other angles."""
+    same = [each for each in findings.others if each.label == score.label and each.measured == score.measured]
+    return ", ".join(f"{each.error:+.1f} at {each.angle.deg:.1f}°" for each in same)
+
+
+def describe(page: Page, shipped: Shipped) -> None:
     """Source, licence, numbers and choices of an experiment."""
     one = shipped.experiment
-    lines = [f"### {shipped.name}", "", *paragraph(f"**{one.title}.** {one.what}"), *paragraph(f"Source: {one.source}")]
-    lines += [f"Licence: {one.licence}.", ""]
-    lines += [
+    page.section(shipped.name, level=3)
+    page.text(f"**{one.title}.** {one.what}\n\nSource: {one.source}\n\nLicence: {one.licence}.")
+    lines = [
         f"- Angle ({angle.name}): {angle.lower_deg:g} to {angle.upper_deg:g}°; {angle.status}: {angle.source}."
         for angle in one.angles
     ]
-    for case in one.cases:
-        for measured in case.measured:
-            lines.append(
-                f"- {case.name}, {measured.quantity}: {measured.value:g} ± {measured.spread:g} m; {measured.status}:"
-                f" {measured.source}. Spread: {measured.spread_from}."
-            )
-    rows = [[each.what, each.choice, each.reason] for each in one.unsaid]
-    return [*lines, "", *table(["not stated", "our choice", "reason"], rows), ""]
+    lines += [
+        f"- {case.name}, {measured.quantity}: {measured.value:g} ± {measured.spread:g} m; {measured.status}:"
+        f" {measured.source}. Spread: {measured.spread_from}."
+        for case in one.cases
+        for measured in case.measured
+    ]
+    page.text("\n".join(lines))
+    page.table([{"not stated": each.what, "choice": each.choice, "reason": each.reason} for each in one.assumptions])
 
 
-def label(score: Score) -> str:
-    """Experiment, case and quantity."""
-    return f"{score.experiment}, {score.case.name}, {score.measured.quantity}"
+def draw(path: Path, findings: Findings) -> None:
+    """A row per measured length on the left, one per inferred angle on the right."""
+    lengths = [each for each in findings.scores if each.measured.quantity is not Quantity.PROFILE]
+    with figure(path, columns=2, size=(7.0, 1.6 + 0.36 * max(len(lengths), len(findings.angles), 1))) as axes:
+        draw_lengths(axes[0, 0], lengths)
+        draw_angles(axes[0, 1], findings.angles)
+        for axis in axes.flat:
+            axis.grid(axis="y", visible=False)
+            axis.invert_yaxis()
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
+
+
+def draw_lengths(axis: Axes, scores: list[Score]) -> None:
+    """Lengths over the measured ones."""
+    rows = range(len(scores))
+    value = np.array([each.measured.value for each in scores])
+    spread = np.array([each.measured.spread for each in scores]) / value
+    axis.errorbar(
+        np.ones(len(scores)), rows, xerr=spread, fmt="s", color=INK, capsize=3, ms=4, label="measured, ± spread"
+    )
+    axis.plot(np.array([each.coarse for each in scores]) / value, rows, "o", color=LIGHT_BLUE, label="coarse cells")
+    axis.plot(np.array([each.fine for each in scores]) / value, rows, "o", color=BLUE, label="fine cells")
+    axis.set_yticks(rows, [each.label for each in scores])
+    axis.set(xlabel="length over the measured one", title="Forward, with angles measured independently")
+
+
+def draw_angles(axis: Axes, scores: tuple[AngleScore, ...]) -> None:
+    """Angles in degrees."""
+    rows = range(len(scores))
+    bars = {"capsize": 3, "ms": 4, "linestyle": "none"}
+    for number, marker, fill, name in (
+        (0, "s", INK, "measured, computed with"),
+        (1, "d", "none", "measured, the other"),
+    ):
+        some = [(row, each.angles[number]) for row, each in zip(rows, scores, strict=True) if len(each.angles) > number]
+        axis.errorbar(
+            [angle.deg for _, angle in some],
+            [row for row, _ in some],
+            xerr=[angle.half_width_deg for _, angle in some],
+            marker=marker,
+            mfc=fill,
+            color=INK,
+            label=name,
+            **bars,  # type: ignore[arg-type]
+        )
+    for name, colour in (("coarse", LIGHT_BLUE), ("fine", BLUE)):
+        found = [(row, getattr(each, name)) for row, each in zip(rows, scores, strict=True)]
+        found = [(row, each) for row, each in found if math.isfinite(each.half_width_deg)]
+        axis.errorbar(
+            [each.deg for _, each in found],
+            [row for row, _ in found],
+            xerr=[each.half_width_deg for _, each in found],
+            marker="o",
+            color=colour,
+            label=f"inferred from the front, {name} cells",
+            **bars,  # type: ignore[arg-type]
+        )
+    axis.set_yticks(rows, [each.label for each in scores])
+    axis.set(xlabel="angle of friction [deg]", title="Backward")

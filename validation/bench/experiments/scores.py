@@ -1,11 +1,11 @@
-"""Measured against found, in units of the measurement's spread."""
+"""Measured against computed, in units of the measurement's spread."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from validation.bench.experiments.angle import Inferred
-from validation.experiments.experiment import Angle, Case, Measured
+from validation.bench.experiments.angle import InferredAngle
+from validation.experiments.experiment import Angle, Measured, MeasuredScene, TimeSeries, Variant
 
 CLOSE = 2.0
 """Spreads within which a number agrees."""
@@ -13,27 +13,26 @@ CLOSE = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """One measured number beside what was computed, forward, with an angle that was measured independently."""
+    """A measured number beside the computed one, forward, with an angle that was measured independently."""
 
     experiment: str
-    case: Case
+    case: MeasuredScene
     measured: Measured
     angle: Angle
-    cells: tuple[float, float]
-    """The coarse and the fine one [m]."""
-    found: tuple[float, float]
-    """On either [m]."""
+    coarse: float
+    """Computed on the coarse cells [m]."""
+    fine: float
+    """On the fine cells [m]."""
 
     @property
-    def errors(self) -> tuple[float, float]:
-        """Found less measured in spreads [-], on either cell."""
-        coarse, fine = (error(found, self.measured) for found in self.found)
-        return coarse, fine
+    def label(self) -> str:
+        """Experiment, case and quantity."""
+        return f"{self.experiment}, {self.case.name}, {self.measured.quantity}"
 
     @property
     def error(self) -> float:
-        """The same on the fine cells."""
-        return self.errors[1]
+        """Computed on the fine cells less measured, in spreads [-]."""
+        return error(self.fine, self.measured)
 
     @property
     def agrees(self) -> bool:
@@ -43,31 +42,68 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class AngleScore:
-    """The angle that the computation infers from a measured extent, beside the material's own."""
+    """The angle that is inferred from a measured extent, beside the material's own."""
 
     experiment: str
-    case: Case
-    measured: Measured
+    case: MeasuredScene
     angles: tuple[Angle, ...]
     """The material's own; empty where none was measured."""
-    inferred: tuple[Inferred, Inferred]
-    """On the coarse and the fine cells."""
+    coarse: InferredAngle
+    fine: InferredAngle
+
+    @property
+    def label(self) -> str:
+        """Experiment and case."""
+        return f"{self.experiment}, {self.case.name}"
 
     @property
     def difference_deg(self) -> float:
         """Inferred on the fine cells less measured [deg]; nan where either is missing."""
-        return self.inferred[1].deg - self.angles[0].deg if self.angles else math.nan
+        return self.fine.deg - self.angles[0].deg if self.angles else math.nan
 
     @property
     def agrees(self) -> bool:
         """Whether the two ranges overlap; False where either is missing."""
         if not self.angles:
             return False
-        return abs(self.difference_deg) <= self.inferred[1].half_width_deg + self.angles[0].half_width_deg
+        return abs(self.difference_deg) <= self.fine.half_width_deg + self.angles[0].half_width_deg
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariantScore:
+    """The extent of a scene that differs in one respect, beside the one that it differs from."""
+
+    experiment: str
+    variant: Variant
+    measured: Measured
+    found: float
+    """Extent of the variant [m]."""
+    usual: float
+    """Extent of the case itself, on the same cells at the same angle [m]."""
+    cell: float
+    """[m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesScore:
+    """An extent over time at the angle that was inferred from its end, beside the measured one."""
+
+    label: str
+    series: TimeSeries
+    deg: float
+    """Angle of friction [deg]."""
+    found: tuple[float, ...]
+    """Extents [m] at the times of the series."""
+
+    @property
+    def errors(self) -> list[float]:
+        """In spreads, by row [-]; 0 in the first row by definition."""
+        rows = zip(self.found, self.series.values, self.series.spreads, strict=True)
+        return [0.0, *[(found - value) / spread for found, value, spread in rows][1:]]
 
 
 def error(found: float, measured: Measured) -> float:
-    """Found [m] less measured, in units of the measurement's spread [-]."""
+    """`found` [m] less measured, in units of the measurement's spread [-]."""
     return (found - measured.value) / measured.spread
 
 

@@ -8,7 +8,7 @@ from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.errors import InputError
 from datasets.files import write_text
 from mpm.generate import generate
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.speed import gains, rates
 from validation.bench.speed.page import page
 from validation.report.timing import in_turn

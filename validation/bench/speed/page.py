@@ -41,14 +41,14 @@ WHY = """\
 
 Scalar code for the same equations did 16 to 18 million point-steps a second and core in 2D. What was added:
 
-- **Vectors of lanes** (`mpm/arrays/lanes.py`). Points live in blocks as wide as a vector register, 16 in f32 and 8 in f64. All
+- **Vectors of lanes** (`mpm/arrays/access.py`). Points live in blocks as wide as a vector register, 16 in f32 and 8 in f64. All
   that belongs to a point (stress, return mapping, weights, motion) is computed for a block at once, without branches;
   Taichi is told to leave its vectors whole (`real_matrix_scalarize=False`), so LLVM sees vector values and uses the
   registers.
 - **Nodes as short vectors** (`mpm/physics/transfer.py`). Where point meets node, a node (momentum, mass, force) is one vector
   of four or eight numbers. What a point gives is linear in the node's place: a value at the lowest node and one slope
   per axis. What it takes is summed along the innermost axis first, because those nodes share the other weights.
-- **Bounded indices** (`mpm/arrays/lanes.py`). Taichi counts in 32 bits, and each sum of an index and a constant would be
+- **Bounded indices** (`mpm/arrays/access.py`). Taichi counts in 32 bits, and each sum of an index and a constant would be
   extended anew; cut to 30 bits, which changes none, it becomes part of an address.
 - **No atomics, few launches** (`mpm/kernel.py`). A small scene runs on one thread, many small ones side by side; a
   large one has a grid per thread, summed where they overlap. Up to 20 frames with all their steps are one launch.

@@ -12,7 +12,7 @@ from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from inverse.report.markdown import table
 from mpm.arrays.layout import Precision
-from mpm.simulate import LARGE
+from mpm.simulation import LARGE
 from validation.report.timing import Run, Spread, Took
 
 CUBE = 0.375

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.scene import Scene
-from mpm.simulate import simulate
+from mpm import simulate
 from validation.bench.stability.case import SCENES
 from validation.bench.stability.expectations import FAILED, critical_height, moved_share
 

@@ -11,10 +11,9 @@ from datasets.measures import front
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.arrays.batch import features_of
-from mpm.arrays.layout import Features, Precision
-from mpm.output.request import ALL, LAST, with_usual_fields
-from mpm.simulate import simulate_each, simulate_many
+from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import Precision
 from validation.bench.stability.deposit import JITTERS
 
 Flow = Trajectory | WorkFailed
@@ -34,13 +33,14 @@ def simulate_scenes(
             [scene],
             [initial_particles(scene)],
             precision,
-            record=with_usual_fields(ALL),
-            until_rest=name in until_rest,
+            record=dataclasses.replace(WITH_FIELDS, until_rest=name in until_rest),
         )
         groups.setdefault(needs, {})[name] = scene
     flows: dict[str, Flow] = {}
     for needs, group in groups.items():
-        outcomes = simulate_each(list(group.values()), precision=precision, fields=True, until_rest=needs.rests)
+        outcomes = simulate_each(
+            list(group.values()), precision=precision, record=dataclasses.replace(WITH_FIELDS, until_rest=needs.rests)
+        )
         flows.update(zip(group, outcomes, strict=True))
         bar.update(len(group))
     return {name: flows[name] for name in scenes}

@@ -1,6 +1,6 @@
 """What every flow keeps, whatever it runs into: finite numbers, its place, its mass, its momentum, its energy.
 
-Every check takes a trajectory with fields (`mpm.simulate.simulate(..., fields=True)`) and returns what it found, or
+Every check takes a trajectory with fields (`mpm.simulation.simulate(..., fields=True)`) and returns what it found, or
 None where it does not apply.
 """
 

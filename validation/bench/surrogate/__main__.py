@@ -10,7 +10,7 @@ from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.library import read_scene
 from datasets.scene import Scene
-from mpm.processors import processors
+from mpm.process import processors
 from validation.bench.surrogate import baffles, bounded, columns, layers, pictures, pictures_3d, races, scenes, speed
 from validation.bench.surrogate.courses import Comparison
 from validation.bench.surrogate.held_out import against_mpm

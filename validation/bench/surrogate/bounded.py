@@ -11,7 +11,7 @@ from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.report.markdown import table
-from mpm.simulate import simulate
+from mpm import simulate
 from validation.bench.accuracy.page import paragraph
 from validation.bench.stability.invariants import inside_box, outside_baffles
 from validation.bench.surrogate.courses import course

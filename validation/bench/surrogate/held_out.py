@@ -12,8 +12,9 @@ from datasets import measures
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate, simulate_many
 from mpm.output.request import LAST
-from mpm.simulate import LARGE, simulate, simulate_many
+from mpm.simulation import LARGE
 from validation.bench.surrogate.courses import Comparison, Truth, compare
 from validation.bench.surrogate.models import Model
 from validation.bench.surrogate.rollouts import Roller, Start, Task, first_frames

@@ -1,0 +1,112 @@
+"""Vectors of lanes: what makes Taichi's code run on vector registers.
+
+A value of a kernel here is either a number or a Taichi vector with one entry per particle of a block; with
+`real_matrix_scalarize=False` LLVM sees the latter as one vector value and computes all lanes at once. Such code has no
+branches: both sides are computed, and `ti.select` takes one of them lane by lane.
+
+Taichi 1.7.4 cannot negate or cast such vectors, nor take their absolute value: write `0.0 - a` and `a = a - b`, not
+`-a` and `a -= b`, and leave casts to single lanes.
+
+On a GPU a block is one particle and a vector of lanes is a number: the same code, without this file's vectors.
+"""
+
+import taichi as ti
+
+from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
+
+
+@ti.func
+def larger(a, b):
+    """The larger of two, lane by lane; one instruction, where `ti.max` looks after NaN with four."""
+    return ti.select(a > b, a, b)
+
+
+@ti.func
+def smaller(a, b):
+    """The smaller of two, lane by lane."""
+    return ti.select(a < b, a, b)
+
+
+@ti.func
+def between(a, low, high):
+    """`a` clamped to [low, high], lane by lane."""
+    return smaller(larger(a, low), high)
+
+
+@ti.func
+def magnitude(a):
+    """|a|, lane by lane."""
+    return larger(a, 0.0 - a)
+
+
+@ti.func
+def lane_minimum(a, arrays: ti.template()):
+    """The smallest lane."""
+    if ti.static(arrays.features.lanes == 1):
+        return a
+    else:
+        value = a[0]
+        for lane in ti.static(range(1, arrays.features.lanes)):
+            value = ti.min(value, a[lane])
+        return value
+
+
+@ti.func
+def lane_maximum(a, arrays: ti.template()):
+    """The largest lane."""
+    if ti.static(arrays.features.lanes == 1):
+        return a
+    else:
+        value = a[0]
+        for lane in ti.static(range(1, arrays.features.lanes)):
+            value = ti.max(value, a[lane])
+        return value
+
+
+@ti.func
+def lane_sum(a, arrays: ti.template()):
+    """Sum over the lanes, in double precision."""
+    if ti.static(arrays.features.lanes == 1):
+        return ti.cast(a, ti.f64)
+    else:
+        value = ti.cast(a[0], ti.f64)
+        for lane in ti.static(range(1, arrays.features.lanes)):
+            value += ti.cast(a[lane], ti.f64)
+        return value
+
+
+@ti.func
+def bounded(index):
+    """An index below INDEX_LIMIT, said so that the compiler knows: a constant added to it becomes part of an address.
+
+    Otherwise it has to allow for an overflow of 32 bits at every node and every number of a particle.
+    """
+    return index & (INDEX_LIMIT - 1)
+
+
+@ti.func
+def add(array: ti.template(), at, value, arrays: ti.template()):
+    """array[at] += value. Atomic on a GPU alone: on a CPU Taichi makes that a compare-and-swap loop."""
+    if ti.static(arrays.features.gpu):
+        ti.atomic_add(array[at], value)
+    else:
+        array[at] = array[at] + value
+
+
+@ti.func
+def cells_of(scene, arrays: ti.template()):
+    """Cells of the box along each axis, shape [D]."""
+    features = arrays.features
+    return ti.Vector([arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def rows_of(scene, arrays: ti.template()):
+    """Nodes from one to its neighbour along each axis, shape [3]; the last axis is the innermost."""
+    features = arrays.features
+    across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
+    if ti.static(features.dimension == 2):
+        return ti.Vector([across, 1, 0])
+    else:
+        deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
+        return ti.Vector([across * deep, deep, 1])

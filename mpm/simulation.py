@@ -1,0 +1,232 @@
+"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TypedDict, Unpack
+
+from tqdm import tqdm
+
+from datasets.command_line import WorkFailed
+from datasets.particles import warn_if_unresolved
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from mpm import runtime
+from mpm.arrays.batch import Batch, particles_of
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import Precision
+from mpm.device import run_on_device
+from mpm.kernel import Phase, kernel
+from mpm.output.checkpoint import Checkpoint
+from mpm.output.outcome import failure, trajectory
+from mpm.output.request import ALL, Recording
+from mpm.process import processors
+from mpm.runtime import Arch
+
+FRAMES_PER_LAUNCH = 20
+"""Between two launches the progress bar moves and Ctrl-C is heard."""
+PARTICLES_PER_WORKER = 10_000
+"""Fewer than that are not worth a thread of their own."""
+LARGE = 2 * PARTICLES_PER_WORKER
+"""Particles from which one scene takes several threads."""
+SORTED = 50_000
+"""Particles from which they are sorted by cell at every launch."""
+
+
+class Options(TypedDict, total=False):
+    """How to run a scene."""
+
+    precision: Precision
+    """f32 unless given."""
+    threads: int | None
+    """All cores unless given."""
+    arch: Arch
+    """The CPU unless given; on a GPU all scenes of a batch run in one launch per step."""
+    record: Recording
+    """What to record, and until when to run; the positions in all frames unless given."""
+    progress: bool
+    """Show a bar."""
+
+
+class ScenesFailed(WorkFailed):
+    """Some scenes of a batch failed; the others did not."""
+
+    def __init__(self, outcomes: "Sequence[Trajectory | WorkFailed]") -> None:
+        self.outcomes = list(outcomes)
+        """What became of each scene, in the order in which they were given."""
+        failed = {index: each for index, each in enumerate(outcomes) if isinstance(each, WorkFailed)}
+        first, reason = next(iter(failed.items()))
+        others = f" (and {len(failed) - 1} more of {len(outcomes)})" if len(failed) > 1 else f" of {len(outcomes)}"
+        super().__init__(f"scene {first}{others} failed: {reason}")
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was asked to stop, and did so between two launches."""
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        self.checkpoint = checkpoint
+        super().__init__()
+
+
+def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpack[Options]) -> Trajectory:
+    """Run one scene, a large one on all threads.
+
+    resume: where an earlier run of the scene ended (`simulate_resumably`), from which this one goes on for a longer
+    duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded and
+    the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
+    GPU, or where the checkpoint is of another scene, recording or precision.
+    """
+    batch, wall_s, compile_s = run_one(scene, options, resume, never)
+    return finished(trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s))
+
+
+def simulate_resumably(
+    scene: Scene,
+    *,
+    resume: Checkpoint | None = None,
+    stop: Callable[[], bool] | None = None,
+    **options: Unpack[Options],
+) -> tuple[Trajectory, Checkpoint]:
+    """As `simulate`, with the state at its end, from which a longer run can go on.
+
+    stop: asked between two launches, a few frames apart; once it says so, Interrupted is raised with the checkpoint.
+    Other errors as `simulate`.
+    """
+    batch, wall_s, compile_s = run_one(scene, options, resume, stop or never)
+    checkpoint = Checkpoint.of(batch, wall_s=wall_s)
+    if batch.computed < scene.frames - 1 and not checkpoint.rest and failure(batch, 0) is None:
+        raise Interrupted(checkpoint)
+    outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
+    return finished(outcome), checkpoint
+
+
+def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
+    """Run scenes side by side, one per thread; each is the same to the bit as alone on one thread.
+
+    Raises ScenesFailed, once all have ended, where one blew up, and InputError as `simulate`.
+    """
+    if len(scenes) == 1:
+        return [simulate(scenes[0], **options)]
+    outcomes = simulate_each(scenes, **options)
+    whole = [each for each in outcomes if isinstance(each, Trajectory)]
+    if len(whole) < len(scenes):
+        raise ScenesFailed(outcomes)
+    return whole
+
+
+def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
+    """As `simulate_many`, but one that blew up leaves a WorkFailed in its place.
+
+    Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
+    of their summaries are those of all scenes together.
+    """
+    for scene in scenes:
+        warn_if_unresolved(scene)
+    arch, record = options.get("arch", "cpu"), options.get("record", ALL)
+    precision = options.get("precision", "f32")
+    runtime.start(precision, options.get("threads"), arch)
+    particles = particles_of(scenes)
+    groups: dict[Features, list[int]] = {}
+    for index, (scene, own) in enumerate(zip(scenes, particles, strict=True)):
+        needs = features_of([scene], [own], precision, record=record, gpu=arch != "cpu")
+        groups.setdefault(needs, []).append(index)
+    outcomes: dict[int, Trajectory | WorkFailed] = {}
+    wall_s = compile_s = 0.0
+    frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
+    with progress_bar(frames, 0, options) as bar:
+        for group in groups.values():
+            batch = Batch(
+                [scenes[index] for index in group],
+                precision=precision,
+                record=record,
+                gpu=arch != "cpu",
+                particles=[particles[index] for index in group],
+            )
+            took = run_batch(batch, arch, bar, never)
+            wall_s, compile_s = wall_s + took[0], compile_s + took[1]
+            for number, index in enumerate(group):
+                outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
+    for outcome in outcomes.values():
+        if isinstance(outcome, Trajectory):
+            outcome.summary.update(wall_s=wall_s, compile_s=compile_s)
+    return [outcomes[index] for index in range(len(scenes))]
+
+
+def run_one(
+    scene: Scene, options: Options, resume: Checkpoint | None, stop: Callable[[], bool]
+) -> tuple[Batch, float, float]:
+    """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
+    warn_if_unresolved(scene)
+    arch = options.get("arch", "cpu")
+    precision = options.get("precision") or (resume.features.precision if resume else "f32")
+    record = options.get("record") or (resume.recording if resume else ALL)
+    threads = options.get("threads") or processors()
+    runtime.start(precision, threads, arch)
+    particles = particles_of([scene])
+    batch = Batch(
+        [scene],
+        precision=precision,
+        workers=max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1,
+        record=record,
+        gpu=arch != "cpu",
+        particles=particles,
+    )
+    if resume is not None:
+        resume.restore(batch)
+    with progress_bar(scene.frames - 1, batch.computed, options) as bar:
+        wall_s, compile_s = run_batch(batch, arch, bar, stop)
+    return batch, wall_s + (0.0 if resume is None else resume.wall_s), compile_s
+
+
+def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool]) -> tuple[float, float]:
+    """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile."""
+    run = kernel(batch.features)
+    begin = time.perf_counter()
+    # No frames: this only compiles. On a GPU the first frame does.
+    if arch == "cpu":
+        run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
+    compile_s = time.perf_counter() - begin
+    begin = time.perf_counter()
+    if arch == "cpu":
+        run_on_threads(batch, run, bar, stop)
+    else:
+        run_on_device(batch, run, bar, stop)
+    return time.perf_counter() - begin, compile_s
+
+
+def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
+    """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
+
+    Launches begin at the same frames wherever a run was interrupted, and with them the sorting.
+    """
+    frames = max(scene.frames for scene in batch.scenes)
+    for launch in range(1, frames, FRAMES_PER_LAUNCH):
+        first, last = max(launch, batch.computed + 1), min(launch + FRAMES_PER_LAUNCH, frames)
+        if first >= last:
+            continue
+        if batch.ended(first).all() or stop():
+            break
+        for index, particles in enumerate(batch.particles):
+            if first == launch and len(particles.positions) >= SORTED:
+                batch.sort(index)
+        batch.barrier_count[:] = 0
+        run(*batch.arguments.values(), first, last, Phase.FRAMES)
+        batch.computed = last - 1
+        bar.update(last - first)
+
+
+def finished(outcome: Trajectory | WorkFailed) -> Trajectory:
+    """The trajectory. Raises WorkFailed where there is none."""
+    if isinstance(outcome, WorkFailed):
+        raise outcome
+    return outcome
+
+
+def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
+    """A bar that counts frames, where asked for."""
+    hidden = not options.get("progress", False)
+    return tqdm(total=frames, initial=computed, unit="frame", disable=hidden, desc="mpm")
+
+
+def never() -> bool:
+    """Asks no run to stop."""
+    return False

@@ -1,0 +1,279 @@
+"""Searches by the clock: every method from the same start against the same target, each answer checked by the MPM."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from tqdm import tqdm
+
+from gns.model.simulator import Simulator
+from inverse.finite_difference import central
+from inverse.forward.gns import GnsSource
+from inverse.forward.interface import Differentiable, Evaluation, Forward
+from inverse.forward.mpm import MpmForward
+from inverse.gradient import Evaluate, automatic
+from inverse.gradient_free import explore
+from inverse.observations import deposit as observations
+from inverse.observations.deposit import Values, loss
+from inverse.observations.target import Target, read_target
+from inverse.optimise import Bounds, minimise
+from inverse.parameters.parameters import Vector, kind, with_unknowns
+from inverse.problem import Method, Problem
+from mpm.process import processors
+from mpm.simulation import simulate, simulate_many
+from validation.bench.efficiency.methods import ForwardModel, GradientBy, SearchMethod
+from validation.bench.efficiency.records import CheckedLoss, MethodResult
+
+CHECK_SEED = 20_002
+"""Jitter of the checks, other than the target's and the search's."""
+CHECKS = 8
+"""Most iterates of a method that the MPM checks."""
+WARM_UP_S = 0.1
+"""Flow that a surrogate is compiled on [s]."""
+UNLIMITED = 10**6
+Clock = Callable[[], float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Models:
+    """Target and forward models of one problem."""
+
+    target: Target
+    components: int
+    gns: Differentiable
+    gns_target: Values
+    """The part of the target that the surrogate predicts."""
+    gns_start_s: float
+    """Seconds for the MPM's first frames, where the surrogate starts from them."""
+    mpm: Forward
+    check: Forward
+    """The MPM with a jitter of its own."""
+
+    @staticmethod
+    def build(problem: Problem, simulator: Simulator) -> "Models":
+        """Of a shipped problem; the surrogate is compiled on a short flow before."""
+        observation = observations.build(problem.observation, problem.scene)
+        target = read_target(problem, observation, simulate)
+        short = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=WARM_UP_S))
+        for each in (short, problem):
+            source = GnsSource(simulator, each, observation)
+            frames = source.first_frames(with_unknowns(each.scene, problem.names, problem.initial))
+            began = time.perf_counter()
+            beginning = None if frames is None else simulate(frames)
+            start_s = 0.0 if beginning is None else time.perf_counter() - began
+            gns = source.start(beginning)
+            gns_target = gns.wanted(target.values)
+            if each is short:
+                automatic(gns, gns_target, components=observation.components)(problem.initial)
+        other = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=CHECK_SEED))
+        return Models(
+            target=target,
+            components=observation.components,
+            gns=gns,
+            gns_target=gns_target,
+            gns_start_s=start_s,
+            mpm=MpmForward(problem, observation, simulate_many),
+            check=MpmForward(other, observation, simulate_many),
+        )
+
+    def checked(self, points: Sequence[Vector]) -> list[float]:
+        """Losses that the MPM shows at `points`."""
+        return [loss(values, self.target.values, self.components) for values in self.check.observe(points)]
+
+    def floor(self, problem: Problem) -> float | None:
+        """Loss that the MPM shows at the truth: its scatter over the jitter."""
+        if not self.target.truth:
+            return None
+        return self.checked([np.array([self.target.truth[name] for name in problem.names])])[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iterate:
+    """A prediction of a search."""
+
+    seconds: float
+    """Since the search began."""
+    unknowns: Vector
+    loss: float
+    """By the method's own model."""
+    forward_s: float
+    backward_s: float
+
+
+class OutOfTime(Exception):
+    """The next iteration would end after the limit."""
+
+
+@dataclass
+class Stopwatch:
+    """Times a search, keeps its iterates and ends it before the limit."""
+
+    limit: float
+    """[s]."""
+    spent: float = 0.0
+    """Before the search [s]."""
+    clock: Clock = time.perf_counter
+    iterates: list[Iterate] = field(default_factory=list)
+    longest: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.began = self.clock() - self.spent
+
+    @property
+    def elapsed(self) -> float:
+        """Since the search began [s]."""
+        return self.clock() - self.began
+
+    def begin(self) -> float:
+        """The time, if enough is left for another iteration; for the first one there always is. Raises OutOfTime."""
+        if self.iterates and self.elapsed + self.longest > self.limit:
+            raise OutOfTime
+        return self.elapsed
+
+    def end(self, before: float, iterates: Sequence[tuple[Vector, float, float, float]]) -> None:
+        """Record what began at `before`: unknowns, loss, seconds forward and backward of each iterate."""
+        self.longest = max(self.longest, self.elapsed - before)
+        for unknowns, value, forward_s, backward_s in iterates:
+            self.iterates.append(
+                Iterate(
+                    seconds=self.elapsed,
+                    unknowns=unknowns.copy(),
+                    loss=value,
+                    forward_s=forward_s,
+                    backward_s=backward_s,
+                )
+            )
+
+    def timed(self, inner: Evaluate) -> Evaluate:
+        """`inner`, timed."""
+
+        def evaluate(unknowns: Vector) -> Evaluation:
+            before = self.begin()
+            found = inner(unknowns)
+            self.end(before, [(unknowns, found.loss, found.forward_s, found.backward_s)])
+            return found
+
+        return evaluate
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimedForward:
+    """A forward model whose predictions are timed, for a search without gradients."""
+
+    inner: Forward
+    stopwatch: Stopwatch
+    target: Values
+    components: int
+
+    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
+        """The observation [M] for each vector of unknowns [U]."""
+        before = self.stopwatch.begin()
+        found = self.inner.observe(unknowns)
+        each_s = (self.stopwatch.elapsed - before) / len(unknowns)
+        losses = [loss(values, self.target, self.components) for values in found]
+        self.stopwatch.end(before, [(u, value, each_s, 0.0) for u, value in zip(unknowns, losses, strict=True)])
+        return found
+
+
+def search_all(
+    methods: Sequence[SearchMethod], models: Models, limit: float, *, checks: int = CHECKS
+) -> tuple[MethodResult, ...]:
+    """Every method, one after the other, `limit` seconds each."""
+    rows = []
+    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as bar:
+        for method in bar:
+            bar.set_postfix_str(method.name)
+            rows.append(search(method, models, limit, checks=checks))
+    return tuple(rows)
+
+
+def search(
+    method: SearchMethod, models: Models, limit: float, *, checks: int = CHECKS, clock: Clock = time.perf_counter
+) -> MethodResult:
+    """One search, and what the MPM shows at its iterates."""
+    gns, problem = method.model is ForwardModel.GNS, method.problem
+    stopwatch = Stopwatch(limit=limit, spent=models.gns_start_s if gns else 0.0, clock=clock)
+    ended = _minimise(method, models, stopwatch)
+    seconds, count = stopwatch.elapsed, len(stopwatch.iterates)
+    runs_each = 1 + 2 * len(problem.unknowns) if method.gradient is GradientBy.DIFFERENCES else 1
+    best = thinned(improvements(stopwatch.iterates), checks)
+    losses = models.checked([iterate.unknowns for iterate in best])
+    settings = problem.optimiser
+    return MethodResult(
+        method=method.name,
+        optimiser=method.optimiser,
+        forward=sum(iterate.forward_s for iterate in stopwatch.iterates) / count,
+        backward=sum(iterate.backward_s for iterate in stopwatch.iterates) / count,
+        paper=method.paper,
+        iterations=count,
+        allowed=settings.max_trials if method.gradient is GradientBy.NONE else settings.max_iterations,
+        ended=ended,
+        mpm_runs=0 if gns else count * runs_each,
+        seconds=seconds,
+        error=rms_errors(problem, models.target, best[-1].unknowns),
+        curve=tuple(
+            CheckedLoss(seconds=iterate.seconds, loss=value) for iterate, value in zip(best, losses, strict=True)
+        ),
+    )
+
+
+def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str:
+    """Run the search to its end; returns why it ended."""
+    problem, settings = method.problem, method.problem.optimiser
+    gns = method.model is ForwardModel.GNS
+    forward, target = (models.gns, models.gns_target) if gns else (models.mpm, models.target.values)
+    components = models.components
+    try:
+        if method.gradient is GradientBy.NONE:
+            trials = dataclasses.replace(settings, max_trials=UNLIMITED)
+            timed = TimedForward(inner=forward, stopwatch=stopwatch, target=target, components=components)
+            unlimited = dataclasses.replace(problem, optimiser=trials)
+            explore(timed, target, unlimited, components=components, at_once=1 if gns else processors())
+        else:
+            with_jacobian = settings.method is Method.GAUSS_NEWTON
+            if method.gradient is GradientBy.AD:
+                evaluate = automatic(models.gns, target, components=components, with_jacobian=with_jacobian)
+            else:
+                evaluate = central(forward, target, problem, components=components, with_jacobian=with_jacobian)
+            lower, upper = np.array(problem.bounds).T
+            rates = [unknown.learning_rate for unknown in problem.unknowns]
+            bounds = Bounds(lower=lower, upper=upper)
+            minimise(stopwatch.timed(evaluate), problem.initial, bounds, settings, method.name, rates)
+    except OutOfTime:
+        return "out of time"
+    if min(iterate.loss for iterate in stopwatch.iterates) < settings.stop_below:
+        return "target met"
+    if method.gradient is not GradientBy.NONE and len(stopwatch.iterates) >= settings.max_iterations:
+        return "all iterations"
+    return "by itself"
+
+
+def improvements(iterates: Sequence[Iterate]) -> list[Iterate]:
+    """Each iterate that was better than all before it."""
+    finite = [iterate for iterate in iterates if np.isfinite(iterate.loss)]
+    found = finite[:1] or list(iterates[:1])
+    for iterate in finite:
+        if iterate.loss < found[-1].loss:
+            found.append(iterate)
+    return found
+
+
+def thinned(iterates: Sequence[Iterate], most: int) -> list[Iterate]:
+    """About `most` of them, evenly over the logarithm of time, the first and the last included."""
+    if len(iterates) <= most:
+        return list(iterates)
+    seconds = np.array([iterate.seconds for iterate in iterates])
+    even = np.geomspace(seconds[0], seconds[-1], most)
+    chosen = {0, len(iterates) - 1, *(int(np.abs(np.log(seconds / each)).argmin()) for each in even)}
+    return [iterates[number] for number in sorted(chosen)]
+
+
+def rms_errors(problem: Problem, target: Target, answer: Vector) -> dict[str, float]:
+    """Root mean square error of the unknowns, by unit; empty where the truth is not known."""
+    squares: dict[str, list[float]] = {}
+    for name, value in zip(problem.names, answer, strict=True):
+        if target.truth:
+            squares.setdefault(kind(name).unit, []).append(float(value - target.truth[name]) ** 2)
+    return {unit: float(np.sqrt(np.mean(values))) for unit, values in squares.items()}
