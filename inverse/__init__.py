@@ -8,6 +8,7 @@
 A problem is a TOML file (docs/formats.md) or a `Problem` built in Python.
 """
 
+import gns  # noqa: F401  (sets what torch reads when it is loaded, before a module here loads torch)
 from inverse.inversion import invert
 from inverse.problem import Problem, read_problem
 from inverse.result import Result

@@ -3,9 +3,10 @@
 import dataclasses
 from collections.abc import Sequence
 
+from gns.initial import Start
+
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
-from gns.initial import Start
 from inverse.observations import KINDS, build
 from inverse.parameters import Vector, with_kinds
 from inverse.parameters.baffles import swept
@@ -198,4 +199,6 @@ def check_search(
             raise InputError(message, key="observation.kind")
     if every_particle and optimiser.method is Method.GAUSS_NEWTON:
         others = " or ".join(method for method in Method if method is not Method.GAUSS_NEWTON)
-        raise InputError(f"expected {others}: a {observation.kind} is too many numbers for their Jacobian", key="optimiser.method")
+        raise InputError(
+            f"expected {others}: a {observation.kind} is too many numbers for their Jacobian", key="optimiser.method"
+        )

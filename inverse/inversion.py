@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 
-from datasets.errors import InputError
 from gns.inference import shipped
+
+from datasets.errors import InputError
 from gns.model import card, checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation
@@ -21,7 +22,7 @@ from inverse.problem import Problem
 from inverse.report import markdown as report
 from inverse.result import Result, Round, Verdict
 from inverse.settings import Method, Surrogate
-from mpm.simulate import simulate, simulate_many
+from mpm import simulate, simulate_many
 
 
 class Gradient(StrEnum):
@@ -100,7 +101,8 @@ def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: 
     frames = source.first_frames(scene)
     began = time.perf_counter()
     beginning = None if frames is None else simulate(frames)
-    return source.start(beginning), time.perf_counter() - began
+    seconds = time.perf_counter() - began
+    return source.start(beginning), seconds
 
 
 def search(

@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from gns.initial import Start
 
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
-from gns.initial import Start
 from inverse import checks
 from inverse.observations import KINDS, Observation
 from inverse.parameters import Kind, Vector, with_kinds, with_parameters
@@ -65,12 +65,12 @@ class Problem:
     """The flow; its own values of the parameters are not used by the inversion."""
     parameters: tuple[Parameter, ...]
     """What to find (`[[unknowns]]`), in the order of every vector of parameters."""
-    observation: ObservationSettings = ObservationSettings(kind="joint")
+    observation: ObservationSettings = field(default_factory=lambda: ObservationSettings(kind="joint"))
     """What was observed, where it is one thing."""
-    target: TargetSettings = TargetSettings()
+    target: TargetSettings = field(default_factory=TargetSettings)
     """What came out."""
-    optimiser: OptimiserSettings = OptimiserSettings()
-    loop: LoopSettings = LoopSettings()
+    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
+    loop: LoopSettings = field(default_factory=LoopSettings)
     surrogate: Surrogate = Surrogate.AUTO
     observations: tuple[ObservationSettings, ...] = ()
     """In place of `observation`: multiple ones, compared together."""
@@ -188,5 +188,6 @@ def _observed(file: _File) -> tuple[ObservationSettings, TargetSettings]:
     for key in ("observation", "target"):
         if getattr(file, key) is None:
             raise InputError("expected a value, the key is missing", key=key)
-    assert file.observation is not None and file.target is not None
+    assert file.observation is not None
+    assert file.target is not None
     return file.observation, file.target

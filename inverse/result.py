@@ -98,7 +98,7 @@ class Identifiability:
     combinations: Sequence[Combination]
     """Best constrained first, as many as parameters."""
     half_a_cell: dict[str, float] | None
-    """Standard deviation of each parameter if each number of the observation had one of half a cell; None for a share."""
+    """Standard deviation of each parameter if each number observed had one of half a cell; None for a share."""
     scatter: dict[str, float]
     """Standard deviation of each parameter by the MPM's scatter of a single flow alone."""
     noise: dict[str, float]
@@ -200,7 +200,9 @@ class Result:
                 "verdict": self.verdict.value,
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
-                "identifiability": None if self.identifiability is None else identifiability_record(self.identifiability),
+                "identifiability": None
+                if self.identifiability is None
+                else identifiability_record(self.identifiability),
                 "discrepancy": self.discrepancy,
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,

@@ -1,4 +1,4 @@
-"""Forward models: from a vector of parameters to the observation that it predicts. The MPM and the GNS are two of them."""
+"""Forward models, the MPM and the GNS: from a vector of parameters to the observation that it predicts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

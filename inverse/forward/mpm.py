@@ -9,7 +9,7 @@ from inverse.forward.interface import Simulate
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from mpm.output.request import ALL, LAST
+from mpm import ALL, LAST
 
 
 class MpmForward:

@@ -26,7 +26,20 @@ __all__ = ["KINDS", "DepositObservation", "Observation", "Rollout", "Target", "V
 
 KINDS: dict[str, type[Observation]] = {
     each.kind: each
-    for each in (Front, Runout, Profile, Toe, Deposit, Passed, FrontOverTime, Gauges, Impulse, PeakForce, Outline, Joint)
+    for each in (
+        Front,
+        Runout,
+        Profile,
+        Toe,
+        Deposit,
+        Passed,
+        FrontOverTime,
+        Gauges,
+        Impulse,
+        PeakForce,
+        Outline,
+        Joint,
+    )
 }
 """Every kind of observation by its name in TOML."""
 

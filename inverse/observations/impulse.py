@@ -13,7 +13,7 @@ from inverse.observations.sampling import require_count, require_times
 from inverse.settings import ObservationSettings
 
 SCATTER = 0.05
-"""Standard deviation of an impulse or a force from flow to flow, as a share of it, before an ensemble has measured it."""
+"""Standard deviation of an impulse or a force from flow to flow over its value, until an ensemble has measured it."""
 
 
 class SolidObservation(Observation):

@@ -96,9 +96,10 @@ def profile_of(
 ) -> MeasuredProfile:
     """The profile in the CSV `path`, in a box of `length` [m], of a mass of the area `released` [m^2].
 
-    unit: of both columns; datum: height of the floor in the file [unit]. Where that is not known the area is not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises
-    InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of the
-    deposit, or hold another area than was released.
+    unit: of both columns; datum: height of the floor in the file [unit]. Where the released area is not known, it is
+    not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises InputError,
+    which names the file, for rows that are no profile, lie outside of the box, end in the middle of the deposit, or
+    hold another area than was released.
     """
     x, height = read_columns(path, ("x", "height"))
     try:
@@ -194,8 +195,8 @@ def extrapolated(
 ) -> list[tuple[float, float]] | None:
     """Rows (distance from the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
 
-    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the last rows
-    [m]; largest: height of the deposit [m].
+    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the
+    last rows [m]; largest: height of the deposit [m].
     """
     if height <= EDGE * largest or gap <= 0.0:
         return []

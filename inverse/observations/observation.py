@@ -136,11 +136,11 @@ class Observation(ABC):
         if not 0.0 < value <= length:
             raise InputError(f"expected a length in (0, {length:g}] m, got {value}", key="value")
 
-    def check_run(self, run: Trajectory, scene: Scene) -> None:
+    def check_run(self, run: Trajectory, scene: Scene) -> None:  # noqa: B027
         """Raise InputError for an observed run that cannot be compared with runs of `scene`."""
 
     def profile_of(self, positions: NDArray[np.floating]) -> "MeasuredProfile | None":
-        """The profile that errors are counted of, for a simulated deposit [m], shape [N, D]; None where there is none."""
+        """Of a simulated deposit [m], shape [N, D], the profile whose heights have errors; None where there is none."""
         return None
 
     @abstractmethod
@@ -269,7 +269,7 @@ class Observation(ABC):
         """Mark what was observed on a picture of a deposit, positions [m], shape [N, D]; target: shape [M]."""
         axis.axvline(measures.front(deposit), color=colour, linewidth=0.9)
 
-    def mark_profile(self, axis: Axes) -> None:
+    def mark_profile(self, axis: Axes) -> None:  # noqa: B027
         """Mark on a picture of height profiles where the observation was made."""
 
     def legend(self) -> list[Line2D]:

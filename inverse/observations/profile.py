@@ -207,7 +207,7 @@ class SampledProfile(Profile):
         return MeasuredProfile(x=self.stations, height=self.heights(positions))
 
     def deviation(self, profile: MeasuredProfile, *, share: float, noise: float, cell: float) -> tuple[Values, float]:
-        """Standard deviation [m] of each height of a measured profile, shape [R], and by how much it exceeds the stated.
+        """Standard deviation [m] of each height of a measured profile, shape [R], and its factor over the stated one.
 
         Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of
         `cell` [m] comes on top. Rows that scatter more than that have more noise than was stated.

@@ -31,7 +31,9 @@ def at_times(
     before, share = brackets(trajectory.time, times)
     after = np.minimum(before + 1, len(trajectory.time) - 1)
     values = {int(each): operator(trajectory.positions[each]) for each in {*before, *after}}
-    return np.stack([(1.0 - s) * values[int(b)] + s * values[int(a)] for b, a, s in zip(before, after, share, strict=True)])
+    return np.stack(
+        [(1.0 - s) * values[int(b)] + s * values[int(a)] for b, a, s in zip(before, after, share, strict=True)]
+    )
 
 
 def predicted_at_times(operator: Callable[[Tensor], Tensor], rollout: Rollout, times: Values) -> Tensor:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
+from gns.initial import InitialState
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -13,7 +14,6 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
-from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
 """One value per parameter, in the order of the problem and the units of the names; shape [U]."""
@@ -107,9 +107,7 @@ def require_index(group: str, index: int, count: int) -> None:
 def require_axis(axis: int, scene: Scene) -> None:
     """Raise InputError unless `scene` has this axis."""
     if axis >= scene.dimension:
-        raise InputError(
-            f"expected a parameter along x or y, the scene is {scene.dimension}D and has no {AXES[axis]}"
-        )
+        raise InputError(f"expected a parameter along x or y, the scene is {scene.dimension}D and has no {AXES[axis]}")
 
 
 def replaced(lengths: Lengths, axis: int, value: float) -> Lengths:

@@ -5,12 +5,12 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import torch
+from gns.initial import InitialState
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Scene
-from gns.initial import InitialState
 from inverse.parameters.kind import Kind, Parts, require_index
 
 
@@ -93,9 +93,7 @@ class Cohesion(MaterialKind):
 
     def enter(self, initial: InitialState, value: Tensor) -> InitialState:
         known = initial.conditions.cohesion
-        return initial.with_conditions(
-            cohesion=torch.where(initial.of_mass(self.mass), value.to(known.dtype), known)
-        )
+        return initial.with_conditions(cohesion=torch.where(initial.of_mass(self.mass), value.to(known.dtype), known))
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from gns.initial import MPM_SECONDS
 
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
-from gns.score import START
-from inverse.finite_difference import jacobian
 from inverse.forward.gns import GnsForward, GnsSource
-from inverse.gradient import automatic
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, read_problem
+from inverse.jacobian import automatic, by_differences
+from inverse.observations import build
+from inverse.problem import Problem, read_problem
+from inverse.settings import ObservationSettings, TargetSettings
 
 
 @pytest.fixture(scope="module")
@@ -48,11 +48,11 @@ def beginning(problem: Problem) -> Trajectory:
     )
 
 
-def source(problem: Problem, kind: Observable = Observable.FRONT, memory_gib: float = 1.0) -> GnsSource:
+def source(problem: Problem, kind: str = "front", memory_gib: float = 1.0) -> GnsSource:
     torch.manual_seed(0)
     settings = ModelSettings(width=16, layers=2, rounds=1, grid_channels=8)
     scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
-    observation = observations.build(ObservationSettings(kind=kind), problem.scene)
+    observation = build(ObservationSettings(kind=kind), problem.scene)
     return GnsSource(Simulator(settings, scales), problem, observation, memory_gib)
 
 
@@ -60,26 +60,26 @@ def test_it_goes_on_from_a_twentieth_of_a_second_to_the_end(problem: Problem, be
     maker = source(problem)
     frames = maker.first_frames(problem.scene)
     assert frames is not None
-    assert frames.duration == START
+    assert frames.duration == MPM_SECONDS
     forward = maker.start(beginning)
     step = maker.simulator.settings.step
-    assert forward.steps == round((problem.scene.duration - START) / step)
+    assert forward.steps == round((problem.scene.duration - MPM_SECONDS) / step)
     # What comes after the first frames is not looked at.
     short = dataclasses.replace(beginning, positions=beginning.positions[:21], time=beginning.time[:21])
     np.testing.assert_array_equal(maker.start(short).deposit(np.array([30.0])), forward.deposit(np.array([30.0])))
 
 
-@pytest.mark.parametrize("kind", [Observable.FRONT, Observable.RUNOUT, Observable.PROFILE, Observable.TOE])
-def test_the_gradient_agrees_with_differences(problem: Problem, beginning: Trajectory, kind: Observable) -> None:
+@pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe"])
+def test_the_gradient_agrees_with_differences(problem: Problem, beginning: Trajectory, kind: str) -> None:
     forward = source(problem, kind).start(beginning)
     point = np.array([33.0])
     observed = forward.observe([point])[0]
     evaluation = automatic(forward, observed - 0.01 * np.arange(1, len(observed) + 1))(point)
-    slope = jacobian(forward, point, np.array([1.0]))[:, 0]
-    wanted = 2.0 * np.mean(0.01 * np.arange(1, len(observed) + 1) * slope)
-    assert abs(wanted) > 1e-9
+    slope = by_differences(forward, point, np.array([1.0]))[:, 0]
+    expected = 2.0 * np.mean(0.01 * np.arange(1, len(observed) + 1) * slope)
+    assert abs(expected) > 1e-9
     # The rollout is in single precision and its neighbours change from step to step.
-    assert evaluation.gradient[0] == pytest.approx(wanted, rel=0.1)
+    assert evaluation.gradient[0] == pytest.approx(expected, rel=0.1)
 
 
 def test_memory_changes_nothing_but_memory(problem: Problem, beginning: Trajectory) -> None:
@@ -95,10 +95,10 @@ def test_memory_changes_nothing_but_memory(problem: Problem, beginning: Trajecto
         np.testing.assert_allclose(evaluation.gradient, evaluations[0].gradient, rtol=1e-3)
 
 
-def test_only_the_angle_asked_about_counts(problem: Problem, beginning: Trajectory) -> None:
-    """The angle of the scene that holds the answer must not reach the prediction."""
+def test_the_scenes_own_angle_does_not_matter(problem: Problem, beginning: Trajectory) -> None:
+    """The angle of the scene that holds the answer must not enter the prediction."""
     honest = source(problem).start(beginning)
-    told = dataclasses.replace(problem, scene=problem.scene.with_friction_deg(15.0))
-    other: GnsForward = source(told).start(beginning)
+    another = dataclasses.replace(problem, scene=problem.scene.with_friction_deg(15.0))
+    other: GnsForward = source(another).start(beginning)
     np.testing.assert_array_equal(honest.observe([np.array([33.0])]), other.observe([np.array([33.0])]))
     assert honest.observe([np.array([33.0])]) != honest.observe([np.array([20.0])])

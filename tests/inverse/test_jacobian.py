@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gns.initial import Start
 
 from inverse.forward.gns import GnsForward
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings, Problem, Start
+from inverse.observations import KINDS, DepositObservation, build
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings
 
-KINDS = {
+NAMES = {
     2: (
         "friction_deg",
         "cohesion",
@@ -59,16 +61,16 @@ class Rollouts:
 
 @pytest.fixture(scope="module", params=[2, 3])
 def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
-    problem = make_problem(request.param, *KINDS[request.param])
-    assert problem.start is Start.REST
-    observation = observations.build(problem.observation, problem.scene)
+    problem = make_problem(request.param, *NAMES[request.param])
+    assert problem.start is Start.FROM_REST
+    observation = build(problem.observation, problem.scene)
     forward = GnsForward(make_simulator(request.param), None, problem, observation)
     assert forward.kept_steps == forward.steps
     point = torch.tensor(problem.initial, requires_grad=True)
     steps = np.array([step_of(name) for name in problem.names])
     return Rollouts(
         problem=problem,
-        volumes=forward.launch.conditions.volume,
+        volumes=forward.initial.conditions.volume,
         point=point,
         deposit=forward.predict(point).view(-1, request.param),
         steps=steps,
@@ -77,10 +79,11 @@ def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: 
     )
 
 
-@pytest.mark.parametrize("kind", [each for each in Observable if each is not Observable.SEVERAL])
-def test_every_unknown_through_every_observation(rollouts: Rollouts, kind: Observable) -> None:
-    settings = ObservationSettings(kind=kind, line=0.15 if kind is Observable.PASSED else None)
-    observation = observations.build(settings, rollouts.problem.scene)
+@pytest.mark.parametrize("kind", [name for name, each in KINDS.items() if each.alone])
+def test_every_parameter_through_every_observation(rollouts: Rollouts, kind: str) -> None:
+    settings = ObservationSettings(kind=kind, line=0.15 if kind == "passed" else None)
+    observation = build(settings, rollouts.problem.scene)
+    assert isinstance(observation, DepositObservation)
     seen = observation.smooth(rollouts.deposit, rollouts.volumes)
     weights = torch.from_numpy(np.random.default_rng(3).normal(size=len(seen)))
     (by_ad,) = torch.autograd.grad(weights @ seen, rollouts.point, retain_graph=True)

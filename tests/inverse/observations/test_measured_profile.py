@@ -9,26 +9,26 @@ import torch
 
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
-from inverse.observations.deposit import Profile
-from inverse.observations.profile import closed
-from inverse.observations.sampled import REPRESENTATION, SampledProfile, SurfaceProfile
-from inverse.observations.target import Target, observation_of, read_target
-from inverse.problem import Observable, Problem, read_problem
-from inverse.settings import Heights, LengthUnit, TargetSettings
+from inverse.observations import Target
+from inverse.observations.measured_profile import closed
+from inverse.observations.profile import REPRESENTATION, Profile, SampledProfile, SurfaceProfile
+from inverse.observations.reading import read_each, read_target
+from inverse.problem import Problem, read_problem
+from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
 
 X = np.linspace(0.0, 0.48, 25)
 HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))
 """A triangle of 0.084 m^2, a twentieth more than the column of 0.2 m x 0.4 m that was released."""
 
 
-def told(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **settings: object) -> Problem:
+def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **settings: object) -> Problem:
     """The problem whose target is a CSV of these rows."""
     rows = "".join(f"{a:.9g},{b:.9g}\n" for a, b in zip(x, height, strict=True))
     (folder / "profile.csv").write_text("x,height\n" + rows)
     problem = read_problem("friction-tall-42")
     return dataclasses.replace(
         problem,
-        observation=dataclasses.replace(problem.observation, kind=Observable.PROFILE),
+        observation=ObservationSettings(kind="profile"),
         folder=folder,
         target=TargetSettings(csv="profile.csv", **settings),  # type: ignore[arg-type]
     )
@@ -38,7 +38,14 @@ def target_of(problem: Problem) -> Target:
     def never(scene: object) -> None:
         raise AssertionError("a measured target needs no simulation")
 
-    return read_target(problem, observation_of(problem), never)  # type: ignore[arg-type]
+    return read_target(problem, never)  # type: ignore[arg-type]
+
+
+def operator_of(problem: Problem) -> Profile:
+    """The operator of a measured profile."""
+    operator = read_each(problem)[0].observation
+    assert isinstance(operator, Profile)
+    return operator
 
 
 @pytest.mark.parametrize(
@@ -56,8 +63,8 @@ def target_of(problem: Problem) -> Target:
 def test_a_profile_is_the_same_target_however_it_is_written(
     x: np.ndarray, height: np.ndarray, settings: dict[str, object], tmp_path: Path
 ) -> None:
-    plain = target_of(told(tmp_path))
-    np.testing.assert_allclose(target_of(told(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
+    plain = target_of(measured(tmp_path))
+    np.testing.assert_allclose(target_of(measured(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -78,13 +85,13 @@ def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
     x: np.ndarray, height: np.ndarray, settings: dict[str, object], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        target_of(told(tmp_path, x, height, **settings))
+        target_of(measured(tmp_path, x, height, **settings))
     assert caught.value.where.endswith("profile.csv")
 
 
 def test_a_surface_may_be_looser_than_what_was_released(tmp_path: Path) -> None:
-    loose = told(tmp_path, X, 1.15 * HEIGHT, heights=Heights.SURFACE)
-    np.testing.assert_allclose(target_of(loose).values, target_of(told(tmp_path)).values, atol=1e-9)
+    loose = measured(tmp_path, X, 1.15 * HEIGHT, heights=Heights.SURFACE)
+    np.testing.assert_allclose(target_of(loose).values, target_of(measured(tmp_path)).values, atol=1e-9)
 
 
 def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
@@ -95,8 +102,8 @@ def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
 
 def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
     """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
-    problem = told(tmp_path, noise_share=0.03)
-    observation = observation_of(problem)
+    problem = measured(tmp_path, noise="3%")
+    observation = operator_of(problem)
     assert isinstance(observation, SampledProfile)
     target = target_of(problem)
     assert target.covariance is not None
@@ -118,11 +125,11 @@ def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, 
     """A profile that is hollow between its rows: refined it would be another deposit than the one that was measured."""
     rng = np.random.default_rng(3)
     deposit = np.stack([0.6 * (1.0 - rng.random(200_000) ** (1.0 / 3.0)), np.full(200_000, 0.01)], axis=1)
-    scene = told(tmp_path).scene
+    scene = measured(tmp_path).scene
     x = np.linspace(0.0, 0.56, rows)
     # Of the height 3 A / L (1 - x / L)^2 with A = 0.08 m^2, L = 0.6 m.
-    problem = told(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
-    sampled, refined = observation_of(problem), Profile(scene, 0.02)
+    problem = measured(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
+    sampled, refined = operator_of(problem), Profile(scene, 0.02)
     target = target_of(problem)
     assert target.profile is not None
     whole = refined.of_heights(np.interp(refined.stations, *target.profile))
@@ -133,7 +140,7 @@ def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, 
 
 
 def test_a_sampled_profile_is_seen_alike_by_the_surrogate(tmp_path: Path) -> None:
-    observation = observation_of(told(tmp_path))
+    observation = operator_of(measured(tmp_path))
     rng = np.random.default_rng(4)
     deposit = np.stack([0.5 * rng.random(3200) ** 1.5, 0.1 * rng.random(3200)], axis=1)
     smooth = observation.smooth(torch.from_numpy(deposit), torch.full((3200,), 1e-5)).numpy()
@@ -152,7 +159,7 @@ def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "target", ['hidden = true\nnoise = "3%"', 'value = 0.5\nunit = "mm"', "value = 0.5\ndatum = 1.0"]
+    "target", ['twin = true\nnoise = "3%"', 'value = 0.5\nunit = "mm"', "value = 0.5\ndatum = 1.0"]
 )
 def test_what_only_a_measurement_has_is_refused_elsewhere(target: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"target\.(noise|unit|datum)"):
@@ -171,7 +178,7 @@ def with_target(folder: Path, target: str) -> Path:
 
 def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
     """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
-    observation = observation_of(told(tmp_path, heights=Heights.SURFACE))
+    observation = operator_of(measured(tmp_path, heights=Heights.SURFACE))
     assert isinstance(observation, SurfaceProfile)
     rng = np.random.default_rng(6)
     x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
@@ -186,7 +193,7 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
 
 
 def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
-    plain = told(tmp_path, heights=Heights.SURFACE)
+    plain = measured(tmp_path, heights=Heights.SURFACE)
     line = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)), friction=0.4)
     (mass,) = plain.scene.masses
     scene = dataclasses.replace(
@@ -194,11 +201,11 @@ def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
     )
     expected = target_of(plain)
     (tmp_path / "slope").mkdir()
-    over = told(tmp_path / "slope", X, HEIGHT + 0.3 - 0.2 * X + 5.0, heights=Heights.ELEVATION, datum=5.0)
+    over = measured(tmp_path / "slope", X, HEIGHT + 0.3 - 0.2 * X + 5.0, heights=Heights.ELEVATION, datum=5.0)
     over = dataclasses.replace(over, scene=scene)
     np.testing.assert_allclose(target_of(over).values, expected.values, atol=1e-6)
     rng = np.random.default_rng(8)
     deposit = np.stack([0.4 * rng.random(20_000), 0.05 * rng.random(20_000)], axis=1)
     moved = deposit + np.stack([np.zeros(20_000), 0.3 - 0.2 * deposit[:, 0]], axis=1)
-    seen = observation_of(over).exact(moved)
-    np.testing.assert_allclose(seen, observation_of(plain).exact(deposit), atol=1e-6)
+    seen = operator_of(over).exact(moved)
+    np.testing.assert_allclose(seen, operator_of(plain).exact(deposit), atol=1e-6)

@@ -1,4 +1,4 @@
-"""Unknowns that the MPM alone knows: into a scene and out again, and never where there is no such thing."""
+"""Parameters of the MPM alone: into a scene and out again, and never where there is no such thing."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
-from inverse.parameters.parameters import kind, with_unknowns
+from inverse.parameters import kind, with_parameters
 from inverse.problem import read_problem
 
 COLUMN = read_problem("friction-tall-42").scene
@@ -39,13 +39,13 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
     one = kind(name)
     one.check(SOFT)
     assert one.read(SOFT) != value
-    changed = with_unknowns(SOFT, [name], [value])
+    changed = with_parameters(SOFT, [name], [value])
     assert one.read(changed) == value
     assert one.unit == unit
-    assert not one.by_surrogate
+    assert not one.differentiable
     # Nothing else has changed.
-    assert one.read(with_unknowns(changed, [name], [one.read(SOFT)])) == one.read(SOFT)
-    assert with_unknowns(changed, [name], [one.read(SOFT)]).domain == SOFT.domain
+    assert one.read(with_parameters(changed, [name], [one.read(SOFT)])) == one.read(SOFT)
+    assert with_parameters(changed, [name], [one.read(SOFT)]).domain == SOFT.domain
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_a_solid_and_a_layer() -> None:
     ground = Solid(name="slope", kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
     layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
     scene = dataclasses.replace(COLUMN, masses=(layer,), solids=(ground,))
-    changed = with_unknowns(scene, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
+    changed = with_parameters(scene, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
     assert changed.solids[0].friction == 0.6
     assert kind("masses[0].thickness").read(changed) == 0.15
     assert released_volume(changed) == pytest.approx(1.5 * released_volume(scene))
@@ -82,13 +82,13 @@ def test_a_solid_and_a_layer() -> None:
 def test_values_that_cannot_be_are_refused_by_the_scene() -> None:
     for name, value in (("damping", 1.0), ("floor_friction", -0.1), ("masses[0].height", 2.0), ("young", -1.0)):
         with pytest.raises(InputError):
-            with_unknowns(COLUMN, [name], [value])
+            with_parameters(COLUMN, [name], [value])
 
 
-def test_a_cohesion_does_not_take_an_unknown_residual_one_along() -> None:
+def test_a_cohesion_leaves_a_residual_one_that_is_a_parameter() -> None:
     sand = dataclasses.replace(SOFT.material, residual_cohesion=50.0)
     scene: Scene = dataclasses.replace(SOFT, material=sand)
     names, values = ["residual_cohesion", "cohesion"], [40.0, 200.0]
     for order in (slice(None), slice(None, None, -1)):
-        changed = with_unknowns(scene, names[order], values[order]).material
+        changed = with_parameters(scene, names[order], values[order]).material
         assert (changed.cohesion, changed.residual_cohesion) == (200.0, 40.0)

@@ -1,4 +1,4 @@
-"""Several observations in one problem: each with its own numbers, places, times and noise."""
+"""Multiple observations in one problem: each with its own numbers, positions, times and noise."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,11 +11,14 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations.combined import Combined
-from inverse.observations.deposit import Rollout
-from inverse.observations.measurements import prepare
-from inverse.observations.over_time import FrontOverTime, Gauges, Impulse, Outline, PeakForce
-from inverse.problem import Observable, Problem, read_problem
+from inverse.observations import Rollout
+from inverse.observations.front import FrontOverTime
+from inverse.observations.gauges import Gauges
+from inverse.observations.impulse import Impulse, PeakForce
+from inverse.observations.joint import Joint
+from inverse.observations.outline import Outline
+from inverse.observations.reading import read_target
+from inverse.problem import Problem, read_problem
 
 HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
 
@@ -26,12 +29,11 @@ def problem(folder: Path, text: str, scene: str = "column-tall-42") -> Problem:
     return read_problem(str(path))
 
 
-def prepared(folder: Path, text: str) -> tuple[Combined, Problem, np.ndarray]:
-    """Observation, problem and target's values in their own units."""
-    asked = problem(folder, text)
-    observation, target = prepare(asked, never)
-    assert isinstance(observation, Combined)
-    return observation, asked, observation.raw(target.values)
+def joint(folder: Path, text: str) -> tuple[Joint, np.ndarray]:
+    """Operator and the target's values in their own units."""
+    target = read_target(problem(folder, text), never)
+    assert isinstance(target.observation, Joint)
+    return target.observation, target.observation.raw(target.values)
 
 
 def never(scene: Scene) -> Trajectory:
@@ -41,9 +43,9 @@ def never(scene: Scene) -> Trajectory:
 def flow(scene: Scene, frames: int = 11) -> Trajectory:
     """400 particles that run 0.1 to 0.5 m, thin out, and push a baffle with 2 N s in all."""
     rng = np.random.default_rng(1)
-    place = rng.random((400, scene.dimension)) * 0.2
+    start = rng.random((400, scene.dimension)) * 0.2
     time = np.linspace(0.0, scene.duration, frames)
-    positions = np.stack([place * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
+    positions = np.stack([start * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
     impulse = np.zeros((frames, len(scene.baffles), scene.dimension))
     impulse[:, :1, 0] = 2.0 * (time[:, None] / scene.duration) ** 2
     return Trajectory(
@@ -59,7 +61,7 @@ def flow(scene: Scene, frames: int = 11) -> Trajectory:
 def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
     (tmp_path / "camera.csv").write_text("time,front\n0.2,30\n0.4,52.5\n")
     (tmp_path / "gauge.csv").write_text("x,height,time\n0.1,1.2,0.3\n0.3,1.1,1.0\n")
-    observation, _, values = prepared(
+    observation, values = joint(
         tmp_path,
         '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
         '[[observations]]\nkind = "front-over-time"\ncsv = "camera.csv"\nunit = "cm"\nnoise = "4%"\n'
@@ -73,7 +75,7 @@ def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
     expected = np.hypot([0.01, 0.012, 0.021, 0.005, 0.005, 0.0], [*[chance] * 5, 0.005])
     np.testing.assert_allclose(observation.scale, expected)
     assert observation.over_time
-    assert observation.by_surrogate
+    assert observation.differentiable
 
 
 def test_the_misfit_is_weighted_by_one_over_the_noise(tmp_path: Path) -> None:
@@ -82,29 +84,31 @@ def test_the_misfit_is_weighted_by_one_over_the_noise(tmp_path: Path) -> None:
         '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
         '[[observations]]\nkind = "passed"\nline = 0.5\nvalue = 0.1\nnoise = 0.02\n',
     )
-    observation, target = prepare(asked, never)
+    target = read_target(asked, never)
+    observation = target.observation
     run = flow(asked.scene)
     seen = observation.observe(run)
     deposit = run.positions[-1]
-    away = [(measures.front(deposit) - 0.7) / np.hypot(0.01, 0.0025)]
-    away.append((np.mean(deposit[:, 0] > 0.5) - 0.1) / np.hypot(0.02, 0.005))
-    np.testing.assert_allclose(seen - target.values, away, rtol=1e-6)
+    residual = [(measures.front(deposit) - 0.7) / np.hypot(0.01, 0.0025)]
+    residual.append((np.mean(deposit[:, 0] > 0.5) - 0.1) / np.hypot(0.02, 0.005))
+    np.testing.assert_allclose(seen - target.values, residual, rtol=1e-6)
     assert target.covariance is not None
     np.testing.assert_allclose(np.diag(target.covariance), [1e-4 / (1e-4 + 6.25e-6), 4e-4 / (4e-4 + 2.5e-5)])
 
 
-def test_a_hidden_flow_makes_all_of_them(tmp_path: Path) -> None:
+def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
     asked = problem(
         tmp_path,
-        "[target]\nhidden = true\ntruth = { friction_deg = 24.0 }\n"
+        "[target]\ntwin = true\ntruth = { friction_deg = 24.0 }\n"
         '[[observations]]\nkind = "front-over-time"\ntimes = [0.25, 0.5, 1.0]\nnoise = "3%"\n'
         '[[observations]]\nkind = "height"\nx = [0.05, 0.1]\ntimes = [0.5]\nnoise = "3%"\n'
         '[[observations]]\nkind = "profile"\nnoise = "3%"\n',
     )
-    observation, target = prepare(asked, flow)
+    target = read_target(asked, flow)
+    observation = target.observation
     assert target.truth == {"friction_deg": 24.0}
     assert len(target.values) == 3 + 2 + 21
-    assert isinstance(observation, Combined)
+    assert isinstance(observation, Joint)
     assert observation.raw(target.values)[2] == pytest.approx(measures.front(flow(asked.scene).positions[-1]), rel=1e-6)
     np.testing.assert_allclose(observation.observe(flow(asked.scene)), target.values)
 
@@ -120,7 +124,7 @@ def test_a_hidden_flow_makes_all_of_them(tmp_path: Path) -> None:
         ),
         ('[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = -1.0\n', "observations[0].noise", "at least 0"),
         ('[[observations]]\nkind = "passed"\nvalue = 0.1\n', "observations[0].line", "a length in"),
-        ('[[observations]]\nkind = "toe"\nvalues = [0.1]\n', "observations[0].values", "expected 2 numbers, got 1"),
+        ('[[observations]]\nkind = "toe"\nvalues = [0.1]\n', "observations[0].values", "expected 2 coordinates"),
         ('[[observations]]\nkind = "impulse"\nvalue = 1.0\n', "observations[0].solid", "the scene has no solids"),
         ('[[observations]]\nkind = "outline"\nvalues = [1.0]\n', "observations[0].kind", "in 3D"),
         ('[[observations]]\nkind = "height"\nvalues = [1.0]\n', "observations[0].x", "the x [m] of the gauges"),
@@ -131,14 +135,14 @@ def test_a_hidden_flow_makes_all_of_them(tmp_path: Path) -> None:
         ),
         ('[[observations]]\nkind = "heights"\nvalue = 1.0\n', "observations[0].kind", "front-over-time"),
         ('[observation]\nkind = "front"\n[[observations]]\nkind = "front"\nvalue = 1.0\n', "observation", "got both"),
-        ('[observation]\nkind = "several"\n[target]\nvalue = 1.0\n', "observation.kind", "[[observations]]"),
+        ('[observation]\nkind = "joint"\n[target]\nvalue = 1.0\n', "observation.kind", "[[observations]]"),
         ('[[observations]]\nkind = "front"\nvalue = 0.7\n[target]\nvalue = 0.7\n', "target.value", "bring the rest"),
-        ('[[observations]]\nkind = "front"\nvalue = 0.7\n[target]\nhidden = true\n', "observations[0]", "no numbers"),
+        ('[[observations]]\nkind = "front"\nvalue = 0.7\n[target]\ntwin = true\n', "observations[0]", "no numbers"),
     ],
 )
 def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        prepare(problem(tmp_path, text), flow)
+        read_target(problem(tmp_path, text), flow)
     assert caught.value.key == key
     assert message in caught.value.message
 
@@ -149,7 +153,7 @@ def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, messag
 def test_a_wrong_csv_names_its_file(tmp_path: Path, rows: str) -> None:
     (tmp_path / "camera.csv").write_text(rows)
     with pytest.raises(InputError) as caught:
-        prepare(problem(tmp_path, '[[observations]]\nkind = "front-over-time"\ncsv = "camera.csv"\n'), never)
+        read_target(problem(tmp_path, '[[observations]]\nkind = "front-over-time"\ncsv = "camera.csv"\n'), never)
     assert caught.value.where.endswith("camera.csv")
 
 
@@ -174,7 +178,7 @@ def rolled(run: Trajectory) -> Rollout:
         lambda scene: Gauges(scene, np.array([0.1, 0.3]), spacing=0.05, times=np.array([0.12, 0.5])),
     ],
 )
-def test_the_surrogate_is_seen_as_the_mpm_is(make: Callable[[Scene], FrontOverTime | Gauges]) -> None:
+def test_the_smooth_form_is_the_exact_one(make: Callable[[Scene], FrontOverTime | Gauges]) -> None:
     run, observation = flow(SCENE), make(SCENE)
     exact = observation.observe(run)
     np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
@@ -197,12 +201,12 @@ def test_impulse_and_peak_force_are_those_of_the_solid() -> None:
     np.testing.assert_allclose(Impulse(0, 0, np.array([0.5])).observe(run), [0.5])
     # I = 2 t^2: the force grows to 4 N; its mean over the last 0.1 s is that at 0.95 s.
     np.testing.assert_allclose(PeakForce(0, 0, 0.1).observe(run), [3.8], rtol=1e-6)
-    assert not Impulse(0, 0).by_surrogate
+    assert not Impulse(0, 0).differentiable
     with pytest.raises(InputError, match="solid 1"):
         Impulse(1, 0).observe(run)
 
 
-def test_an_outline_is_how_far_the_deposit_reaches_each_way() -> None:
+def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = Scene(
         domain=Domain(size=(1.0, 0.5, 1.0), cell=0.05),
         material=SCENE.material,
@@ -215,9 +219,3 @@ def test_an_outline_is_how_far_the_deposit_reaches_each_way() -> None:
     np.testing.assert_allclose(outline.of_line(rim[::100, [0, 2]]), [0.3, 0.2, 0.3, 0.2], rtol=0.01)
     smooth = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
     np.testing.assert_allclose(smooth, outline.exact(rim), atol=0.001)
-
-
-def test_shipped_problems_are_read_as_before() -> None:
-    shipped = read_problem("friction-tall-42")
-    assert shipped.observation.kind is Observable.FRONT
-    assert shipped.observations == ()
