@@ -11,8 +11,7 @@ from datasets import measures
 from datasets.command_line import run
 from inverse.problem import read_problem
 from inverse.settings import TargetSettings
-from mpm import LAST
-from mpm import simulate
+from mpm import LAST, simulate
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 

@@ -16,8 +16,7 @@ from inverse.optimise import Bounds
 from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.result import Minimum, Round
-from mpm import ALL, LAST, Recording
-from mpm import simulate_many
+from mpm import ALL, LAST, Recording, simulate_many
 from validation.runs import RunStore
 
 ENSEMBLE, FRAMES, DIFFERENCES, TWIN = "ensemble-", "start-", "slope-", "target-"

@@ -12,8 +12,7 @@ from inverse.observations.reading import read_target
 from inverse.parameters import Vector
 from inverse.problem import Problem, read_problem
 from inverse.result import Purpose, Verdict
-from mpm import ALL, LAST
-from mpm import simulate_many
+from mpm import ALL, LAST, simulate_many
 from validation.loop import propose
 from validation.loop.check import DIFFERENCES, FRAMES, TWIN, History, Task
 from validation.loop.result import Result, record

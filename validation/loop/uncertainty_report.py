@@ -131,10 +131,11 @@ def of_design(result: Result, uncertainty: Uncertainty) -> list[str]:
             result.problem.parameters, uncertainty.half_widths.tolist(), uncertainty.slopes.tolist(), strict=True
         )
     ]
+    scatter = text(float(uncertainty.scatter[0]), sign=False)
     return [
-        f"A design has no truth. {len(uncertainty.runs)} MPM runs around it measure its tolerances: what passes "
-        f"scatters by {text(float(uncertainty.scatter[0]), sign=False)} with the initial jitter alone. Each parameter may move "
-        "by its half-width, the others as they are, before the MPM distinguishes it from that.",
+        f"A design has no truth. {len(uncertainty.runs)} MPM runs around it measure its tolerances: what passes scatters "
+        f"by {scatter} with the initial jitter alone. Each parameter may move by its half-width, the others as they "
+        "are, before the MPM distinguishes it from that.",
         markdown_table(["parameter", "may move by", "what passes changes by"], rows),
     ]
 

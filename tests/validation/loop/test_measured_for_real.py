@@ -12,8 +12,7 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import particle_volumes
-from mpm import simulate_many
-from mpm import LAST
+from mpm import LAST, simulate_many
 from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
