@@ -133,9 +133,9 @@ def of_design(result: Result, uncertainty: Uncertainty) -> list[str]:
     ]
     scatter = text(float(uncertainty.scatter[0]), sign=False)
     return [
-        f"A design has no truth. {len(uncertainty.runs)} MPM runs around it measure its tolerances: what passes scatters "
-        f"by {scatter} with the initial jitter alone. Each parameter may move by its half-width, the others as they "
-        "are, before the MPM distinguishes it from that.",
+        f"A design has no truth. {len(uncertainty.runs)} MPM runs around it measure its tolerances: what passes "
+        f"scatters by {scatter} with the initial jitter alone. Each parameter may move by its half-width, the others "
+        "as they are, before the MPM distinguishes it from that.",
         markdown_table(["parameter", "may move by", "what passes changes by"], rows),
     ]
 

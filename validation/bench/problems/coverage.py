@@ -97,7 +97,7 @@ def page(problem: Problem, results: Sequence[Result], noise: float, *, quick: bo
         quick=quick,
     )
     made.text(
-        f"{len(results)} targets that differ in their jitter seed, with noise of {100.0 * noise:g} % on the observation."
+        f"{len(results)} targets that differ in their jitter seed; noise of {100.0 * noise:g} % on the observation."
     )
     rows = []
     for result in results:

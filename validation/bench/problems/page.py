@@ -30,7 +30,7 @@ def page(out: Path, families: Sequence[Family], found: Mapping[str, Outcome], pa
         "with another initial jitter than the inversion's. Loss and front error are those of the MPM at the answer; "
         "under *surrogate alone* those where it ended before it was corrected. ± are 95 % half-widths. MPM runs are "
         "checks, and in brackets runs in ensembles. The paper's numbers are in `validation/bench/columns/paper.toml`: "
-        "its targets are of its own MPM, its front is the largest x, ours the x that 99.5 % of the particles are behind."
+        "its targets are of its own MPM, its front is the largest x, here the x that 99.5 % of particles are behind."
     )
     missing = [f"`{name}`" for family in families for name in family.problems if name not in found]
     if missing:
