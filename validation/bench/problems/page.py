@@ -6,7 +6,7 @@ from pathlib import Path
 
 from datasets.files import replacing, write_text
 from inverse.problem import Problem
-from inverse.report.markdown import away, code, number, quantity, table
+from inverse.report.markdown import table
 from validation.bench.columns.paper import Paper
 from validation.bench.problems.targets import Bars, Family, Mark, judge
 from validation.loop.outcomes import Outcome
@@ -49,7 +49,7 @@ def write(
     lines += [PAPER, *overview(groups, found)]
     missing = [name for name in problems if name not in found]
     if missing:
-        lines += ["", f"Not measured yet: {', '.join(code(missing))}."]
+        lines += ["", f"Not measured yet: {', '.join(f'`{name}`' for name in missing)}."]
     for group in groups:
         here = [found[name] for name in group.problems if name in found]
         if here:
@@ -123,13 +123,13 @@ def answer(outcome: Outcome) -> str:
         if not widths:
             return f"{len(outcome.unknowns)} unknowns"
         least, most = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
-        return f"{len(widths)} unknowns, ± {number(least, widths[least])} to {quantity(most, widths[most])}"
+        ends = [outcome.problem.text(name, widths[name]) for name in (least, most)]
+        return f"{len(widths)} unknowns, ± {' to '.join(ends)}"
     said = []
     for name, value in outcome.unknowns.items():
         label = f"`{name}` " if len(outcome.unknowns) > 1 else ""
-        said.append(
-            label + (f"{number(name, value)} ± {quantity(name, widths[name])}" if widths else quantity(name, value))
-        )
+        width = f" ± {outcome.problem.text(name, widths[name])}" if widths else ""
+        said.append(label + outcome.problem.text(name, value) + width)
     return "<br>".join(said)
 
 
@@ -140,7 +140,7 @@ def alone(outcome: Outcome) -> str:
     if len(outcome.unknowns) > 1:
         return loss
     ((name, value),) = run["unknowns"].items()
-    return f"{quantity(name, value)}; {loss}"
+    return f"{outcome.problem.text(name, value)}; {loss}"
 
 
 def truth(outcome: Outcome) -> list[str]:
@@ -148,7 +148,7 @@ def truth(outcome: Outcome) -> list[str]:
     if not outcome.truth:
         return ["-", "-"]
     worst = max(outcome.unknowns, key=lambda name: outcome.error(name) / _range(outcome.problem, name))
-    error = quantity(worst, outcome.error(worst))
+    error = outcome.problem.text(worst, outcome.error(worst))
     if len(outcome.unknowns) == 1 and math.isfinite(outcome.error_pct(worst)):
         error += f" ({outcome.error_pct(worst):.2f} %)"
     inside = f"{len(outcome.inside)} of {len(outcome.unknowns)}" if outcome.certainty else "-"
@@ -159,7 +159,7 @@ def miss(outcome: Outcome) -> str:
     """How far from the target the MPM at the answer is."""
     if outcome.loss is None:
         return "-"
-    said = away(outcome.problem, outcome.loss)
+    said = outcome.problem.observed.misfit_text(outcome.loss, outcome.problem.scene.domain.cell)
     front = outcome.front_error_pct
     return said if front is None else f"{said}; front {front:.2f} %"
 
@@ -199,4 +199,4 @@ def _losses(mpm: float, surrogate: float, initial: float, iterations: int) -> st
 
 
 def _range(problem: Problem, name: str) -> float:
-    return next(unknown.upper - unknown.lower for unknown in problem.unknowns if unknown.name == name)
+    return next(each.range for each in problem.parameters if each.name == name)
