@@ -9,8 +9,8 @@ import numpy as np
 
 from datasets import measures
 from datasets.command_line import run
+from gns.inference import SHIPPED
 from gns.model import checkpoint
-from gns.rollout import SHIPPED
 from inverse.forward.gns import GnsSource
 from inverse.observations import deposit as observations
 from inverse.observations.target import Target, read_target

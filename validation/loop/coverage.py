@@ -14,8 +14,8 @@ import numpy as np
 from datasets import files
 from datasets.command_line import run
 from datasets.errors import InputError
+from gns.inference import shipped
 from gns.model import checkpoint
-from gns.rollout import shipped
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.observations import deposit as observations

@@ -12,7 +12,7 @@ from typing import Any
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping
-from gns.rollout import shipped
+from gns.inference import shipped
 from inverse.problem import Problem
 from inverse.result import Purpose
 from inverse.settings import ONE_NUMBER

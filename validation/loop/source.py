@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from datasets.errors import InputError
+from gns.inference import shipped
+from gns.initial import check
 from gns.model import card, checkpoint
-from gns.rollout import shipped
-from gns.start import check
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.forward.linearised import MpmSource
