@@ -16,6 +16,7 @@ from datasets.scene import Scene
 Floats = NDArray[np.float32]
 
 FIELDS = {
+    "volume": np.float32,
     "velocities": np.float32,
     "stress": np.float32,
     "pressure": np.float32,
@@ -42,6 +43,11 @@ class Trajectory:
     """The scene it came from."""
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
+    volume: Floats | None = None
+    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles.
+
+    A learned simulator follows some of them, each with the volume of those that it stands for.
+    """
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None
@@ -97,6 +103,7 @@ class Trajectory:
             "time": (frames,),
             "velocity0": (points, dimension),
             "friction": (points,),
+            "volume": (points,),
             "velocities": positions.shape,
             "stress": (frames, points, 4 if dimension == 2 else 6),
             "pressure": (frames, points),

@@ -84,7 +84,7 @@ def invert(
     )
     if out is not None:
         result.write(out)
-        report.write(result, chosen, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
+        report.write(result, chosen.deposit, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
     return result
 
 

@@ -124,6 +124,10 @@ class Problem:
         """The entries of a vector of parameters [U] by name."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
+    def text(self, name: str, value: float) -> str:
+        """A value of the parameter `name` with its unit."""
+        return next(each.kind for each in self.parameters if each.name == name).text(value)
+
     @property
     def twin_scene(self) -> Scene:
         """The scene of a twin experiment: the true parameters and a jitter of its own."""

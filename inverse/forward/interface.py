@@ -21,12 +21,6 @@ class Forward(Protocol):
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The observation [M] at each vector of parameters [U]; runs may be side by side."""
 
-    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
-        """Final positions of its particles [m], shape [N, D]: for pictures."""
-
-    def select(self, target: Values, /) -> Values:
-        """The part of an exact observation [M] that its own numbers [m] are compared with."""
-
 
 class Differentiable(Forward, Protocol):
     """A forward model through which torch differentiates."""
@@ -35,13 +29,23 @@ class Differentiable(Forward, Protocol):
         """The observation, float64 of shape [m], of parameters, float64 of shape [U]."""
 
 
+class Surrogate(Differentiable, Protocol):
+    """A learned simulator of one flow, started from the scene or from the MPM's first frames; or what stands for it."""
+
+    def select(self, target: Values, /) -> Values:
+        """The part of an exact observation [M] that its own numbers [m] are compared with."""
+
+    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
+        """Final positions of its particles [m], shape [N, D]: for pictures."""
+
+
 class SurrogateSource(Protocol):
     """Makes surrogates of a flow: a learned one, or the MPM linearised."""
 
     def first_frames(self, scene: Scene) -> Scene | None:
         """`scene`, cut to the first frames that a surrogate is started from; None where it needs none."""
 
-    def start(self, beginning: Trajectory | None) -> Differentiable:
+    def start(self, beginning: Trajectory | None) -> Surrogate:
         """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts.
 
         One that needs no frames takes the jitter of the particles from `beginning`, or from the problem's scene.

@@ -1,16 +1,17 @@
 """`report.md` of a single inversion, and the sentences and tables that it shares with the loop's report."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tabulate import tabulate
 
 from datasets import files
-from inverse.forward.interface import Forward
 from inverse.observations import Values
 from inverse.optimise import best
+from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.report import course, pictures
 from inverse.result import Result, Round, peak_memory_mib
@@ -24,14 +25,17 @@ STAGES = 6
 OBSERVATION = ("observed", "distance to the target", "loss")
 """Columns of `observation_row`."""
 
+DepositAt = Callable[[Vector], NDArray[np.floating]]
 
-def write(result: Result, model: Forward, folder: Path, *, forward: str = "surrogate") -> None:
+
+def write(result: Result, deposit_at: DepositAt, folder: Path, *, forward: str = "surrogate") -> None:
     """Write `report.md` and its pictures into `folder`.
 
-    model: what predicted; forward: what it is, a key of `pictures.COLOURS`.
+    deposit_at: predicts final positions [m], shape [N, D], at parameters [U]; forward: the forward model, a key of
+    `pictures.COLOURS`.
     """
     problem, target = result.problem, result.target
-    deposits = {forward: model.deposit(result.answer)}
+    deposits = {forward: deposit_at(result.answer)}
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
     pictures.draw_deposits(folder / "deposit.png", problem, target, result.answer, deposits)
@@ -41,7 +45,7 @@ def write(result: Result, model: Forward, folder: Path, *, forward: str = "surro
         (f"evaluation {index + 1}, loss {records[index].loss:.1e}", records[index].parameters)
         for index in picked(result.rounds)
     ]
-    shown = [(title, values, model.deposit(values)) for title, values in stages]
+    shown = [(title, values, deposit_at(values)) for title, values in stages]
     pictures.draw_stages(folder / "stages.png", problem, target, shown, pictures.COLOURS[forward])
     first = records[0]
     rows = [

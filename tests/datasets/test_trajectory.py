@@ -47,6 +47,7 @@ def with_baffles(trajectory: Trajectory) -> Trajectory:
     return dataclasses.replace(
         trajectory,
         scene=dataclasses.replace(trajectory.scene, baffles=baffles),
+        volume=stream.random(5, np.float32),
         velocities=stream.random((3, 5, 2), np.float32),
         stress=stream.random((3, 5, 4), np.float32),
         pressure=stream.random((3, 5), np.float32),

@@ -55,7 +55,7 @@ def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
     settings = ModelSettings(
         dimension=dimension,
         cell=cell,
-        points_per_cell=1 if dimension == 2 else 2,
+        particles_per_cell=1 if dimension == 2 else 2,
         radius=2.5 * cell,
         grid_cell=2.0 * cell,
         baffles=baffles,
@@ -68,7 +68,7 @@ def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
     scales = Normalisation(displacement=0.005, acceleration=0.001, friction_mean=0.6, friction_std=0.2)
     made = Simulator(settings, scales)
     with torch.no_grad():
-        made.network.decoder[-1].weight.normal_(std=0.3)
+        made.network.decoder.mlp[-1].weight.normal_(std=0.3)
     return made.double().requires_grad_(False)
 
 

@@ -8,6 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 
 import torch
+from gns.initial import Start
 from tqdm import tqdm
 
 from datasets.library import read_scene
@@ -17,9 +18,10 @@ from gns.model import checkpoint
 from gns.rollout import SHIPPED
 from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.gradient import automatic
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
+from inverse.jacobian import automatic
+from inverse.observations import build
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
@@ -119,10 +121,10 @@ def friction_problem(scene: Scene) -> Problem:
         name="column",
         folder=Path(),
         scene=scene,
-        unknowns=(Unknown(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-        observation=ObservationSettings(kind=Observable.FRONT),
+        parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
+        observation=ObservationSettings(kind="front"),
         target=TargetSettings(value=0.5),
-        optimiser=OptimiserSettings(start=Start.REST),
+        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
@@ -131,7 +133,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
     torch.set_num_threads(processors())
     scene = column(task.scale, duration=task.duration)
     problem, short = friction_problem(scene), friction_problem(column(1.0, duration=WARM_UP_S))
-    observation = observations.build(problem.observation, scene)
+    observation = build(problem.observation, scene)
     start, particles = problem.initial, particle_count(scene)
     if task.work is Work.MPM:
         mpm = MpmForward(problem, observation, simulate_many)
@@ -149,7 +151,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         automatic(GnsForward(simulator, None, short, observation, task.memory_gib), target)(start)
         gns = GnsForward(simulator, None, problem, observation, task.memory_gib)
         nodes, steps = len(gns.indices), gns.steps
-        state = gns.launch.state.positions.nbytes + gns.launch.state.displacements.nbytes
+        state = gns.initial.state.positions.nbytes + gns.initial.state.displacements.nbytes
         forgotten()
         before, began = resident() or peak(), time.perf_counter()
         if task.work is Work.AD:

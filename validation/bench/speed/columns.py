@@ -28,7 +28,7 @@ def dam(settings: ModelSettings, points: int, *, samples: int = 1, seed: int = 0
     length grows with their number.
     """
     dimension, across = settings.dimension, ACROSS[settings.dimension]
-    spacing = settings.point_volume ** (1.0 / dimension)
+    spacing = settings.particle_volume ** (1.0 / dimension)
     slices = math.ceil(points / across ** (dimension - 1))
     axes = [torch.arange(float(slices)), *[torch.arange(float(across))] * (dimension - 1)]
     lattice = torch.cartesian_prod(*axes)[:points].repeat(samples, 1)
@@ -37,7 +37,7 @@ def dam(settings: ModelSettings, points: int, *, samples: int = 1, seed: int = 0
     positions = spacing * (lattice + 0.5 + jitter)
     height = across * spacing
     size = (slices * spacing + FREE * height, ABOVE * height, *[height] * (dimension - 2))
-    state = State.launched(positions, torch.zeros_like(positions), step=settings.step, history=settings.history)
+    state = State.moving(positions, torch.zeros_like(positions), step=settings.step, history=settings.history)
     return state, conditions(positions, settings, size=size, samples=samples)
 
 
@@ -47,7 +47,7 @@ def conditions(positions: Tensor, settings: ModelSettings, *, size: tuple[float,
     return Conditions(
         friction=torch.full((count,), FRICTION),
         cohesion=torch.full((count,), COHESION),
-        volume=torch.full((count,), settings.point_volume),
+        volume=torch.full((count,), settings.particle_volume),
         size=size,
         batch=None if samples == 1 else torch.arange(samples).repeat_interleave(count // samples),
         samples=samples,

@@ -125,7 +125,7 @@ def family(name: str, simulator: Simulator) -> Family:
         settings=settings,
         networks={
             Kind.OURS: simulator,
-            Kind.TEXTBOOK: textbook(settings.width, settings.layers, settings.hidden_layers),
+            Kind.TEXTBOOK: textbook(settings.width, settings.layers, settings.mlp_layers),
             Kind.PAPER: textbook(PAPER_WIDTH, PAPER_LAYERS, 2),
         },
     )
@@ -145,7 +145,7 @@ def once(several: Sequence[Family]) -> list[Family]:
     """The families, with the paper's network only where it meets other points or other neighbours than before."""
     kept, met = [], set()
     for each in several:
-        place = (each.settings.dimension, each.settings.radius, each.settings.point_volume, each.settings.history)
+        place = (each.settings.dimension, each.settings.radius, each.settings.particle_volume, each.settings.history)
         networks = {
             kind: network for kind, network in each.networks.items() if kind is not Kind.PAPER or place not in met
         }

@@ -14,10 +14,10 @@ import torch
 
 from datasets.command_line import WorkFailed, run
 from datasets.errors import InputError
+from gns.inference import SHIPPED
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
-from gns.rollout import SHIPPED
 from gns.unroll import step_activation_bytes, unroll
 from validation.bench.speed.columns import dam
 from validation.report.memory import forgotten, peak, resident

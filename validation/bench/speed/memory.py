@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.files import write_text
-from gns.rollout import SHIPPED
+from gns.inference import SHIPPED
 from validation.bench.speed.gradient_run import Took
 from validation.bench.speed.memory_page import PICTURE, draw, page
 

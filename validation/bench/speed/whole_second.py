@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import nn
 
 from datasets.library import read_scene
+from gns.initial import InitialState, initial_state
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.start import InitialValueProblem, at_rest
 from gns.unroll import step_activation_bytes, unroll
 from inverse.forward.gns import MEMORY_GIB
 from validation.bench.speed.gns_rates import Family, Kind, Measure, timed, work
@@ -119,9 +118,9 @@ def seconds(families: Sequence[Family], rounds: int) -> list[Second]:
     return [*found, multiplied("textbook as in the paper, 128 x 10", paper, PEERS)]
 
 
-def start(settings: ModelSettings) -> InitialValueProblem:
+def start(settings: ModelSettings) -> InitialState:
     """The tall column at rest, at a model's resolution."""
-    return at_rest(read_scene(SCENE), settings, np.random.default_rng(0))
+    return initial_state(read_scene(SCENE), settings)
 
 
 def timed_once(action: Callable[[], None]) -> float:

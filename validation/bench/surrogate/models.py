@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
+from gns.inference import SHIPPED
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.rollout import SHIPPED
 from inverse.report.markdown import table
 
 
@@ -80,7 +80,7 @@ def facts(models: Sequence[Model]) -> list[str]:
         "parameters": [f"{sum(each.numel() for each in model.simulator.parameters()):,}" for model in models],
         "file": [f"{model.path.stat().st_size / 1e6:.2f} MB" for model in models],
         "cell, points per cell": [
-            f"{1000 * model.settings.cell:g} mm, {model.settings.points_per_cell}" for model in models
+            f"{1000 * model.settings.cell:g} mm, {model.settings.particles_per_cell}" for model in models
         ],
         "step": [f"{1000 * model.settings.step:g} ms" for model in models],
         "radius": [f"{1000 * model.settings.radius:g} mm" for model in models],

@@ -15,8 +15,8 @@ from datasets.particles import particle_count
 from datasets.scene import Scene
 from gns.unroll import step_activation_bytes, unroll
 from inverse.forward.gns import MEMORY_GIB
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings
+from inverse.observations import build
+from inverse.settings import ObservationSettings
 from validation.bench.surrogate.held_out import coarsely
 from validation.bench.surrogate.models import Model
 from validation.bench.surrogate.rollouts import problem, roll
@@ -119,7 +119,7 @@ def kept_steps(model: Model, scene: Scene) -> int:
 def gradient_seconds(model: Model, scene: Scene, kept: int) -> float:
     """Of the front and its slope over tan(phi)."""
     start = problem(model.simulator, scene, None)
-    observation = observations.build(ObservationSettings(kind=Observable.FRONT), scene)
+    observation = build(ObservationSettings(kind="front"), scene)
     clock = time.perf_counter()
     friction = torch.tensor(scene.material.friction, requires_grad=True)
     conditions = dataclasses.replace(start.conditions, friction=friction.expand_as(start.conditions.friction))

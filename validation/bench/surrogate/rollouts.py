@@ -14,10 +14,9 @@ import torch
 
 from datasets.scene import Scene
 from datasets.trajectory import Floats, Trajectory
+from gns.initial import MPM_SECONDS, InitialState, initial_state
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
-from gns.score import START
-from gns.start import InitialValueProblem, after_frames, at_rest
 from gns.unroll import unroll
 from inverse.forward.gns import THINNING_SEED
 from mpm.generate import pool
@@ -29,7 +28,7 @@ class Start(StrEnum):
     REST = "from rest"
     """Positions and velocities at time 0."""
     FRAMES = "from first frames"
-    """The MPM's frames up to `gns.score.START`."""
+    """The MPM's frames up to `gns.initial.MPM_SECONDS`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +59,9 @@ class Rollout:
     """Of the steps alone [s]."""
 
 
-def problem(simulator: Simulator, scene: Scene, beginning: Trajectory | None) -> InitialValueProblem:
+def problem(simulator: Simulator, scene: Scene, beginning: Trajectory | None) -> InitialState:
     """Where a rollout begins; always the same points of a scene."""
-    rng = np.random.default_rng(THINNING_SEED)
-    if beginning is None:
-        return at_rest(scene, simulator.settings, rng)
-    return after_frames(beginning, scene, simulator.settings, rng)
+    return initial_state(scene, simulator.settings, beginning, seed=THINNING_SEED)
 
 
 def roll(simulator: Simulator, scene: Scene, beginning: Trajectory | None = None) -> Rollout:
@@ -86,7 +82,7 @@ def roll(simulator: Simulator, scene: Scene, beginning: Trajectory | None = None
 
 def first_frames(flow: Trajectory) -> Trajectory:
     """What a rollout is given of the MPM's run."""
-    frames = round(START / flow.scene.frame_dt) + 1
+    frames = round(MPM_SECONDS / flow.scene.frame_dt) + 1
     # Copied, so that what goes to another process is no more than these.
     return Trajectory(
         positions=flow.positions[:frames].copy(),

@@ -1,4 +1,4 @@
-"""Where a rollout begins: what the conditions know of a scene, and which scenes a model refuses."""
+"""The initial state: conditions of a scene, the mass of each particle, and the scenes that a model refuses."""
 
 import dataclasses
 
@@ -11,8 +11,8 @@ from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
+from gns.initial import Start, initial_state
 from gns.model.settings import ModelSettings
-from gns.start import after_frames, at_rest
 from tests.gns.conftest import spreading
 
 SETTINGS = ModelSettings(baffles=True)
@@ -30,54 +30,64 @@ SCENE = Scene(
 
 
 def test_the_conditions_are_those_of_the_scene() -> None:
-    problem = at_rest(SCENE, SETTINGS, np.random.default_rng(0))
-    conditions, points = problem.conditions, initial_particles(SCENE)
+    initial = initial_state(SCENE, SETTINGS)
+    conditions, particles = initial.conditions, initial_particles(SCENE)
     assert conditions.size == (0.6, 0.4)
-    upper = points.positions[problem.indices, 1] > 0.1
+    upper = particles.positions[initial.indices, 1] > 0.1
     assert 0 < upper.sum() < len(upper)
     expected = np.where(upper, np.float32(500.0), np.float32(0.0))
     np.testing.assert_array_equal(conditions.cohesion.numpy(), expected)
     friction = np.tan(np.radians(np.where(upper, 30.0, 35.0)))
     np.testing.assert_allclose(conditions.friction.numpy(), friction, rtol=1e-6)
     assert float(conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
-    np.testing.assert_array_equal(problem.velocity0[:, 0], np.where(upper, np.float32(0.0), np.float32(1.0)))
+    np.testing.assert_array_equal(initial.velocity0[:, 0], np.where(upper, np.float32(0.0), np.float32(1.0)))
     assert conditions.baffles is not None
     corners = torch.tensor([[[[0.3, 0.0], [0.35, 0.1]], [[0.5, 0.02], [0.54, 0.22]]]])
     torch.testing.assert_close(conditions.baffles, corners)
-    assert (problem.steps, len(problem.known)) == (25, 1)
+    assert (initial.steps, len(initial.known)) == (25, 1)
 
 
 def test_without_baffles_there_are_none() -> None:
     bare = dataclasses.replace(SCENE, baffles=())
     for settings in (SETTINGS, ModelSettings()):
-        problem = at_rest(bare, settings, np.random.default_rng(0))
-        assert problem.conditions.baffles is None
-        assert problem.to("cpu").conditions.baffles is None
+        initial = initial_state(bare, settings)
+        assert initial.conditions.baffles is None
+        assert initial.to("cpu").conditions.baffles is None
 
 
 def test_after_frames_the_baffles_are_there_too() -> None:
     flow = spreading(30.0)
     baffled = dataclasses.replace(flow.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
     start = dataclasses.replace(flow, positions=flow.positions[:21], time=flow.time[:21], scene=baffled)
-    problem = after_frames(start, baffled, SETTINGS, np.random.default_rng(0))
-    assert problem.conditions.baffles is not None
-    assert problem.conditions.baffles.shape == (1, 1, 2, 2)
-    assert not problem.conditions.cohesion.any()
-    assert (problem.steps, len(problem.known)) == (20, 6)
-    torch.testing.assert_close(problem.state.positions, torch.from_numpy(problem.known[-1]))
+    initial = initial_state(baffled, SETTINGS, start)
+    assert initial.conditions.baffles is not None
+    assert initial.conditions.baffles.shape == (1, 1, 2, 2)
+    assert not initial.conditions.cohesion.any()
+    assert (initial.steps, len(initial.known), initial.start) == (20, 6, Start.FROM_MPM_FRAMES)
+    torch.testing.assert_close(initial.state.positions, torch.from_numpy(initial.known[-1]))
 
 
-def test_moved_to_a_device_it_is_the_same_problem() -> None:
-    problem = at_rest(SCENE, SETTINGS, np.random.default_rng(0))
-    there = problem.to("meta")
-    for part, original in ((there.state, problem.state), (there.conditions, problem.conditions)):
-        for field in dataclasses.fields(part):
-            value, before = getattr(part, field.name), getattr(original, field.name)
+def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:
+    initial = initial_state(SCENE, SETTINGS)
+    there, double = initial.to("meta"), initial.to(dtype=torch.float64)
+    for part in ("state", "conditions"):
+        for field in dataclasses.fields(getattr(initial, part)):
+            before, on, wide = (getattr(getattr(each, part), field.name) for each in (initial, there, double))
             if isinstance(before, torch.Tensor):
-                assert value.device.type == "meta", field.name
-                assert value.shape == before.shape
+                assert (on.device.type, on.shape) == ("meta", before.shape), field.name
+                assert wide.dtype == torch.float64
+                torch.testing.assert_close(wide.float(), before)
             else:
-                assert value == before
+                assert before == on == wide
+    assert (there.steps, there.scene, there.start) == (25, SCENE, Start.FROM_REST)
+
+
+def test_the_mass_of_each_particle() -> None:
+    initial = initial_state(SCENE, SETTINGS)
+    upper = initial.known[0, :, 1] > 0.1
+    np.testing.assert_array_equal(initial.of_mass(1).numpy(), upper)
+    # The first mass alone is of the scene's shared material.
+    np.testing.assert_array_equal(initial.of_mass(None).numpy(), ~upper)
 
 
 REFUSED = [
@@ -109,7 +119,7 @@ REFUSED = [
             ),
         ),
         SETTINGS,
-        "masses: expected masses of one density, the model knows no others, got 900 and 1800",
+        "masses: expected masses of one density, the model has no others, got 900 and 1800",
     ),
 ]
 
@@ -117,4 +127,4 @@ REFUSED = [
 @pytest.mark.parametrize(("scene", "settings", "message"), REFUSED)
 def test_scenes_that_a_model_cannot_know_are_refused(scene: Scene, settings: ModelSettings, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        at_rest(scene, settings, np.random.default_rng(0))
+        initial_state(scene, settings)
