@@ -30,7 +30,7 @@ KINDS: dict[str, Callable[[Path], Case]] = {
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def solved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Result, Path]:
+def outcome(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Result, Path]:
     """The kind, the result and the folder with its report."""
     folder = tmp_path_factory.mktemp(request.param)
     result = KINDS[request.param](folder).solve(folder)
@@ -42,8 +42,8 @@ def solved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return request.param, result, folder
 
 
-def test_a_report_begins_with_its_conclusion_and_shows_every_parameter(solved: tuple[str, Result, Path]) -> None:
-    kind, result, folder = solved
+def test_a_report_begins_with_its_conclusion_and_shows_every_parameter(outcome: tuple[str, Result, Path]) -> None:
+    kind, result, folder = outcome
     text = (folder / "report.md").read_text()
     title, sentences, *_ = text.split("\n\n")
     assert title == f"# {result.problem.name}: {result.verdict}"
@@ -70,8 +70,8 @@ def test_a_report_begins_with_its_conclusion_and_shows_every_parameter(solved: t
     assert str(result.verdict) in report.summary(result)
 
 
-def test_the_figure_has_deposits_and_parameters(solved: tuple[str, Result, Path]) -> None:
-    _, result, _ = solved
+def test_the_figure_has_deposits_and_parameters(outcome: tuple[str, Result, Path]) -> None:
+    _, result, _ = outcome
     figure = result.plot()
     above, below = figure.axes
     assert len(above.collections) == 1 + (result.target.deposit is not None)

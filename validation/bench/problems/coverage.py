@@ -40,7 +40,7 @@ def bench(
     """Solve a twin experiment with `experiments` targets; write OUT/coverage.md and return its conclusion.
 
     problem: of a `twin` target; noise: standard deviation on each observed number, as a fraction of the true front, of
-    a share as a fraction of the share, which the loop is told; model: weights of the surrogate, those that ship where
+    a share as a fraction of the share, stated in the problem; model: weights of the surrogate, those that ship where
     absent. quick: two targets. Raises InputError.
     """
     asked = read_problem(problem)
