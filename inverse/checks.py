@@ -3,10 +3,9 @@
 import dataclasses
 from collections.abc import Sequence
 
-from gns.initial import Start
-
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
+from gns.initial import Start
 from inverse.observations import KINDS, build
 from inverse.parameters import Vector, with_kinds
 from inverse.parameters.baffles import swept

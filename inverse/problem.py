@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from gns.initial import Start
 
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
+from gns.initial import Start
 from inverse import checks
 from inverse.observations import KINDS, Observation
 from inverse.parameters import Kind, Vector, with_kinds, with_parameters

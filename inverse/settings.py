@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 
-from gns.initial import Start
-
 from datasets.errors import InputError
 from datasets.records import Record, fraction
+from gns.initial import Start
 from inverse.parameters import Kind, kind
 
 

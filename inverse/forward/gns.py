@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
 from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
 from gns.model.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
-from gns.initial import InitialState
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -14,6 +13,7 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
+from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
 """One value per parameter, in the order of the problem and the units of the names; shape [U]."""

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from gns.initial import Start
 
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
+from gns.initial import Start
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 from inverse.parameters import kind

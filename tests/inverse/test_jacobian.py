@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from gns.initial import Start
 
+from gns.initial import Start
 from inverse.forward.gns import GnsForward
 from inverse.observations import KINDS, DepositObservation, build
 from inverse.problem import Problem

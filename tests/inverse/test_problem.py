@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gns.initial import Start
 
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from gns.initial import Start
 from inverse.__main__ import main
 from inverse.observations import build
 from inverse.observations.profile import SHARES, Profile

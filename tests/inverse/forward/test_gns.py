@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from gns.initial import MPM_SECONDS
 
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from gns.initial import MPM_SECONDS
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsForward, GnsSource

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from gns.initial import Start
 
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.training.samples import corners
+from gns.initial import Start
 from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
 from inverse.observations import build

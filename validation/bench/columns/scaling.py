@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mpm import AT_REST
 from validation.bench.columns.collapse import (
     FRICTION_DEG,
     STEP,
@@ -62,7 +63,7 @@ def collapse(store: RunStore, dimension: int, cells: int, seeds: int, *, frictio
     column = half_column if dimension == 2 else quarter_cylinder
     pairs = [(aspect, seed) for aspect in ASPECTS[dimension] for seed in range(seeds)]
     scenes = [column(aspect, cells, friction_deg=friction_deg, seed=seed) for aspect, seed in pairs]
-    flows = store.run([Run(scene=scene, until_rest=True) for scene in scenes])
+    flows = store.run([Run(scene=scene, record=AT_REST) for scene in scenes])
     return Series(
         dimension=dimension,
         cells=cells,
