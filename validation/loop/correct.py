@@ -26,7 +26,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inverse.forward.interface import Differentiable
+from inverse.forward.interface import Surrogate
 from inverse.observations import Values
 from inverse.parameters import Vector
 from validation.loop.check import Check, History, Task
@@ -67,7 +67,7 @@ class Response:
 class Corrected:
     """A differentiable forward model that agrees with the MPM at the checks."""
 
-    def __init__(self, surrogate: Differentiable, anchor: Vector, shown: Values) -> None:
+    def __init__(self, surrogate: Surrogate, anchor: Vector, shown: Values) -> None:
         """shown: the MPM's exact observation [M] at `anchor`."""
         self.surrogate, self.anchor, self.shown = surrogate, anchor, surrogate.select(shown)
         size = len(self.shown)

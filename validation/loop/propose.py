@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from inverse.forward.interface import Differentiable, Evaluation
+from inverse.forward.interface import Evaluation, Surrogate
 from inverse.jacobian import Evaluate, automatic, by_ad, central, one_sided
 from inverse.observations import Values
 from inverse.optimise import best, minimise
@@ -41,7 +41,7 @@ EVALUATIONS = 4
 """Predictions of a round besides those of its Jacobians: it starts at an MPM run."""
 
 
-def first(task: Task, surrogate: Differentiable) -> tuple[Vector, History]:
+def first(task: Task, surrogate: Surrogate) -> tuple[Vector, History]:
     """The lowest minimum of the surrogate as it is, by the problem's optimiser from its starting points."""
     problem, settings = task.problem, task.problem.optimiser
     evaluate = cheapest(task, surrogate)
@@ -75,7 +75,7 @@ def starting_points(task: Task) -> list[Vector]:
     return [problem.initial, *(task.bounds.lower + point * task.bounds.range for point in points)]
 
 
-def cheapest(task: Task, surrogate: Differentiable) -> Evaluate:
+def cheapest(task: Task, surrogate: Surrogate) -> Evaluate:
     """Loss and gradient of `surrogate`: one backward pass; for a Jacobian, differences where they cost less."""
     target, components = surrogate.select(task.target.values), task.observation.components
     if task.problem.optimiser.method is not Method.GAUSS_NEWTON:

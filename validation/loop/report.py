@@ -107,7 +107,7 @@ def verdict(result: Result) -> str:
         Verdict.NOT_IDENTIFIABLE: "The MPM fits, but the parameters are not identifiable",
         Verdict.UNREACHABLE: "No parameters within the bounds give the target, not even in the MPM",
     }[result.verdict]
-    return f"**{words}**: {which} is {distance(result)}."
+    return f"**{words}**: {which} is off the target by {distance(result)}."
 
 
 def distance(result: Result) -> str:
@@ -119,12 +119,12 @@ def distance(result: Result) -> str:
         scatter, front_scatter = result.uncertainty.misfit_scatter, result.uncertainty.front_scatter
     found = observation.distance(result.found.observation, target.values)
     allowed = observation.tolerance(loop, cell, target, scatter)
-    text = f"{observation.distance_text(found)} from the target, {observation.distance_text(allowed)} allowed"
+    text = f"{observation.distance_text(found)}; {observation.distance_text(allowed)} is allowed"
     if allowed > observation.tolerance(loop, cell, target, 0.0):
-        text += " (twice the difference of two MPM runs)"
+        text += ", twice the difference of two MPM runs"
     most = observation.front_tolerance(loop, target, front_scatter)
     if not observation.scalar and np.isfinite(most) and np.isfinite(result.found.front_error):
-        text += f"; its front is off by {100.0 * result.found.front_error:+.2f} %, {100.0 * most:.2g} % allowed"
+        text += f"; its front is off by {100.0 * result.found.front_error:+.2f} %, {100.0 * most:.2g} % is allowed"
     return text
 
 
@@ -172,7 +172,7 @@ def fit(result: Result) -> str:
             parts.append(
                 f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; constrained: {known or 'nothing'}"
             )
-        elif result.identifiability:
+        elif result.identifiability and len(widths) > 1:
             last = result.identifiability.combinations[-1]
             parts.append(
                 f"Every combination of the parameters is known to ± {last.half_width:.2g} of its range or better"

@@ -48,7 +48,7 @@ class Result(inverse_result.Result):
     @property
     def deposit(self) -> NDArray[np.floating]:
         """The MPM's deposit at the answer [m], shape [N, D]."""
-        return self.found.checks[0].trajectory.positions[-1]
+        return np.asarray(self.found.checks[0].trajectory.positions[-1])
 
     @property
     def begun(self) -> Check | None:

@@ -3,10 +3,9 @@
 from functools import partial
 from pathlib import Path
 
+from datasets.errors import InputError
 from gns.inference import shipped
 from gns.initial import check
-
-from datasets.errors import InputError
 from gns.model import card, checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource

@@ -8,6 +8,7 @@ import pytest
 
 from inverse.observations import Target
 from inverse.problem import PROBLEMS, read_problem
+from inverse.report import pictures
 from tests.validation.loop.flows import WrongWedge, wedge
 from validation.bench.__main__ import main
 from validation.bench.columns.paper import read_paper
@@ -180,6 +181,7 @@ def test_coverage_counts_true_values_within_half_widths(tmp_path: Path, monkeypa
         return WrongWedge(observation=target.observation, steepness=0.5, offset=1.02), None  # type: ignore[arg-type]
 
     monkeypatch.setattr(coverage, "choose", wrong)
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
     conclusion = coverage.bench(tmp_path, quick=True, keep=tmp_path / "runs", noise=0.01)
     assert "2 of 2 true values are within the stated 95 % half-widths" in conclusion
     text = (tmp_path / "coverage.md").read_text()
