@@ -159,13 +159,14 @@ def run_one(
     arch = options.get("arch", "cpu")
     precision = options.get("precision") or (resume.features.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
-    threads = options.get("threads") or processors()
-    runtime.start(precision, threads, arch)
     particles = particles_of([scene])
+    threads = options.get("threads") or processors()
+    workers = max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1
+    runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
         [scene],
         precision=precision,
-        workers=max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1,
+        workers=workers,
         record=record,
         gpu=arch != "cpu",
         particles=particles,
