@@ -1,4 +1,4 @@
-"""Masses behind barriers: held until their time, or until they have settled, and then let go; nobody else pays."""
+"""Masses behind barriers: retained until their time, or until they have settled, and then let go."""
 
 import dataclasses
 
