@@ -56,7 +56,13 @@ TENSION_SHARE = 0.003
 
 @dataclass(frozen=True, kw_only=True)
 class Material(Record):
-    """Isotropic linear elasticity with a Mohr-Coulomb yield surface and a tension cutoff."""
+    """Isotropic linear elasticity with a Mohr-Coulomb yield surface and a tension cutoff.
+
+    For example:
+
+        Material(friction_deg=30.0)  # dry sand
+        Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay
+    """
 
     friction_deg: float
     """Angle of internal friction [deg], in [0, 90); 0, Tresca's law, needs a cohesion."""

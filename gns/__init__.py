@@ -1,4 +1,8 @@
-"""The graph network simulator: a differentiable stand-in for the MPM that learned from its trajectories."""
+"""The graph network simulator: a differentiable surrogate of the MPM, learned from its trajectories.
+
+simulator = gns.load("flow2d")
+trajectory = gns.simulate("column-tall-42", model=simulator)
+"""
 
 import os
 
@@ -8,3 +12,7 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 # One thread: on a thousand points a second one gains a fifth where its core is free, and where it is busy a step took
 # 200 times longer, threads spinning at their barriers.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from gns.inference import load, simulate
+
+__all__ = ["load", "simulate"]

@@ -13,13 +13,12 @@ import torch
 from datasets import command_line, files, measures
 from datasets.training.samples import Flow, Sample, cut, load_flows
 from datasets.trajectory import Floats
+from gns.initial import MPM_SECONDS
 from gns.model import checkpoint
-from gns.model.batch import batched
 from gns.model.simulator import Simulator
+from gns.training.batch import batched
 from gns.unroll import unroll
 
-START = 0.05
-"""Time [s] of the MPM's frames that a scored rollout is given: a twentieth of a run of one second."""
 SPACING = 0.02
 """Distance [m] between the stations of the height profiles."""
 
@@ -49,7 +48,7 @@ class Score:
 def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
     """Roll out `flows`, those of one domain that follow each other `at_once` side by side."""
     settings = simulator.settings
-    now = round(START / settings.step)
+    now = round(MPM_SECONDS / settings.step)
     rng = np.random.default_rng(seed)
     scores: list[Score] = []
     for group in grouped(flows, at_once):
@@ -61,7 +60,7 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
                 steps=steps,
                 history=settings.history,
                 cell=settings.cell,
-                kept=settings.points_per_cell,
+                kept=settings.particles_per_cell,
                 rng=rng,
             )
             for flow in group

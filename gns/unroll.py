@@ -1,12 +1,11 @@
-"""The rollout loop, the only one: validation, the command and the inversion all step through it."""
+"""The rollout loop: training, scores, the command and the inversion all step through it."""
 
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
-from gns.kernels.memory_trim import trimming
-from gns.kernels.neighbours import NeighbourList
+from gns.kernels.memory import trimming
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
 
@@ -22,20 +21,19 @@ def unroll(
 ) -> Tensor:
     """Positions [m] at the start and after each step, shape [steps + 1, N, D].
 
-    Where a gradient is wanted, a step leaves only its state behind and is computed again in the backward pass (a
+    Where gradients are recorded, a step keeps only its state and is computed again in the backward pass (a
     state is a few kilobytes, the activations of a step are megabytes); the last `kept_steps` steps keep their
     activations and save that second computation. The result and the gradient do not depend on `kept_steps`.
-    `step_activation_bytes` tells what a kept step costs. For a gradient with respect to state or conditions freeze
+    `step_activation_bytes` is the memory of a kept step. For a gradient with respect to state or conditions freeze
     the weights (`simulator.requires_grad_(False)`): the backward pass is then much cheaper.
     """
-    search = NeighbourList(simulator.settings.radius)
     lean = trimming(simulator)
     state, positions = start, [start.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         if torch.is_grad_enabled() and step < steps - kept_steps:
-            state = checkpoint(lean, state, conditions, search, use_reentrant=False, preserve_rng_state=False)
+            state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
         else:
-            state = simulator(state, conditions, search)
+            state = simulator(state, conditions)
         positions.append(state.positions)
     return torch.stack(positions)
 
@@ -44,7 +42,7 @@ def step_activation_bytes(simulator: Simulator, state: State, conditions: Condit
     """Memory that one step's activations take until the backward pass [bytes].
 
     Measured: every storage that autograd saves is counted once, weights and inputs left out. As in the middle of a
-    rollout, the state is taken to depend on what the gradient is wanted for.
+    rollout, the state requires a gradient.
     """
     outside = [
         *simulator.parameters(),

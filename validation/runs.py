@@ -72,7 +72,7 @@ class Run:
 
 
 class RunStore:
-    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulation.simulate_many`."""
+    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate_many`."""
 
     def __init__(
         self, folder: Path, simulate: Callable[..., list[Trajectory]] = simulate_many, *, label: str = ""

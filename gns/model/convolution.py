@@ -1,7 +1,7 @@
 """Convolutions on the background grid, channels last, in 2D and 3D.
 
 A convolution in 3D is done as one in 2D, over planes that carry the channels of their neighbours too: on a CPU torch's
-own takes five times as long, at the sizes met here.
+own takes five times as long at these sizes.
 """
 
 import torch
@@ -20,7 +20,7 @@ class Convolution(nn.Conv2d):
         """[B, X, Y, C] to the same shape, in 3D [B, X, Y, Z, C]."""
         if field.dim() == 4:
             return super().forward(field.movedim(-1, 1)).movedim(1, -1)
-        reach, count = self.dilation[0], field.shape[1]
-        padded = functional.pad(field, (0, 0, 0, 0, 0, 0, reach, reach))
-        beside = torch.cat([padded[:, place * reach : place * reach + count] for place in range(3)], dim=-1)
+        width, count = self.dilation[0], field.shape[1]
+        padded = functional.pad(field, (0, 0, 0, 0, 0, 0, width, width))
+        beside = torch.cat([padded[:, index * width : index * width + count] for index in range(3)], dim=-1)
         return super().forward(beside.flatten(0, 1).movedim(-1, 1)).movedim(1, -1).reshape(field.shape)

@@ -1,4 +1,4 @@
-"""The background grid: points to grid nodes and back with multilinear weights, differentiable in the positions."""
+"""The background grid: particles to grid nodes and back with multilinear weights, differentiable in the positions."""
 
 import itertools
 import math
@@ -10,7 +10,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class Stencil:
-    """The grid nodes around each point and the point's share in them.
+    """The grid nodes around each particle and their weights.
 
     Grid values are flat, shape [B * nodes, C], node index fastest in the last axis of `shape`.
     """
@@ -22,65 +22,65 @@ class Stencil:
     samples: int
     """Samples in the batch, B."""
     nodes: Tensor
-    """Flat index of the 2^D nodes around each point, shape [2^D, N]."""
-    shares: Tensor
+    """Flat index of the 2^D nodes around each particle, shape [2^D, N]."""
+    weights: Tensor
     """Multilinear weights, they sum to one over the first axis, shape [2^D, N]."""
 
     def scatter(self, values: Tensor) -> Tensor:
-        """Sum values of points [N, C] into the nodes [B * nodes, C]."""
+        """Sum values of particles [N, C] into the nodes [B * nodes, C]."""
         grid = values.new_zeros(self.samples * math.prod(self.shape), values.shape[1])
-        for node, share in zip(self.nodes, self.shares, strict=True):
-            grid = grid.index_add(0, node, values * share.unsqueeze(1))
+        for node, weight in zip(self.nodes, self.weights, strict=True):
+            grid = grid.index_add(0, node, values * weight.unsqueeze(1))
         return grid
 
     def gather(self, grid: Tensor) -> Tensor:
-        """Interpolate values of nodes [B * nodes, C] at the points [N, C]."""
+        """Interpolate values of nodes [B * nodes, C] at the particles [N, C]."""
         return torch.stack(
             [
-                grid.index_select(0, node) * share.unsqueeze(1)
-                for node, share in zip(self.nodes, self.shares, strict=True)
+                grid.index_select(0, node) * weight.unsqueeze(1)
+                for node, weight in zip(self.nodes, self.weights, strict=True)
             ]
         ).sum(dim=0)
 
 
-def stencil(positions: Tensor, size: tuple[float, ...], cell: float, batch: Tensor | None, samples: int) -> Stencil:
-    """The grid of edge about `cell` that spans the box [0, size], seen from `positions` [m], shape [N, D]."""
+def stencil_of(positions: Tensor, size: tuple[float, ...], cell: float, batch: Tensor | None, samples: int) -> Stencil:
+    """The stencil of `positions` [m], shape [N, D], on a grid with cells of edge `cell` over the box [0, size]."""
     shape = tuple(math.ceil(length / cell - 1.0e-6) + 1 for length in size)
-    place = positions / cell
+    scaled = positions / cell
     limit = torch.tensor([count - 2 for count in shape], device=positions.device)
-    base = torch.minimum(place.detach().floor().long().clamp(min=0), limit)
-    above = place - base
+    base = torch.minimum(scaled.detach().floor().long().clamp(min=0), limit)
+    above = scaled - base
     strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
     first = (base * torch.tensor(strides, device=positions.device)).sum(dim=1)
     if batch is not None:
         first = first + batch * math.prod(shape)
     nodes: list[Tensor] = []
-    shares: list[Tensor] = []
+    weights: list[Tensor] = []
     for corner in itertools.product((0, 1), repeat=len(shape)):
         nodes.append(first + sum(bit * stride for bit, stride in zip(corner, strides, strict=True)))
-        share = torch.ones_like(place[:, 0])
+        weight = torch.ones_like(scaled[:, 0])
         for axis, bit in enumerate(corner):
-            share = share * (above[:, axis] if bit else 1.0 - above[:, axis])
-        shares.append(share)
-    return Stencil(shape=shape, cell=cell, samples=samples, nodes=torch.stack(nodes), shares=torch.stack(shares))
+            weight = weight * (above[:, axis] if bit else 1.0 - above[:, axis])
+        weights.append(weight)
+    return Stencil(shape=shape, cell=cell, samples=samples, nodes=torch.stack(nodes), weights=torch.stack(weights))
 
 
-def surroundings(points: Stencil, volume: Tensor) -> Tensor:
-    """What weighs on each node and where the surface lies: [packing, overburden, height, slope], [B * nodes, D + 2].
+def column_features(stencil: Stencil, volume: Tensor) -> Tensor:
+    """The column of material through each node: [packing, overburden, height, slope], shape [B * nodes, D + 2].
 
-    volume: of each point [m^D], shape [N].
+    volume: of each particle [m^D], shape [N].
 
-    | packing    | volume of the points over the volume of the node's cell [-]             |
+    | packing    | volume of the particles over the volume of the node's cell [-]             |
     | overburden | height of the column of material above the node [-], in REFERENCE_HEIGHTs |
     | height     | height of the whole column at the node's x (and z) [-], likewise          |
     | slope      | derivative of that height along x (and z) [-], zero along y: left out     |
 
-    A column just let go and a settled heap differ in the stress, which the points do not carry. The overburden is
-    its vertical part at rest, and the slope of the surface is what drives the flow.
+    A released column and a settled deposit differ in the stress, which is no feature of the particles. The overburden
+    is its vertical part at rest, and the slope of the surface drives the flow.
     """
-    shape, cell = points.shape, points.cell
+    shape, cell = stencil.shape, stencil.cell
     dimension = len(shape)
-    filled = points.scatter(volume.unsqueeze(1)).view(points.samples, *shape) / cell**dimension
+    filled = stencil.scatter(volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
     inner = torch.ones_like(filled[:1])
     for axis in range(dimension):
         for wall in (0, -1):

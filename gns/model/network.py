@@ -1,27 +1,43 @@
-"""Encode, process, decode (Sanchez-Gonzalez et al. 2020), with a look at the background grid in each round."""
+"""Encoder, processor, decoder (Sanchez-Gonzalez et al. 2020), with a background grid beside the messages.
+
+x = encoder(features)
+x = processor(x)            rounds of: grid context, then message-passing steps
+a = decoder(x)              normalised acceleration of each node
+"""
 
 import torch
 from torch import Tensor, nn
 
-from gns.kernels.linear import Linear
-from gns.kernels.messages import Interaction
-from gns.model.context import Context
+from gns.model.context import GridContext
 from gns.model.graph import Graph, mean_envelope_sum
 from gns.model.grid import Stencil
+from gns.model.interaction import Interaction
 from gns.model.settings import ModelSettings
 
 
-def perceptron(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
-    """A network of `hidden_layers` hidden layers."""
+def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
+    """A multilayer perceptron of `mlp_layers` hidden layers of `width`, with SiLU between."""
     modules: list[nn.Module] = []
-    for _ in range(settings.hidden_layers):
-        modules += [Linear(inputs, settings.width), nn.SiLU()]
+    for _ in range(settings.mlp_layers):
+        modules += [nn.Linear(inputs, settings.width), nn.SiLU()]
         inputs = settings.width
-    return nn.Sequential(*modules, Linear(inputs, outputs))
+    return nn.Sequential(*modules, nn.Linear(inputs, outputs))
 
 
-class Layer(nn.Module):
-    """One hop: x_i <- x_i + network(y_i, sum of the messages to i), where y_i = norm(x_i).
+class Encoder(nn.Module):
+    """Node features [N, F] to node latents [N, C]."""
+
+    def __init__(self, features: int, settings: ModelSettings) -> None:
+        super().__init__()
+        self.mlp = mlp(features, settings.width, settings)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """[N, F] to [N, C]."""
+        return torch.as_tensor(self.mlp(features))
+
+
+class MessagePassingStep(nn.Module):
+    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = norm(x_i).
 
     With FiLM y_i = (1 + g_i) norm(x_i) + b_i, scale g and shift b linear in the material (Perez et al., FiLM: visual
     reasoning with a general conditioning layer, AAAI 2018).
@@ -31,12 +47,12 @@ class Layer(nn.Module):
         super().__init__()
         self.norm = nn.LayerNorm(settings.width)
         self.interaction = Interaction(settings.width, settings.dimension)
-        self.update = perceptron(2 * settings.width, settings.width, settings)
-        self.film = Linear(material, 2 * settings.width) if settings.film else None
+        self.update = mlp(2 * settings.width, settings.width, settings)
+        self.film = nn.Linear(material, 2 * settings.width) if settings.film else None
         if self.film is not None:
             nn.init.zeros_(self.film.weight)
             nn.init.zeros_(self.film.bias)
-        self.scale = 1.0 / mean_envelope_sum(settings.radius, settings.point_volume, settings.dimension)
+        self.scale = 1.0 / mean_envelope_sum(settings.radius, settings.particle_volume, settings.dimension)
 
     def forward(self, x: Tensor, material: Tensor, graph: Graph) -> Tensor:
         """Latents [N, C] to latents [N, C]; material: [N, M]."""
@@ -44,37 +60,64 @@ class Layer(nn.Module):
         if self.film is not None:
             scale, shift = self.film(material).chunk(2, dim=1)
             normal = torch.addcmul(normal + shift, normal, scale)
-        heard = self.scale * self.interaction(normal, graph)
-        return x + torch.as_tensor(self.update(torch.cat((normal, heard), dim=1)))
+        messages = self.scale * self.interaction(normal, graph)
+        return x + torch.as_tensor(self.update(torch.cat((normal, messages), dim=1)))
 
 
-class Network(nn.Module):
-    """Features of the points to one normalised acceleration each."""
+class Processor(nn.Module):
+    """Rounds of a grid context, each followed by an equal share of the message-passing steps."""
 
-    def __init__(self, features: int, material: int, settings: ModelSettings) -> None:
+    def __init__(self, settings: ModelSettings, material: int) -> None:
         super().__init__()
-        self.encoder = perceptron(features, settings.width, settings)
-        self.contexts = nn.ModuleList(Context(settings) for _ in range(settings.rounds))
-        self.layers = nn.ModuleList(Layer(settings, material) for _ in range(settings.layers))
+        self.contexts = nn.ModuleList(GridContext(settings) for _ in range(settings.rounds))
+        self.steps = nn.ModuleList(MessagePassingStep(settings, material) for _ in range(settings.layers))
+
+    def forward(
+        self, x: Tensor, material: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
+    ) -> Tensor:
+        """Latents [N, C] to latents [N, C]; for the other arguments see `Network`."""
+        per_round = len(self.steps) // len(self.contexts)
+        for index, context in enumerate(self.contexts):
+            x = x + context(x, stencil, fraction, nodes)
+            for step in self.steps[index * per_round : (index + 1) * per_round]:
+                x = step(x, material, graph)
+        return x
+
+
+class Decoder(nn.Module):
+    """Node latents [N, C] to accelerations in units of their standard deviation [N, D]."""
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
         self.norm = nn.LayerNorm(settings.width)
-        self.decoder = perceptron(settings.width, settings.dimension, settings)
+        self.mlp = mlp(settings.width, settings.dimension, settings)
         # An untrained model is free flight.
-        last = self.decoder[-1]
-        assert isinstance(last, Linear)
+        last = self.mlp[-1]
+        assert isinstance(last, nn.Linear)
         nn.init.normal_(last.weight, std=1.0e-3)
         nn.init.zeros_(last.bias)
 
+    def forward(self, x: Tensor) -> Tensor:
+        """[N, C] to [N, D]."""
+        return torch.as_tensor(self.mlp(self.norm(x)))
+
+
+class Network(nn.Module):
+    """Features of the nodes to one normalised acceleration each."""
+
+    def __init__(self, features: int, material: int, settings: ModelSettings) -> None:
+        super().__init__()
+        self.encoder = Encoder(features, settings)
+        self.processor = Processor(settings, material)
+        self.decoder = Decoder(settings)
+
     def forward(
-        self, features: Tensor, material: Tensor, graph: Graph, points: Stencil, share: Tensor, around: Tensor
+        self, features: Tensor, material: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
     ) -> Tensor:
         """Features [N, F] to accelerations in units of their standard deviation [N, D].
 
-        material: [N, M]; share and around: see `gns.model.context.Context`.
+        material: [N, M]; stencil, fraction, nodes: see `gns.model.context.GridContext`.
         """
         x = self.encoder(features)
-        hops = len(self.layers) // len(self.contexts)
-        for turn, context in enumerate(self.contexts):
-            x = x + context(x, points, share, around)
-            for layer in self.layers[turn * hops : (turn + 1) * hops]:
-                x = layer(x, material, graph)
-        return torch.as_tensor(self.decoder(self.norm(x)))
+        x = self.processor(x, material, graph, stencil, fraction, nodes)
+        return torch.as_tensor(self.decoder(x))

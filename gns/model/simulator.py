@@ -6,17 +6,17 @@ import torch
 from torch import Tensor, nn
 
 from gns.model.context import channels
-from gns.model.graph import Search, radius_graph
-from gns.model.grid import UP, stencil, surroundings
+from gns.model.graph import radius_graph
+from gns.model.grid import UP, column_features, stencil_of
 from gns.model.network import Network
 from gns.model.settings import ModelSettings
-from gns.model.solids import feature_count, features, keep_out, occupancy
+from gns.model.solids import feature_count, keep_out, occupancy, solid_features
 from gns.model.state import Conditions, State
 
 MATERIAL = 2
-"""Numbers that describe the material of a point: friction and cohesion."""
+"""Features of the material of a particle: friction and cohesion."""
 REFERENCE_COHESION = 1000.0
-"""Cohesion [Pa] above which the network sees its logarithm, about the weight of 6 cm of sand."""
+"""Scale of the logarithm of the cohesion [Pa], about the weight of 6 cm of sand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Normalisation:
     """Statistics of the training data at the model's step."""
 
     displacement: float
-    """Root mean square displacement of a point in a step [m]."""
+    """Root mean square displacement of a particle in a step [m]."""
     acceleration: float
     """Root mean square change of the displacement from step to step, gravity taken out [m]."""
     friction_mean: float
@@ -38,16 +38,16 @@ class Simulator(nn.Module):
 
         a  = g dt^2 + s A(state)         acceleration; gravity is known, the contact forces are learned
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
-        x' = keep_out(x + v')            walls and baffles are hard; what remains of v' is x' - x
-        v' <- v' r^2 / (1 + r^2)         r = |v'| / (rest_speed dt): what hardly moves stands still
+        x' = keep_out(x + v')            walls and baffles are impenetrable; what remains of v' is x' - x
+        v' <- v' r^2 / (1 + r^2)         r = |v'| / (rest_speed dt): static friction
 
     | symbol | variable                                | unit             |
     | A      | `Network`                               | -                |
     | s      | `acceleration_scale`                    | m per step^2     |
     | v, v'  | `State.displacements[-1]`, before, after | m per step       |
 
-    Absolute positions are no features: a point knows its neighbours, walls and baffles where they are near, and the
-    grid.
+    Absolute positions are no features: offsets to neighbours, distances to walls and baffles within the cutoff radius,
+    and the column on the background grid are.
     """
 
     displacement_scale: Tensor
@@ -71,29 +71,26 @@ class Simulator(nn.Module):
         solids = feature_count(dimension, settings.baffles)
         self.network = Network(motion * dimension + solids + 1 + MATERIAL + channels(settings), MATERIAL, settings)
 
-    def forward(self, state: State, conditions: Conditions, search: Search | None = None) -> State:
-        """One step. Differentiable in the state, in friction, cohesion, volume and the corners of the baffles.
-
-        search: what finds the neighbours, e.g. a `gns.kernels.neighbours.NeighbourList`; they are searched for anew without it.
-        """
+    def forward(self, state: State, conditions: Conditions) -> State:
+        """One step. Differentiable in the state, in friction, cohesion, volume and the corners of the baffles."""
         settings, positions = self.settings, state.positions
-        graph = radius_graph(positions, settings.radius, conditions.batch, search)
-        points = stencil(positions, conditions.size, settings.grid_cell, conditions.batch, conditions.samples)
-        around = surroundings(points, conditions.volume)
+        graph = radius_graph(positions, settings.radius, conditions.batch)
+        stencil = stencil_of(positions, conditions.size, settings.grid_cell, conditions.batch, conditions.samples)
+        nodes = column_features(stencil, conditions.volume)
         if settings.baffles:
             covered = occupancy(
-                points.shape,
-                points.cell,
+                stencil.shape,
+                stencil.cell,
                 conditions.size,
                 conditions.baffles,
                 conditions.samples,
-                like=around,
+                like=nodes,
             )
-            around = torch.cat((around, covered), dim=1)
-        share = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
+            nodes = torch.cat((nodes, covered), dim=1)
+        fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
         material = self._material(conditions)
-        seen = self._features(state, conditions, material, points.gather(around))
-        contact = self.acceleration_scale * self.network(seen, material, graph, points, share, around)
+        features = self._features(state, conditions, material, stencil.gather(nodes))
+        contact = self.acceleration_scale * self.network(features, material, graph, stencil, fraction, nodes)
         fall = torch.zeros_like(positions[0])
         fall[UP] = -conditions.gravity * settings.step**2
         moved = positions + state.displacements[-1] + contact + fall
@@ -102,24 +99,24 @@ class Simulator(nn.Module):
         if settings.rest_speed > 0.0:
             stopped = positions + settled(stopped - positions, settings.rest_speed * settings.step)
             if baffles is not None:
-                # Less than the whole way round a corner may end in it.
+                # A shortened displacement around a corner may end inside the baffle.
                 stopped = keep_out(stopped, positions, conditions.size, baffles, conditions.batch)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
     def _material(self, conditions: Conditions) -> Tensor:
-        """What the network is told of the material [N, MATERIAL]."""
+        """Features of the material [N, MATERIAL]."""
         friction = (conditions.friction - self.friction_mean) / self.friction_std
         return torch.stack((friction, (conditions.cohesion / REFERENCE_COHESION).log1p()), dim=1)
 
-    def _features(self, state: State, conditions: Conditions, material: Tensor, around: Tensor) -> Tensor:
-        """Features of the points [N, F]."""
+    def _features(self, state: State, conditions: Conditions, material: Tensor, column: Tensor) -> Tensor:
+        """Node features [N, F]; column: `column_features` at the particles."""
         settings = self.settings
         motion = state.displacements / self.displacement_scale
         if settings.past_accelerations:
             changes = state.displacements[1:] - state.displacements[:-1]
             motion = torch.cat((motion, changes / self.acceleration_scale))
-        solids = features(
+        solids = solid_features(
             state.positions,
             conditions.size,
             conditions.baffles,
@@ -131,9 +128,9 @@ class Simulator(nn.Module):
             (
                 motion.movedim(0, 1).flatten(1),
                 solids,
-                (conditions.volume / settings.point_volume).unsqueeze(1) - 1.0,
+                (conditions.volume / settings.particle_volume).unsqueeze(1) - 1.0,
                 material,
-                around,
+                column,
             ),
             dim=1,
         )
@@ -142,8 +139,8 @@ class Simulator(nn.Module):
 def settled(displacements: Tensor, limit: float) -> Tensor:
     """Displacements [m], shape [N, D], of which those well below `limit` [m] fade.
 
-    Static friction, as far as a step knows it: small errors of the acceleration no longer add up to a creep that never
-    ends. Sand that begins to move is faster after one step, unless it is driven by less than limit / dt^2.
+    A model of static friction: small errors of the acceleration no longer add up to an endless creep. Sand that begins
+    to move exceeds the limit after one step, unless its acceleration is below limit / dt^2.
     """
     square = displacements.square().sum(dim=1, keepdim=True) / limit**2
     return displacements * (square / (1.0 + square))

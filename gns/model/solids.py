@@ -1,8 +1,8 @@
-"""Walls, floor and baffles as geometry: what a point sees of them, and that it never gets inside.
+"""Walls, floor and baffles as geometry: features of their distance, and the projection that keeps particles outside.
 
 Baffles are boxes, `baffles` [m], shape [B, K, 2, D]: lower and upper corner of K boxes in each of B samples. A sample
 with fewer has boxes of no size far outside the domain. Everything is differentiable in the corners, as exactly as in
-the positions; any number of baffles costs next to nothing, because only the points near one are looked at.
+the positions; any number of baffles costs next to nothing, because only the particles near one are processed.
 """
 
 import math
@@ -11,110 +11,110 @@ import torch
 from torch import Tensor
 
 ROUNDING = 0.1
-"""Radius to which edges are rounded for the direction away from a baffle, as a share of the reach.
+"""Radius to which edges are rounded for the direction away from a baffle, as a share of the cutoff radius.
 
 The direction from a sharp edge turns by any angle within any distance, and its gradient would have no bound.
 """
 SKIN = 1.0e-5
-"""Distance from a face at which points are held [m]: neither rounding nor the seam of two baffles lets one in."""
+"""Distance from a face at which particles are held [m]: neither rounding nor the joint of two baffles admits one."""
 GRAZE = 1.0e-3
-"""A step that cuts off less than this of a baffle's corner goes past it [m]."""
+"""A path that cuts off less than this of a baffle's corner passes it [m]."""
 
 
 def feature_count(dimension: int, with_baffles: bool) -> int:
-    """Number of `features`."""
+    """Number of `solid_features`."""
     return 2 * dimension + (1 + dimension if with_baffles else 0)
 
 
-def features(
+def solid_features(
     positions: Tensor,
     size: tuple[float, ...],
     baffles: Tensor | None,
     batch: Tensor | None,
-    reach: float,
+    cutoff: float,
     *,
     with_baffles: bool,
 ) -> Tensor:
-    """What points see of the solids closer than `reach` [m]: shape [N, `feature_count`].
+    """Features of the solids closer than `cutoff` [m] to the particles: shape [N, `feature_count`].
 
-    positions: [m], shape [N, D]; size: extent of the box [0, size] [m]; batch: sample of each point, shape [N].
+    positions: [m], shape [N, D]; size: extent of the box [0, size] [m]; batch: sample of each particle, shape [N].
 
-    | distance to the walls    | lower ones, then upper ones, over the reach, at most 1 [-]             |
-    | distance to a baffle     | of the nearest one over the reach, at most 1 [-]; only `with_baffles` |
-    | direction away from it   | see `nearest_baffle`; only `with_baffles`                              |
+    | distance to the walls | lower ones, then upper ones, over the cutoff, at most 1 [-]            |
+    | distance to a baffle  | of the nearest one over the cutoff, at most 1 [-]; only `with_baffles` |
+    | outward direction     | see `nearest_baffle`; only `with_baffles`                              |
 
-    Where a model knows baffles and the scene has none, all are far away.
+    Without baffles in the scene, their distance is that of the cutoff.
     """
-    walls = torch.cat((positions, positions.new_tensor(size) - positions), dim=1) / reach
-    seen = [walls.clamp(max=1.0)]
+    walls = torch.cat((positions, positions.new_tensor(size) - positions), dim=1) / cutoff
+    parts = [walls.clamp(max=1.0)]
     if with_baffles:
         if baffles is None:
-            seen += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions)]
+            parts += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions)]
         else:
-            distance, direction = nearest_baffle(positions, baffles, batch, reach)
-            seen += [(distance / reach).unsqueeze(1), direction]
-    return torch.cat(seen, dim=1)
+            distance, direction = nearest_baffle(positions, baffles, batch, cutoff)
+            parts += [(distance / cutoff).unsqueeze(1), direction]
+    return torch.cat(parts, dim=1)
 
 
-def nearest_baffle(positions: Tensor, baffles: Tensor, batch: Tensor | None, reach: float) -> tuple[Tensor, Tensor]:
-    """Signed distance [m], shape [N], and direction [-], shape [N, D], from the nearest baffle to each point.
+def nearest_baffle(positions: Tensor, baffles: Tensor, batch: Tensor | None, cutoff: float) -> tuple[Tensor, Tensor]:
+    """Signed distance [m], shape [N], and outward direction [-], shape [N, D], of the nearest baffle.
 
     With q = |x - centre| - half the box, per axis, the distance of a box is |max(q, 0)| outside and max(q), negative,
     inside (the exact distance function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It
-    is cut off at `reach` [m]. The direction is the sum of the boxes' outward unit normals n,
+    is cut off at `cutoff` [m]. The direction is the sum of the boxes' outward unit normals n,
 
-        sum_k (w_k^2 / sum_j w_j) n_k        w = max(1 - distance / reach, 0)
+        sum_k (w_k^2 / sum_j w_j) n_k        w = max(1 - distance / cutoff, 0)
 
-    so n (1 - distance / reach) near a single one. It is continuous where another baffle becomes the nearest, and
-    where the last one gets out of reach.
+    so n (1 - distance / cutoff) near a single one. It is continuous where another baffle becomes the nearest, and
+    where the last one leaves the cutoff.
     """
-    distance = positions.new_full((len(positions),), reach)
+    distance = positions.new_full((len(positions),), cutoff)
     direction = torch.zeros_like(positions)
     lower, upper = _corners(baffles, batch)
-    place = positions.unsqueeze(1)
-    near = ((place > lower - reach) & (place < upper + reach)).all(dim=2).any(dim=1).nonzero().squeeze(1)
+    x = positions.unsqueeze(1)
+    near = ((x > lower - cutoff) & (x < upper + cutoff)).all(dim=2).any(dim=1).nonzero().squeeze(1)
     if len(near) == 0:
         return distance, direction
-    place = place.index_select(0, near)
+    x = x.index_select(0, near)
     if batch is not None:
         lower, upper = lower.index_select(0, near), upper.index_select(0, near)
-    beyond = torch.maximum(lower - place, place - upper)
-    square = beyond.clamp(min=0.0).square().sum(dim=2)
+    q = torch.maximum(lower - x, x - upper)
+    square = q.clamp(min=0.0).square().sum(dim=2)
     outside = square > 0.0
     # The root has no slope at zero: on the surface the distance is that to the face.
-    away = torch.where(outside, torch.where(outside, square, 1.0).sqrt(), beyond.max(dim=2).values)
-    weight = (1.0 - away / reach).clamp(min=0.0)
+    distances = torch.where(outside, torch.where(outside, square, 1.0).sqrt(), q.max(dim=2).values)
+    weight = (1.0 - distances / cutoff).clamp(min=0.0)
     total = weight.sum(dim=1, keepdim=True)
     weight = weight * (weight / torch.where(total > 0.0, total, 1.0))
-    sum_of_normals = (weight.unsqueeze(2) * _normals(place, lower, upper, beyond, ROUNDING * reach)).sum(dim=1)
-    nearest = away.min(dim=1).values.clamp(max=reach)
+    sum_of_normals = (weight.unsqueeze(2) * _normals(x, lower, upper, q, ROUNDING * cutoff)).sum(dim=1)
+    nearest = distances.min(dim=1).values.clamp(max=cutoff)
     return distance.index_copy(0, near, nearest), direction.index_copy(0, near, sum_of_normals)
 
 
-def _normals(place: Tensor, lower: Tensor, upper: Tensor, beyond: Tensor, radius: float) -> Tensor:
-    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `place` [n, 1, D].
+def _normals(x: Tensor, lower: Tensor, upper: Tensor, q: Tensor, radius: float) -> Tensor:
+    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `x` [n, 1, D].
 
-    They point from the box that is smaller by the radius on every side; beyond: q of `nearest_baffle`, [n, K, D].
+    They point from the box that is smaller by the radius on every side; q: of `nearest_baffle`, [n, K, D].
     """
     half = 0.5 * (upper - lower)
-    arm = (beyond + half.clamp(max=radius)).clamp(min=0.0)
+    arm = (q + half.clamp(max=radius)).clamp(min=0.0)
     square = arm.square().sum(dim=2, keepdim=True)
-    known = square > 0.0
+    outside = square > 0.0
     # Deep inside it is the normal of the nearest face.
-    face = torch.nn.functional.one_hot(beyond.argmax(dim=2), beyond.shape[2]).to(beyond)
-    normal = torch.where(known, arm / torch.where(known, square, 1.0).sqrt(), face)
-    return torch.where(place < lower + half, -normal, normal)
+    face = torch.nn.functional.one_hot(q.argmax(dim=2), q.shape[2]).to(q)
+    normal = torch.where(outside, arm / torch.where(outside, square, 1.0).sqrt(), face)
+    return torch.where(x < lower + half, -normal, normal)
 
 
 def keep_out(
     positions: Tensor, before: Tensor, size: tuple[float, ...], baffles: Tensor | None, batch: Tensor | None
 ) -> Tensor:
-    """Where the points really are that wanted to go from `before` to `positions` [m], shape [N, D].
+    """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
 
-    The walls of the box [0, size] stop them, and so do the baffles: a point whose way leads into a baffle, or through
-    it, keeps SKIN away from the face that it met first, and what it moves along that face remains. A point on a face
-    follows it: the gradient in the corner is one. A point that was inside before counts as having been at the
-    nearest face that is free.
+    The walls of the box [0, size] stop them, and so do the baffles: a particle whose path enters a baffle, or crosses
+    it, is held at a distance SKIN from the first face on its path, and its motion along that face remains.
+    A particle on a face follows it: the gradient in the corner is one. A particle that was inside before counts as
+    having been at the nearest face that is free.
     """
     kept = _clamped(positions, size)
     if baffles is None:
@@ -132,53 +132,53 @@ def keep_out(
     )
     start = _clamped(before.detach().index_select(0, near), size)
     start = _freed(start, size, lower.detach(), upper.detach())
-    # Where a box has stopped a point, the point's new way is clear of that box, whatever stops it next: a round each.
+    # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each.
     for _ in range(baffles.shape[1]):
         box, axis, rises = _entered(start, point.detach(), lower.detach(), upper.detach())
         if not bool((box >= 0).any()):
             break
         row = torch.arange(len(near), device=box.device)
-        here = box.clamp(min=0)
-        face = torch.where(rises, lower[row, here, axis], upper[row, here, axis]).unsqueeze(1)
+        index = box.clamp(min=0)
+        face = torch.where(rises, lower[row, index, axis], upper[row, index, axis]).unsqueeze(1)
         stopped = (axis.unsqueeze(1) == torch.arange(len(size), device=box.device)) & (box >= 0).unsqueeze(1)
         point = torch.where(stopped, face, point)
     return kept.index_copy(0, near, point)
 
 
 def _clamped(points: Tensor, size: tuple[float, ...]) -> Tensor:
-    """Points [n, D] in the box [0, size]."""
-    # Bounds as numbers: a clamp to tensors would halve the gradient of a point that rests exactly on a wall.
+    """Positions [n, D] clamped to the box [0, size]."""
+    # Bounds as numbers: a clamp to tensors would halve the gradient of a particle that rests exactly on a wall.
     return torch.stack([points[:, axis].clamp(0.0, length) for axis, length in enumerate(size)], dim=1)
 
 
 def _entered(start: Tensor, end: Tensor, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The box that each way from `start` to `end` [n, D] enters first, -1 where none; along which axis; if it rises.
+    """The box that each path from `start` to `end` [n, D] enters first, -1 where none; along which axis; if it rises.
 
-    By the slab method (Kay and Kajiya 1986): the way is inside between the last of the axes' entries and the first
+    By the slab method (Kay and Kajiya 1986): the path is inside between the last of the axes' entries and the first
     of their exits. lower, upper: [m], shape [n, K, D].
     """
-    way = (end - start).unsqueeze(1)
-    place = start.unsqueeze(1)
-    still = way == 0.0
-    divisor = torch.where(still, 1.0, way)
-    entry, leave = (lower - place) / divisor, (upper - place) / divisor
-    between = (place > lower) & (place < upper)
+    path = (end - start).unsqueeze(1)
+    x = start.unsqueeze(1)
+    still = path == 0.0
+    divisor = torch.where(still, 1.0, path)
+    entry, leave = (lower - x) / divisor, (upper - x) / divisor
+    between = (x > lower) & (x < upper)
     entry, leave = (
         torch.where(still, torch.where(between, -math.inf, math.inf), torch.minimum(entry, leave)),
         torch.where(still, torch.where(between, math.inf, -math.inf), torch.maximum(entry, leave)),
     )
-    came, axis = entry.max(dim=2)
-    cut = (leave.min(dim=2).values.clamp(max=1.0) - came) * way.norm(dim=2)
+    entered, axis = entry.max(dim=2)
+    cut = (leave.min(dim=2).values.clamp(max=1.0) - entered) * path.norm(dim=2)
     ended_inside = ((end.unsqueeze(1) > lower) & (end.unsqueeze(1) < upper)).all(dim=2)
-    hit = ended_inside | ((came >= 0.0) & (cut > GRAZE))
-    earliest, box = torch.where(hit, came, math.inf).min(dim=1)
+    hit = ended_inside | ((entered >= 0.0) & (cut > GRAZE))
+    earliest, box = torch.where(hit, entered, math.inf).min(dim=1)
     axis = axis.gather(1, box.unsqueeze(1)).squeeze(1)
-    rises = way.squeeze(1).gather(1, axis.unsqueeze(1)).squeeze(1) > 0.0
+    rises = path.squeeze(1).gather(1, axis.unsqueeze(1)).squeeze(1) > 0.0
     return torch.where(earliest < math.inf, box, -1), axis, rises
 
 
 def _freed(points: Tensor, size: tuple[float, ...], lower: Tensor, upper: Tensor) -> Tensor:
-    """Points [n, D], those inside a box moved to its nearest face that neither a wall nor another box covers."""
+    """Positions [n, D], those inside a box moved to its nearest face that neither a wall nor another box covers."""
     inside = ((points.unsqueeze(1) > lower) & (points.unsqueeze(1) < upper)).all(dim=2)
     stuck = inside.any(dim=1).nonzero().squeeze(1)
     if len(stuck) == 0:
@@ -206,7 +206,7 @@ def occupancy(
     samples: int,
     like: Tensor | None = None,
 ) -> Tensor:
-    """Share of each grid node's cell that baffles cover [-], shape [samples * nodes, 1], as `gns.model.grid.Stencil` has it.
+    """Share of each grid node's cell that baffles cover [-], shape [samples * nodes, 1], as in `gns.model.grid`.
 
     shape, cell, size: of the grid, its edge [m] and the box that it spans [m]. A node's cell is the box of that edge
     around it, as far as it is in the domain. like: without baffles, type and device of the zeros.
@@ -227,6 +227,6 @@ def occupancy(
 
 
 def _corners(baffles: Tensor, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Lower and upper corners of the boxes that each point can meet [m], shape [N or 1, K, D]."""
-    mine = baffles if batch is None else baffles.index_select(0, batch)
-    return mine[:, :, 0], mine[:, :, 1]
+    """Lower and upper corners of the boxes in each particle's sample [m], shape [N or 1, K, D]."""
+    boxes = baffles if batch is None else baffles.index_select(0, batch)
+    return boxes[:, :, 0], boxes[:, :, 1]

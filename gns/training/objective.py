@@ -8,10 +8,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datasets.training.samples import Flow, Sample, cut, exchanged, mirrored
-from gns.model.batch import Batch, batched
 from gns.model.grid import UP
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
+from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
 Domain = tuple[tuple[float, ...], float]
@@ -69,7 +69,7 @@ class UnrolledLoss(nn.Module):
         self.loss_scale = loss_scale
         self.mixed = mixed
 
-    def forward(self, batch: Batch, kept_steps: int) -> Tensor:
+    def forward(self, batch: Particles, kept_steps: int) -> Tensor:
         """The loss of unrolling `batch` to its last target; kept_steps: see `gns.unroll.unroll`."""
         steps = len(batch.targets)
         with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=self.mixed):
@@ -92,7 +92,7 @@ class Curriculum:
         # As many times as a domain has datasets, so that these get equal shares.
         self._shares = [domain for domain, group in self._domains.items() for _ in group]
 
-    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Batch:
+    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """`count` samples with `steps` targets, side by side."""
         domain = self._shares[int(rng.integers(len(self._shares)))]
         samples = [self.draw(domain, steps, rng) for _ in range(count)]
@@ -110,7 +110,7 @@ class Curriculum:
             steps=steps,
             history=settings.history,
             cell=settings.cell,
-            kept=settings.points_per_cell,
+            kept=settings.particles_per_cell,
             rng=rng,
         )
         return turned(sample, flow.size, rng)

@@ -22,7 +22,7 @@ class Bar:
     """
 
     def __init__(self, budget: Budget, schedule: Sequence[int], *, seconds: float, batch: int, shown: bool) -> None:
-        """seconds: of the clock, spent before [s]; schedule: see `gns.training.objective.unrolled_steps`; batch: samples."""
+        """seconds: of the clock, spent before [s]; schedule: see `unrolled_steps`; batch: samples."""
         self._budget, self._schedule, self._seconds, self._batch = budget, schedule, seconds, batch
         self._begun = time.perf_counter()
         self._steps = 0

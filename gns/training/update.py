@@ -14,15 +14,15 @@ from datasets import files
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from gns.model import checkpoint
-from gns.model.batch import Batch, perturbed
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training.batch import Particles, perturbed
 from gns.training.distributed import Processes
 from gns.training.objective import Curriculum, UnrolledLoss
 from gns.unroll import step_activation_bytes
 
 MARGIN = 1.5
-"""Some batches have more neighbours a point than the one whose memory was measured."""
+"""Some batches have more neighbours a particle than the one whose memory was measured."""
 ALONE = Processes(device=torch.device("cpu"))
 """One process on the CPU."""
 
@@ -84,8 +84,8 @@ class Position:
     """Sum of the losses since."""
     log_size: int = 0
     """Bytes of log.csv."""
-    point_bytes: float = 0.0
-    """Memory that a step's activations take per point, measured [bytes]; 0 before that."""
+    particle_bytes: float = 0.0
+    """Memory that a step's activations take per particle, measured [bytes]; 0 before that."""
 
     @property
     def unscored(self) -> int:
@@ -153,13 +153,13 @@ class Run:
         position.updates, position.steps, position.losses = position.updates + 1, steps, position.losses + value
         return float(value)
 
-    def kept_steps(self, batch: Batch) -> int:
+    def kept_steps(self, batch: Particles) -> int:
         """Steps whose activations fit into the memory; the others are computed a second time, to the same result."""
-        points, steps = batch.targets.shape[1], len(batch.targets)
-        if not self.position.point_bytes:
+        particles, steps = batch.targets.shape[1], len(batch.targets)
+        if not self.position.particle_bytes:
             measured = step_activation_bytes(self.simulator, batch.state, batch.conditions)
-            self.position.point_bytes = MARGIN * measured / points
-        return min(steps, int(self.memory_gib * 2**30 / (self.position.point_bytes * points)))
+            self.position.particle_bytes = MARGIN * measured / particles
+        return min(steps, int(self.memory_gib * 2**30 / (self.position.particle_bytes * particles)))
 
     def save(self, path: Path) -> None:
         """Write `last.pt`, of the first process alone: the others hold the same."""
@@ -180,12 +180,12 @@ class Run:
         """Bring back what `save` wrote. Raises InputError."""
         content = checkpoint.read(path)
         try:
-            if ModelSettings(**content["settings"]) != self.simulator.settings:
+            if ModelSettings.from_mapping(content["settings"]) != self.simulator.settings:
                 raise InputError("expected the model settings that the run was begun with", where=str(path))
             if content["seed"] != self.seed:
                 raise InputError(f"expected the seed of the run, {content['seed']}", where=str(path), key="seed")
-            self.simulator.load_state_dict(content["weights"])
-            self.average.load_state_dict(content["average"])
+            self.simulator.load_state_dict(checkpoint.renamed(content["weights"]))
+            self.average.load_state_dict(checkpoint.renamed(content["average"]))
             self.optimiser.load_state_dict(content["optimiser"])
             self.position = Position(**content["position"])
         except (KeyError, TypeError, RuntimeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""The learned simulator as a forward: from the scene or the MPM's first frames to the deposit, differentiably."""
+"""The learned simulator as a forward model: from the scene or the MPM's first frames to the deposit, differentiably."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,23 +10,21 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
 from gns.model.simulator import Simulator
-from gns.score import START
-from gns.start import InitialValueProblem, after_frames, at_rest
 from gns.unroll import step_activation_bytes, unroll
-from inverse.observations.deposit import Observation, Rollout, Values
-from inverse.parameters.initial_state import Launch, Start
-from inverse.parameters.parameters import Vector, launched
+from inverse.observations import Observation, Rollout, Values
+from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 THINNING_SEED = 0
-"""Which points of a cell the surrogate follows: always the same, so that predictions differ by the unknowns alone."""
+"""Which particles of a cell the surrogate follows: always the same, so that the parameters alone make a difference."""
 
 
 class GnsForward:
-    """A rollout of the surrogate in which every unknown of the problem is free."""
+    """A rollout of the surrogate that is a differentiable function of the problem's parameters."""
 
     def __init__(
         self,
@@ -36,54 +34,57 @@ class GnsForward:
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
     ) -> None:
-        flow = beginning_of(beginning, problem, simulator)
+        self.simulator, self.observation, self.kinds = simulator, observation, problem.kinds
         dtype = next(simulator.parameters()).dtype
-        self.simulator, self.problem, self.observation = simulator, problem, observation
-        self.launch = Launch.of(flow, problem.scene, step=simulator.settings.step, dtype=dtype)
-        self.indices, self.steps = flow.indices, flow.steps
-        # What an observation over time sees before the rollout begins; others are spared it.
-        self.before = torch.from_numpy(flow.known[:-1])
-        self.times = flow.times(simulator.settings.step)[0 if observation.over_time else len(self.before) :]
-        bytes_per_step = step_activation_bytes(simulator, self.launch.state, self.launch.conditions)
+        self.initial = beginning_of(beginning, problem, simulator).to(dtype=dtype)
+        self.indices, self.steps = self.initial.indices, self.initial.steps
+        # Before the rollout begins: for an observation over time alone.
+        self.before = torch.from_numpy(self.initial.known[:-1])
+        self.times = self.initial.times[0 if observation.over_time else len(self.before) :]
+        bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
-    def predict(self, unknowns: Tensor) -> Tensor:
-        """The smooth observation, float64 of shape [m], of unknowns, float64 of shape [U]."""
-        return self.observation.predict(
-            Rollout(positions=self._path(unknowns), times=self.times, volumes=self.launch.conditions.volume)
-        )
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """The smooth observation, float64 of shape [m], of parameters, float64 of shape [U]."""
+        volumes = self.initial.conditions.volume
+        return self.observation.predict(Rollout(positions=self._path(parameters), times=self.times, volumes=volumes))
 
-    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
-        """The smooth observation [m] of each vector of unknowns [U], one after the other."""
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """The smooth observation [m] at each vector of parameters [U], one after the other."""
         with torch.no_grad():
-            return [self.predict(torch.from_numpy(values)).numpy() for values in unknowns]
+            return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]
 
-    def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
-        """Where the points come to rest [m], shape [n, D]."""
+    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
+        """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._path(torch.from_numpy(unknowns))[-1].numpy()
+            return self._path(torch.from_numpy(parameters))[-1].numpy()
 
-    def wanted(self, target: Values) -> Values:
-        """What of an exact `target` [M] the predictions [m] are held against: that of the points followed here."""
-        return self.observation.of_points(target, self.indices)
+    def select(self, target: Values, /) -> Values:
+        """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
+        return self.observation.of_particles(target, self.indices)
 
-    def _path(self, unknowns: Tensor) -> Tensor:
+    def entered(self, parameters: Tensor) -> InitialState:
+        """The initial state with parameters [U], differentiable in them."""
+        initial = self.initial
+        for index in in_order(self.kinds):
+            initial = self.kinds[index].enter(initial, parameters[index])
+        return initial
+
+    def _path(self, parameters: Tensor) -> Tensor:
         """Positions [m] at `times`, shape [T, n, D]."""
-        launch = launched(self.launch, self.problem.names, unknowns)
-        moved = unroll(self.simulator, launch.state, launch.conditions, self.steps, kept_steps=self.kept_steps)
+        initial = self.entered(parameters)
+        moved = unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
         return torch.cat((self.before.to(moved.dtype), moved)) if self.observation.over_time else moved
 
 
-def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialValueProblem:
+def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialState:
     """Where the rollout begins: at the scene, or after the first frames of `beginning`."""
-    settings, rng, scene = simulator.settings, np.random.default_rng(THINNING_SEED), problem.scene
-    if problem.start is Start.REST:
+    settings, scene = simulator.settings, problem.scene
+    if problem.start is Start.FROM_REST:
         seed = scene.seed if beginning is None else beginning.scene.seed
-        return at_rest(dataclasses.replace(scene, seed=seed), settings, rng)
+        return initial_state(dataclasses.replace(scene, seed=seed), settings, seed=THINNING_SEED)
     assert beginning is not None, "`GnsSource.first_frames` asked for them"
-    frames = round(START / beginning.scene.frame_dt) + 1
-    start = dataclasses.replace(beginning, positions=beginning.positions[:frames], time=beginning.time[:frames])
-    return after_frames(start, scene, settings, rng)
+    return initial_state(scene, settings, first_frames(beginning), seed=THINNING_SEED)
 
 
 class GnsSource:
@@ -97,7 +98,7 @@ class GnsSource:
 
     def first_frames(self, scene: Scene) -> Scene | None:
         """`scene`, cut to a twentieth of a second: all that the surrogate needs of the MPM, if it needs any."""
-        return None if self.problem.start is Start.REST else dataclasses.replace(scene, duration=START)
+        return None if self.problem.start is Start.FROM_REST else dataclasses.replace(scene, duration=MPM_SECONDS)
 
     def start(self, beginning: Trajectory | None) -> GnsForward:
         """The surrogate that goes on from the first frames of `beginning`."""

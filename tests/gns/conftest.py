@@ -42,7 +42,7 @@ def simulator(settings: ModelSettings) -> Simulator:
 def lively(simulator: Simulator) -> Simulator:
     """The tiny model with an output that matters."""
     with torch.no_grad():
-        simulator.network.decoder[-1].weight.normal_(std=0.3)
+        simulator.network.decoder.mlp[-1].weight.normal_(std=0.3)
     return simulator
 
 
@@ -58,9 +58,9 @@ def cloud(settings: ModelSettings) -> Cloud:
         jitter = 0.6 * (torch.rand(lattice.shape, generator=generator) - 0.5)
         positions = torch.tensor(lower) + settings.cell * (lattice + jitter)
         velocities = torch.tensor(velocity).expand_as(positions)
-        state = State.launched(positions, velocities, step=settings.step, history=settings.history)
+        state = State.moving(positions, velocities, step=settings.step, history=settings.history)
         friction = torch.full((len(positions),), 0.5)
-        volume = torch.full((len(positions),), settings.point_volume)
+        volume = torch.full((len(positions),), settings.particle_volume)
         cohesion = torch.full_like(friction, 100.0)
         return state, Conditions(friction=friction, cohesion=cohesion, volume=volume, size=(1.0, 1.0))
 

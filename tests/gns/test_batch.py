@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from datasets.training.samples import Sample, cut, load_flows
-from gns.model.batch import batched, perturbed
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training.batch import batched, perturbed
 
 
 def samples(dataset: Path, settings: ModelSettings) -> list[Sample]:
@@ -22,7 +22,7 @@ def samples(dataset: Path, settings: ModelSettings) -> list[Sample]:
     ]
 
 
-def test_samples_do_not_see_each_other(lively: Simulator, dataset: Path) -> None:
+def test_samples_of_a_batch_are_independent(lively: Simulator, dataset: Path) -> None:
     settings = lively.settings
     given = samples(dataset, settings)
 
@@ -37,13 +37,13 @@ def test_samples_do_not_see_each_other(lively: Simulator, dataset: Path) -> None
 def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset: Path) -> None:
     batch = batched(samples(dataset, settings), size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3)
     noisy = perturbed(batch, 1e-3, torch.Generator().manual_seed(0))
-    torch.testing.assert_close(noisy.targets - noisy.state.positions, batch.targets - batch.state.positions)
-    walk = noisy.state.displacements - batch.state.displacements
+    torch.testing.assert_close(noisy.targets - noisy.pos, batch.targets - batch.pos)
+    walk = noisy.displacements - batch.displacements
     assert 0.8e-3 < walk[-1].std() < 1.2e-3
-    torch.testing.assert_close(walk.sum(0), noisy.state.positions - batch.state.positions, atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(walk.sum(0), noisy.pos - batch.pos, atol=1e-6, rtol=0.0)
 
 
-def test_baffles_are_padded_far_away(settings: ModelSettings, dataset: Path) -> None:
+def test_baffles_are_padded_outside_the_domain(settings: ModelSettings, dataset: Path) -> None:
     def joined(*baffles: list[list[list[float]]]) -> torch.Tensor | None:
         some = [
             dataclasses.replace(sample, baffles=np.array(boxes, np.float32).reshape(-1, 2, 2))
@@ -53,23 +53,20 @@ def test_baffles_are_padded_far_away(settings: ModelSettings, dataset: Path) -> 
 
     one, two = [[0.1, 0.0], [0.2, 0.3]], [[0.4, 0.0], [0.5, 0.3]]
     assert joined([], []) is None
-    away = [[-10.0, -10.0], [-10.0, -10.0]]
+    absent = [[-10.0, -10.0], [-10.0, -10.0]]
     found = joined([one], [two, one])
     assert found is not None
-    torch.testing.assert_close(found, torch.tensor([[one, away], [two, one]]))
+    torch.testing.assert_close(found, torch.tensor([[one, absent], [two, one]]))
 
 
-def test_a_batch_goes_to_a_device_whole(settings: ModelSettings, dataset: Path) -> None:
+def test_a_batch_moves_to_a_device_as_a_whole(settings: ModelSettings, dataset: Path) -> None:
     batch = batched(samples(dataset, settings), size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3)
+    assert (batch.conditions.size, batch.conditions.gravity) == ((0.6, 0.4), 9.81)
     there = batch.to("meta")
-    for part in (there, there.state, there.conditions):
-        for field in dataclasses.fields(part):
-            value = getattr(part, field.name)
-            assert not isinstance(value, torch.Tensor) or value.device.type == "meta"
-    assert there.conditions.size == (0.6, 0.4)
+    assert {value.device.type for value in there.to_dict().values() if isinstance(value, torch.Tensor)} == {"meta"}
 
 
-def test_cohesion_comes_with_the_points(settings: ModelSettings, dataset: Path) -> None:
+def test_cohesion_is_that_of_each_sample(settings: ModelSettings, dataset: Path) -> None:
     some = samples(dataset, settings)
     some[1] = dataclasses.replace(some[1], cohesion=np.full_like(some[1].cohesion, 100.0))
     found = batched(some, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=3).conditions

@@ -8,8 +8,8 @@ import pytest
 from datasets.errors import InputError
 from datasets.library import SCENES, find, read_scene
 from datasets.scene import Scene
+from gns.inference import WEIGHTS, shipped
 from gns.model import card
-from gns.rollout import WEIGHTS, shipped
 
 
 def scene(name: str = "column-tall-42") -> Scene:

@@ -1,6 +1,5 @@
 """Two processes train as one with both their samples."""
 
-import dataclasses
 import multiprocessing
 import os
 import socket
@@ -14,9 +13,9 @@ import torch
 
 from datasets.training.samples import Sample, cut, load_flows
 from gns.model import checkpoint
-from gns.model.batch import Batch, batched
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training.batch import Particles, batched
 from gns.training.distributed import Processes, joined
 from gns.training.objective import Curriculum
 from gns.training.update import Run, TrainingSettings
@@ -31,18 +30,11 @@ class Given(Curriculum):
     def __init__(self, samples: list[Sample], settings: ModelSettings) -> None:
         self._samples, self._settings = samples, settings
 
-    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Batch:
+    def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """All of them."""
         settings = self._settings
-        one = batched(self._samples, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=settings.history)
-        conditions = {key: getattr(one.conditions, key).double() for key in ("friction", "cohesion", "volume")}
-        return Batch(
-            state=type(one.state)(
-                positions=one.state.positions.double(), displacements=one.state.displacements.double()
-            ),
-            conditions=dataclasses.replace(one.conditions, **conditions),
-            targets=one.targets.double(),
-        )
+        joint = batched(self._samples, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=settings.history)
+        return joint.apply(lambda values: values.double() if values.is_floating_point() else values)
 
 
 def updated(simulator: Simulator, samples: list[Sample], processes: Processes) -> dict[str, torch.Tensor]:
@@ -73,7 +65,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
         cut(flow, now=now, steps=STEPS, history=settings.history, cell=cell, kept=1, rng=rng)
         for flow, now, cell in zip(flows, (0, 5, 9), (0.01, 0.01, 0.015), strict=False)
     ]
-    # Two samples here and one there, of other numbers of points.
+    # Two samples here and one there, of other numbers of particles.
     parts = [samples[:2], samples[2:]]
     assert len({len(sample.friction) for sample in samples}) > 1
     with socket.socket() as free:

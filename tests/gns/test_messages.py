@@ -1,11 +1,15 @@
-"""The fused messages are the definition, and so is their gradient."""
+"""The fused sum of the messages is its definition in PyTorch Geometric, and so are its gradients and the network."""
 
 import pytest
 import torch
 from torch import Tensor
 
-from gns.kernels.messages import FusedSum, Interaction, message_sum
+from gns.kernels.messages import fused_message_sum
+from gns.model import interaction
 from gns.model.graph import Graph, radius_graph
+from gns.model.interaction import Interaction, message_sum
+from gns.model.simulator import Simulator
+from tests.gns.conftest import Cloud
 
 
 def random_inputs(dimension: int, width: int, dtype: torch.dtype) -> tuple[Graph, list[Tensor]]:
@@ -16,12 +20,7 @@ def random_inputs(dimension: int, width: int, dtype: torch.dtype) -> tuple[Graph
     return graph, [torch.randn(*shape, dtype=dtype) for shape in shapes]
 
 
-def fused(graph: Graph, inputs: list[Tensor]) -> Tensor:
-    total: Tensor = FusedSum.apply(*inputs, graph.offsets, graph.envelope, graph.senders, graph.starts)
-    return total
-
-
-# Widths that fill no vector, one, and several with a rest.
+# Widths that fill no vector, one, and more with a rest.
 @pytest.mark.parametrize("width", [1, 16, 37])
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 2e-5), (torch.float64, 1e-12)])
@@ -29,40 +28,55 @@ def test_the_fused_sum_equals_the_definition(dimension: int, width: int, dtype: 
     graph, inputs = random_inputs(dimension, width, dtype)
     # Far out on both sides of the sigmoid too.
     inputs[0][0], inputs[0][1] = 300.0, -300.0
-    torch.testing.assert_close(fused(graph, inputs), message_sum(*inputs, graph), atol=tolerance, rtol=tolerance)
+    expected = message_sum(*inputs, graph)
+    torch.testing.assert_close(fused_message_sum(*inputs, graph), expected, atol=tolerance, rtol=tolerance)
 
 
-@pytest.mark.parametrize("positions_matter", [True, False])
-@pytest.mark.parametrize("weight_matters", [True, False])
+@pytest.mark.parametrize("with_positions", [True, False])
+@pytest.mark.parametrize("with_weight", [True, False])
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 2e-4), (torch.float64, 1e-10)])
 def test_its_gradients_are_those_of_the_definition(
-    positions_matter: bool, weight_matters: bool, dimension: int, dtype: torch.dtype, tolerance: float
+    with_positions: bool, with_weight: bool, dimension: int, dtype: torch.dtype, tolerance: float
 ) -> None:
     graph, inputs = random_inputs(dimension, 21, dtype)
-    inputs[2].requires_grad_(weight_matters)
-    wanted = torch.randn(40, 21, dtype=dtype)
-    gradients = []
-    for form in (lambda: fused(graph, inputs), lambda: message_sum(*inputs, graph)):
-        leaves = [*inputs[:2], *([inputs[2]] if weight_matters else [])]
-        if positions_matter:
-            leaves += [graph.offsets, graph.envelope]
-        for leaf in leaves:
-            leaf.requires_grad_()
-        gradients.append(torch.autograd.grad(form(), leaves, wanted))
-    for got, expected in zip(*gradients, strict=True):
+    inputs[2].requires_grad_(with_weight)
+    seed = torch.randn(40, 21, dtype=dtype)
+    leaves = [*inputs[:2], *([inputs[2]] if with_weight else [])]
+    if with_positions:
+        leaves += [graph.edge_attr, graph.edge_weight]
+    for leaf in leaves:
+        leaf.requires_grad_()
+    fused, defined = (
+        torch.autograd.grad(form(*inputs, graph), leaves, seed) for form in (fused_message_sum, message_sum)
+    )
+    for got, expected in zip(fused, defined, strict=True):
         torch.testing.assert_close(got, expected, atol=tolerance, rtol=tolerance)
 
 
-def test_a_point_without_neighbours_hears_nothing() -> None:
+def test_a_step_of_the_network_is_the_definitions(
+    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, conditions = cloud(lower=(0.0, 0.0))
+    friction = conditions.friction.requires_grad_()
+    results = []
+    for form in (fused_message_sum, message_sum):
+        monkeypatch.setattr(interaction, "fused_message_sum", form)
+        positions = lively(state, conditions).positions
+        results.append((positions, *torch.autograd.grad(positions.square().sum(), friction)))
+    for fused, defined in zip(*results, strict=True):
+        torch.testing.assert_close(fused, defined, atol=1e-6, rtol=1e-4)
+
+
+def test_a_node_without_neighbours_gets_no_messages() -> None:
     positions = torch.tensor([[0.0, 0.0], [0.1, 0.0], [5.0, 5.0]])
-    layer = Interaction(8, 2)
-    heard = layer(torch.randn(3, 8), radius_graph(positions, 0.2))
-    assert heard[2].abs().max() == 0.0
-    assert heard[0].abs().max() > 0.0
+    messages = Interaction(8, 2)(torch.randn(3, 8), radius_graph(positions, 0.2))
+    assert messages[2].abs().max() == 0.0
+    assert messages[0].abs().max() > 0.0
 
 
 def test_nan_stays_visible() -> None:
     graph, inputs = random_inputs(2, 16, torch.float32)
-    inputs[1][int(graph.senders[0])] = torch.nan
-    assert fused(graph, inputs)[int(graph.receivers[0])].isnan().any()
+    sender, receiver = graph.edge_index[:, 0].tolist()
+    inputs[1][sender] = torch.nan
+    assert fused_message_sum(*inputs, graph)[receiver].isnan().any()

@@ -1,6 +1,7 @@
-"""Both cell lists against SciPy's tree, and lists of candidates against a fresh search."""
+"""Both cell lists against SciPy's tree, and torch_cluster's edges in our order."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,18 +11,14 @@ from torch import Tensor
 
 from datasets.command_line import WorkFailed
 from gns.kernels import neighbours as module
-from gns.kernels.neighbours import Edges, NeighbourList, closer, closer_by_torch, neighbours, neighbours_by_torch
-from gns.model.simulator import Simulator
-from gns.model.state import Conditions, State
-from gns.unroll import unroll
+from gns.kernels.neighbours import Edges, neighbours, neighbours_by_cluster, neighbours_by_torch
 
-Cloud = Callable[..., tuple[State, Conditions]]
 Find = Callable[[Tensor, float, Tensor | None], Edges]
 both = pytest.mark.parametrize("find", [neighbours, neighbours_by_torch])
 
 
-def oracle(positions: Tensor, radius: float, batch: Tensor | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Senders and receivers in order: SciPy's pairs of a hair more than the radius, then those that are near."""
+def oracle(positions: Tensor, radius: float, batch: Tensor | None = None) -> np.ndarray:
+    """Senders and receivers in order [2, E]: SciPy's pairs of slightly more than the radius, then those within it."""
     points = positions.double().numpy()
     samples = np.zeros(len(points), dtype=int) if batch is None else batch.numpy()
     pairs = [np.empty((0, 2), dtype=int)]
@@ -34,21 +31,15 @@ def oracle(positions: Tensor, radius: float, batch: Tensor | None = None) -> tup
     one_way = one_way[square <= radius * radius]
     senders, receivers = np.concatenate((one_way, one_way[:, ::-1])).T
     order = np.lexsort((senders, receivers))
-    return senders[order], receivers[order]
+    return np.stack((senders[order], receivers[order]))
 
 
 def assert_right(edges: Edges, positions: Tensor, radius: float, batch: Tensor | None = None) -> None:
-    senders, receivers = oracle(positions, radius, batch)
-    np.testing.assert_array_equal(edges.senders.numpy(), senders)
-    np.testing.assert_array_equal(edges.receivers.numpy(), receivers)
-    counts = np.bincount(receivers, minlength=len(positions))
+    expected = oracle(positions, radius, batch)
+    np.testing.assert_array_equal(edges.edge_index.numpy(), expected)
+    counts = np.bincount(expected[1], minlength=len(positions))
     np.testing.assert_array_equal(edges.starts.numpy(), np.concatenate(([0], np.cumsum(counts))))
-    assert {tensor.dtype for tensor in (edges.senders, edges.receivers, edges.starts)} == {torch.int64}
-
-
-def assert_same(edges: Edges, others: Edges) -> None:
-    for name in ("senders", "receivers", "starts"):
-        assert torch.equal(getattr(edges, name), getattr(others, name)), name
+    assert {edges.edge_index.dtype, edges.starts.dtype} == {torch.int64}
 
 
 def lattice(count: int, spacing: float, dimension: int) -> Tensor:
@@ -58,12 +49,12 @@ def lattice(count: int, spacing: float, dimension: int) -> Tensor:
 @both
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("count", [0, 1, 2, 30, 700])
-def test_random_clouds_in_samples_that_never_meet(find: Find, count: int, dimension: int) -> None:
+def test_random_clouds_of_separate_samples(find: Find, count: int, dimension: int) -> None:
     generator = torch.Generator().manual_seed(count)
     positions = torch.rand(count, dimension, generator=generator) - 0.3
     radius = 0.1 if dimension == 2 else 0.2
     assert_right(find(positions, radius, None), positions, radius)
-    # Sample 2 is empty; the samples lie in each other and come in any order.
+    # Sample 2 is empty; the samples overlap and come in any order.
     batch = torch.tensor([0, 1, 3])[torch.randint(3, (count,), generator=generator)]
     assert_right(find(positions, radius, batch), positions, radius, batch)
 
@@ -72,7 +63,7 @@ def test_random_clouds_in_samples_that_never_meet(find: Find, count: int, dimens
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("share", [1.0, 1.0 / 2.0, 1.0 / 3.0])
 @pytest.mark.parametrize("kind", [torch.float32, torch.float64])
-def test_points_at_just_the_radius_on_the_edges_of_cells(
+def test_particles_at_just_the_radius_on_the_edges_of_cells(
     find: Find, dimension: int, share: float, kind: torch.dtype
 ) -> None:
     """Some distances are the radius but for rounding: both must round alike."""
@@ -82,20 +73,18 @@ def test_points_at_just_the_radius_on_the_edges_of_cells(
 
 
 @both
-def test_points_that_coincide(find: Find) -> None:
+def test_particles_that_coincide(find: Find) -> None:
     positions = torch.rand(40, 2, generator=torch.Generator().manual_seed(0)).repeat(3, 1)
     assert_right(find(positions, 0.15, None), positions, 0.15)
-    heap = torch.full((90, 3), 0.7)
-    edges = find(heap, 0.02, None)
-    assert len(edges.senders) == 90 * 89
-    assert_right(edges, heap, 0.02)
+    pile = torch.full((90, 3), 0.7)
+    assert find(pile, 0.02, None).edge_index.shape == (2, 90 * 89)
 
 
 @both
-@pytest.mark.parametrize("away", [1.0e3, 1.0e15])
-def test_one_point_that_flew_off_costs_neither_memory_nor_neighbours(find: Find, away: float) -> None:
+@pytest.mark.parametrize("distance", [1.0e3, 1.0e15])
+def test_a_far_particle_costs_neither_memory_nor_neighbours(find: Find, distance: float) -> None:
     positions = lattice(12, 0.01, 2).double()
-    positions[7] = torch.tensor((away, -away))
+    positions[7] = torch.tensor((distance, -distance))
     assert_right(find(positions, 0.025, None), positions, 0.025)
 
 
@@ -107,113 +96,42 @@ def test_a_large_cloud(find: Find, dimension: int, radius: float) -> None:
 
 
 def test_blocks_of_candidates_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "POINTS_AT_ONCE", 37)
+    monkeypatch.setattr(module, "BLOCK", 37)
     positions = torch.rand(200, 2, generator=torch.Generator().manual_seed(1))
     assert_right(neighbours_by_torch(positions, 0.1), positions, 0.1)
+
+
+def test_edges_of_torch_cluster_come_in_our_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a stand-in of its signature, where the package is not installed: unsorted, and cut off at the limit."""
+
+    def radius_graph(x: Tensor, r: float, batch: Tensor | None, loop: bool, max_num_neighbors: int) -> Tensor:
+        assert not loop
+        index = torch.from_numpy(oracle(x, r, batch))
+        rank = torch.arange(index.shape[1]) - torch.searchsorted(index[1], index[1])
+        index = index[:, rank < max_num_neighbors]
+        return index[:, torch.randperm(index.shape[1])]
+
+    if module.torch_cluster is None:
+        monkeypatch.setattr(module, "torch_cluster", SimpleNamespace(radius_graph=radius_graph))
+    positions, batch = torch.rand(300, 2, generator=torch.Generator().manual_seed(2)).double(), torch.arange(300) % 2
+    edges = neighbours_by_cluster(positions, 0.1, batch)
+    assert edges is not None
+    assert_right(edges, positions, 0.1, batch)
+    assert neighbours_by_cluster(torch.zeros(400, 2, dtype=torch.float64), 0.1) is None
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_a_gpu_finds_the_same() -> None:
     positions = torch.rand(3_000, 3, generator=torch.Generator().manual_seed(1))
     batch = torch.arange(3_000) % 3
-    candidates = neighbours(positions.cuda(), 0.12, batch.cuda())
-    for edges in (neighbours(positions.cuda(), 0.1, batch.cuda()), closer(candidates, positions.cuda(), 0.1)):
-        assert edges.senders.is_cuda
-        ours = Edges(senders=edges.senders.cpu(), receivers=edges.receivers.cpu(), starts=edges.starts.cpu())
-        assert_right(ours, positions, 0.1, batch)
+    edges = neighbours(positions.cuda(), 0.1, batch.cuda())
+    assert edges.edge_index.is_cuda
+    assert_right(Edges(edge_index=edges.edge_index.cpu(), starts=edges.starts.cpu()), positions, 0.1, batch)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_a_rollout_that_blew_up_is_told_in_a_line(value: float) -> None:
+def test_positions_that_are_not_finite_end_a_rollout_in_one_line(value: float) -> None:
     positions = torch.zeros(5, 2)
-    calm = NeighbourList(0.1)
-    for _ in range(3):
-        calm(positions)
     positions[3, 1] = value
-    for find in (lambda: neighbours(positions, 0.1), lambda: calm(positions)):
-        with pytest.raises(WorkFailed, match="no longer finite"):
-            find()
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_candidates_give_what_a_fresh_search_gives_in_a_walk_there_and_back(dimension: int) -> None:
-    generator = torch.Generator().manual_seed(dimension)
-    radius, positions = 0.15, torch.rand(300, dimension, generator=generator)
-    batch = torch.arange(300) % 2
-    drift = torch.randn(positions.shape, generator=generator)
-    # The furthest point moves by 0.03 radii a step, where a skin of 0.3 radii serves five, and then by 0.12.
-    steps = [0.03 * radius / drift.norm(dim=1).max() * drift * (1.0 if step < 20 else 4.0) for step in range(25)]
-    walk = [positions]
-    for step in steps:
-        walk.append(walk[-1] + step)
-    followed = NeighbourList(radius)
-    for points in walk + walk[::-1]:
-        assert_same(followed(points, batch), neighbours(points, radius, batch))
-    calls = 2 * len(walk)
-    assert calls / 5 < followed.searches < calls / 2, followed.searches
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_candidates_serve_until_a_point_has_moved_by_half_the_skin(dimension: int) -> None:
-    """Two points that close in on each other from just outside the radius and the skin."""
-    radius, skin = 0.1, 0.04
-    apart = torch.zeros(2, dimension, dtype=torch.float64)
-    apart[1, 0] = radius + skin + 1e-4
-    inwards = torch.zeros_like(apart)
-    inwards[0, 0], inwards[1, 0] = 1.0, -1.0
-    near = NeighbourList(radius, skin)
-    near(apart)
-    for moved, searches, edges in ((0.0, 2, 0), (0.0199, 2, 0), (0.0201, 3, 2), (0.0199, 4, 0), (0.0, 4, 0)):
-        assert len(near(apart + moved * inwards).senders) == edges
-        assert near.searches <= searches
-
-
-def test_a_fast_flow_is_searched_anew_and_a_deposit_is_not() -> None:
-    positions, radius = lattice(15, 0.01, 2), 0.025
-    flow, rest = NeighbourList(radius), NeighbourList(radius)
-    for step in range(10):
-        flow(positions + 0.1 * radius * step)
-        rest(positions)
-    assert (flow.searches, rest.searches) == (10, 2)
-    assert flow._candidates is None
-
-
-def test_candidates_of_others_are_not_used() -> None:
-    """Another batch, other points, points that moved in place."""
-    positions, radius = torch.rand(60, 2, generator=torch.Generator().manual_seed(5)), 0.2
-    batches = (None, torch.arange(60) % 2, torch.arange(60) // 20)
-    found = NeighbourList(radius)
-    for batch in batches:
-        for _ in range(3):
-            assert_same(found(positions, batch), neighbours(positions, radius, batch))
-    for points in (positions[:50], torch.cat((positions, positions[:, :1]), dim=1), positions[:0]):
-        for _ in range(3):
-            assert_same(found(points), neighbours(points, radius))
-    positions = positions.double()
-    for _ in range(3):
-        found(positions)
-    positions[:30] += 0.3
-    assert_same(found(positions), neighbours(positions, radius))
-
-
-def test_candidates_are_sifted_alike_on_any_device() -> None:
-    positions = torch.rand(400, 3, generator=torch.Generator().manual_seed(6))
-    candidates = neighbours(positions, 0.25)
-    fresh = neighbours(positions, 0.2)
-    assert len(fresh.senders) < len(candidates.senders)
-    assert_same(closer(candidates, positions, 0.2), fresh)
-    assert_same(closer_by_torch(candidates, positions, 0.2), fresh)
-
-
-def test_a_rollout_and_its_gradient_are_those_of_fresh_searches(lively: Simulator, cloud: Cloud) -> None:
-    state, conditions = cloud(lower=(0.45, 0.0))
-    lively.requires_grad_(False)
-    start = state.positions.requires_grad_()
-    followed = unroll(lively, state, conditions, 6)[-1]
-    now = state
-    for _ in range(6):
-        now = lively(now, conditions)
-    assert torch.equal(followed, now.positions)
-    weights = torch.randn(followed.shape, generator=torch.Generator().manual_seed(0))
-    (ours,), (fresh,) = (torch.autograd.grad((end * weights).sum(), start) for end in (followed, now.positions))
-    torch.testing.assert_close(ours, fresh)
+    with pytest.raises(WorkFailed, match="no longer finite"):
+        neighbours(positions, 0.1)

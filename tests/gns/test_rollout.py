@@ -10,11 +10,12 @@ import torch
 
 from datasets import command_line, measures
 from datasets.trajectory import Trajectory
-from gns import rollout as command
+from gns import inference
+from gns.inference import energies
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.rollout import energies, rollout
+from gns.rollout import rollout
 from tests.gns.conftest import NORMALISATION, spreading
 
 SCENE = """
@@ -114,7 +115,7 @@ def test_the_shipped_model_is_that_of_the_dimension(
     scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "scene.toml").write_text(scene)
-    monkeypatch.setattr(command, "WEIGHTS", tmp_path)
+    monkeypatch.setattr(inference, "WEIGHTS", tmp_path)
     assert command_line.run(rollout, "rollout", [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 2
     assert f"{model}: expected the weights of a model, there is no such file" in capsys.readouterr().err
 

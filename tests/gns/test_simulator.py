@@ -27,11 +27,11 @@ def test_the_order_of_the_points_does_not_matter(lively: Simulator, cloud: Cloud
 
 
 def test_away_from_the_walls_a_shift_by_grid_cells_changes_nothing(cloud: Cloud) -> None:
-    # With convolutions the walls are within sight: they are what lies around the grid.
+    # With convolutions the walls matter: they are the padding of the grid.
     torch.manual_seed(1)
     simulator = Simulator(ModelSettings(history=3, width=16, layers=2, grid_channels=8, grid_layers=0), NORMALISATION)
     with torch.no_grad():
-        simulator.network.decoder[-1].weight.normal_(std=0.3)
+        simulator.network.decoder.mlp[-1].weight.normal_(std=0.3)
     state, conditions = cloud()
     shift = 3 * simulator.settings.grid_cell
     moved = State(positions=state.positions + shift, displacements=state.displacements)
@@ -91,11 +91,11 @@ def cloud_3d(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[St
     positions = 0.3 + 0.3 * torch.rand(80, 3, generator=torch.Generator().manual_seed(0))
     settings = SMALL_3D
     velocities = torch.tensor(velocity).expand_as(positions)
-    state = State.launched(positions, velocities, step=settings.step, history=settings.history)
+    state = State.moving(positions, velocities, step=settings.step, history=settings.history)
     conditions = Conditions(
         friction=torch.full((80,), 0.5),
         cohesion=torch.zeros(80),
-        volume=torch.full((80,), settings.point_volume),
+        volume=torch.full((80,), settings.particle_volume),
         size=(1.0, 0.8, 1.0),
     )
     return state, conditions
@@ -169,7 +169,7 @@ def test_the_gradient_in_baffle_and_material_is_that_of_differences() -> None:
     simulator = Simulator(dataclasses.replace(SMALL_3D, film=True), NORMALISATION).double()
     with torch.no_grad():
         for name, weight in simulator.named_parameters():
-            if "film" in name or "decoder.2" in name:
+            if "film" in name or "decoder.mlp.2" in name:
                 weight.normal_(std=0.2)
     state, conditions = cloud_3d(velocity=(2.0, 0.0, 0.0))
     state = State(positions=state.positions.double(), displacements=state.displacements.double())

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.grid import stencil
-from gns.model.solids import GRAZE, SKIN, feature_count, features, keep_out, nearest_baffle, occupancy
+from gns.model.grid import stencil_of
+from gns.model.solids import GRAZE, SKIN, feature_count, keep_out, nearest_baffle, occupancy, solid_features
 
-REACH = 0.06
+CUTOFF = 0.06
 ROOM = {2: (1.0, 0.5), 3: (1.0, 0.5, 0.8)}
 PADDING = [[-10.0, -10.0, -10.0], [-10.0, -10.0, -10.0]]
 
@@ -38,7 +38,7 @@ def near_surfaces(baffles: Tensor, count: int, generator: torch.Generator) -> tu
     return box[:, 0] + share * (box[:, 1] - box[:, 0]), batch
 
 
-def strictly_inside(points: Tensor, baffles: Tensor, batch: Tensor) -> Tensor:
+def is_inside(points: Tensor, baffles: Tensor, batch: Tensor) -> Tensor:
     """Which points are inside a baffle."""
     lower, upper = baffles[batch].unbind(2)
     return ((points[:, None] > lower) & (points[:, None] < upper)).all(2).any(1)
@@ -55,20 +55,20 @@ EXAMPLES = [
     ((0.43, 0.33), 0.03 * math.sqrt(2.0), (math.sqrt(0.5), math.sqrt(0.5))),
     ((0.4, 0.2), 0.0, (1.0, 0.0)),
     ((0.4, 0.3), 0.0, (math.sqrt(0.5), math.sqrt(0.5))),
-    ((0.47, 0.2), REACH, (0.0, 0.0)),
+    ((0.47, 0.2), CUTOFF, (0.0, 0.0)),
 ]
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize(("place", "distance", "normal"), EXAMPLES)
-def test_distance_and_direction_at_known_places(
+def test_distance_and_direction_at_known_positions(
     dimension: int, place: tuple[float, float], distance: float, normal: tuple[float, float] | None
 ) -> None:
     point = torch.tensor([[*place, 0.35]], dtype=torch.float64)[:, :dimension]
-    got, direction = nearest_baffle(point, boxes(BOX, PADDING, dimension=dimension), None, REACH)
+    got, direction = nearest_baffle(point, boxes(BOX, PADDING, dimension=dimension), None, CUTOFF)
     assert got.item() == pytest.approx(distance, abs=1e-12)
     if normal is not None:
-        expected = torch.tensor([[*normal, 0.0]], dtype=torch.float64)[:, :dimension] * (1.0 - distance / REACH)
+        expected = torch.tensor([[*normal, 0.0]], dtype=torch.float64)[:, :dimension] * (1.0 - distance / CUTOFF)
         torch.testing.assert_close(direction, expected, atol=1e-12, rtol=0.0)
 
 
@@ -78,17 +78,17 @@ def test_the_gradient_is_that_of_central_differences(dimension: int) -> None:
     baffles = scattered(dimension).requires_grad_()
     points, batch = near_surfaces(baffles.detach(), 60, generator)
     points.requires_grad_()
-    distance, _ = nearest_baffle(points, baffles, batch, REACH)
+    distance, _ = nearest_baffle(points, baffles, batch, CUTOFF)
     assert 5 < int((distance < 0.0).sum()) < 50
     assert torch.autograd.gradcheck(
-        lambda x, b: nearest_baffle(x, b, batch, REACH), (points, baffles), eps=1e-7, atol=1e-5
+        lambda x, b: nearest_baffle(x, b, batch, CUTOFF), (points, baffles), eps=1e-7, atol=1e-5
     )
 
 
 def test_the_gradient_of_a_face_and_of_a_corner_are_the_normals() -> None:
     points = torch.tensor([[0.42, 0.2], [0.43, 0.34], [0.4, 0.2], [0.35, 0.3]], dtype=torch.float64, requires_grad=True)
     baffles = boxes(BOX).requires_grad_()
-    distance, _ = nearest_baffle(points, baffles, None, REACH)
+    distance, _ = nearest_baffle(points, baffles, None, CUTOFF)
     (to_points,) = torch.autograd.grad(distance.sum(), points, retain_graph=True)
     normals = torch.tensor([[1.0, 0.0], [0.6, 0.8], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
     torch.testing.assert_close(to_points, normals)
@@ -107,16 +107,16 @@ def test_no_gradient_is_ever_undefined_or_large(dimension: int) -> None:
     tiny = torch.cat((corners + 1e-7, corners - 1e-7, corners + 1e-20))
     points = torch.cat((corners, corners, edges, faces, middle[None], tiny)).requires_grad_()
     baffles.requires_grad_()
-    distance, direction = nearest_baffle(points, baffles, None, REACH)
+    distance, direction = nearest_baffle(points, baffles, None, CUTOFF)
     weights = torch.linspace(-1.0, 2.0, direction.numel()).view_as(direction)
     to_points, to_corners = torch.autograd.grad(
-        (distance / REACH).sum() + (direction * weights).sum(), (points, baffles)
+        (distance / CUTOFF).sum() + (direction * weights).sum(), (points, baffles)
     )
     assert torch.isfinite(distance).all()
     assert torch.isfinite(direction).all()
     assert torch.isfinite(to_corners).all()
     # The edges are rounded: the direction turns over a tenth of the reach, not at once.
-    assert to_points.norm(dim=1).max() < 3.0 * 2.0 * 10.0 / REACH
+    assert to_points.norm(dim=1).max() < 3.0 * 2.0 * 10.0 / CUTOFF
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -128,11 +128,11 @@ def test_features_are_continuous_everywhere(dimension: int) -> None:
         (0.24 + 0.4 * turns, 0.2 + 0.14 * torch.sin(40.0 * turns), 0.35 + 0.15 * torch.sin(23.0 * turns))
     )
     path = path[:dimension].T
-    outside = ~strictly_inside(path, baffles, torch.zeros(len(path), dtype=torch.long))
-    seen = features(path, ROOM[dimension], baffles, None, REACH, with_baffles=True)
+    outside = ~is_inside(path, baffles, torch.zeros(len(path), dtype=torch.long))
+    seen = solid_features(path, ROOM[dimension], baffles, None, CUTOFF, with_baffles=True)
     jumps = (seen[1:] - seen[:-1]).norm(dim=1) / (path[1:] - path[:-1]).norm(dim=1)
     assert (seen[outside, 2 * dimension] < 1.0).sum() > 10000
-    assert jumps[outside[1:] & outside[:-1]].max() < 2.0 * 10.0 / REACH
+    assert jumps[outside[1:] & outside[:-1]].max() < 2.0 * 10.0 / CUTOFF
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -141,22 +141,22 @@ def test_features_without_baffles_are_those_far_from_any(dimension: int) -> None
     size = ROOM[dimension]
     points = torch.rand(50, dimension, generator=generator) * torch.tensor(size)
     far = boxes(PADDING, PADDING, dimension=dimension, dtype=torch.float32)
-    seen = features(points, size, far, None, REACH, with_baffles=True)
+    seen = solid_features(points, size, far, None, CUTOFF, with_baffles=True)
     assert seen.shape == (50, feature_count(dimension, True))
-    torch.testing.assert_close(seen, features(points, size, None, None, REACH, with_baffles=True))
-    torch.testing.assert_close(seen, features(points, size, far[:, :0], None, REACH, with_baffles=True))
-    walls = features(points, size, None, None, REACH, with_baffles=False)
+    torch.testing.assert_close(seen, solid_features(points, size, None, None, CUTOFF, with_baffles=True))
+    torch.testing.assert_close(seen, solid_features(points, size, far[:, :0], None, CUTOFF, with_baffles=True))
+    walls = solid_features(points, size, None, None, CUTOFF, with_baffles=False)
     assert walls.shape == (50, feature_count(dimension, False))
     torch.testing.assert_close(seen[:, : 2 * dimension], walls)
-    expected = torch.cat((points, torch.tensor(size) - points), dim=1).clamp(max=REACH) / REACH
+    expected = torch.cat((points, torch.tensor(size) - points), dim=1).clamp(max=CUTOFF) / CUTOFF
     torch.testing.assert_close(walls, expected)
 
 
 def test_a_sample_sees_its_own_baffles_alone() -> None:
     both = torch.cat((boxes(BOX), boxes(PADDING)))
     point = torch.tensor([[0.42, 0.2], [0.42, 0.2]], dtype=torch.float64)
-    distance, direction = nearest_baffle(point, both, torch.tensor([0, 1]), REACH)
-    torch.testing.assert_close(distance, torch.tensor([0.02, REACH], dtype=torch.float64))
+    distance, direction = nearest_baffle(point, both, torch.tensor([0, 1]), CUTOFF)
+    torch.testing.assert_close(distance, torch.tensor([0.02, CUTOFF], dtype=torch.float64))
     assert direction[0].any()
     assert not direction[1].any()
 
@@ -215,7 +215,7 @@ def test_nothing_gets_in_or_out_whatever_the_moves(dimension: int, dtype: torch.
         moved = keep_out(points + velocity, points, size, baffles, batch)
         assert moved.min() >= 0.0
         assert (moved <= ends).all()
-        assert not strictly_inside(moved, baffles, batch).any()
+        assert not is_inside(moved, baffles, batch).any()
         # Nor do they pass through: no way is longer than the move, and none leads through the middle of a box.
         along = torch.linspace(0.0, 1.0, 12, dtype=dtype).view(-1, 1, 1)
         ways = points.lerp(moved, along).flatten(0, 1)
@@ -292,7 +292,7 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
     generator = torch.Generator().manual_seed(0)
     baffles = scattered(dimension)
     size = ROOM[dimension]
-    points = stencil(torch.rand(5, dimension, generator=generator).double() * 0.4, size, cell, None, 1)
+    points = stencil_of(torch.rand(5, dimension, generator=generator).double() * 0.4, size, cell, None, 1)
     share = occupancy(points.shape, cell, size, baffles, 2)
     assert share.shape == (2 * math.prod(points.shape), 1)
     assert share.min() == 0.0
@@ -304,7 +304,7 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
     begin, end = (nodes[some] - 0.5 * cell).clamp(min=0.0), torch.minimum(nodes[some] + 0.5 * cell, torch.tensor(size))
     places = (begin + random * (end - begin)).flatten(0, 1)
     for sample in (0, 1):
-        inside = strictly_inside(places, baffles, torch.full((len(places),), sample)).view(1000, -1)
+        inside = is_inside(places, baffles, torch.full((len(places),), sample)).view(1000, -1)
         got = share.view(2, -1)[sample, some]
         torch.testing.assert_close(got, inside.double().mean(0), atol=0.08, rtol=0.0)
     baffles = baffles + 1e-3 * torch.rand(baffles.shape, generator=generator).double()
@@ -316,7 +316,7 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
 
 def test_occupancy_without_baffles_and_beyond_the_wall() -> None:
     # The grid's last node lies beyond the wall: its cell holds nothing of the domain.
-    shape = stencil(torch.tensor([[0.1, 0.1]]), (0.41, 0.4), 0.1, None, 1).shape
+    shape = stencil_of(torch.tensor([[0.1, 0.1]]), (0.41, 0.4), 0.1, None, 1).shape
     assert shape == (6, 5)
     full = boxes([[0.0, 0.0, 0.0], [0.41, 0.2, 0.1]], dtype=torch.float32)
     share = occupancy(shape, 0.1, (0.41, 0.4), full, 1).view(shape)

@@ -10,8 +10,8 @@ import torch
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.training.samples import load_flows
-from gns.kernels.messages import Interaction, message_sum
-from gns.model import checkpoint
+from gns.model import checkpoint, interaction
+from gns.model.interaction import message_sum
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.training.objective import Curriculum, statistics
@@ -74,13 +74,13 @@ def test_what_fits_into_the_memory_is_kept_and_the_rest_makes_no_difference(
     settings: ModelSettings, curriculum: Curriculum
 ) -> None:
     batch = curriculum.batch(2, 4, np.random.default_rng(0))
-    points = batch.targets.shape[1]
+    particles = batch.targets.shape[1]
     gradients = []
     for kept in (0, 2, 4):
         run = begin(settings)
         run.kept_steps(batch)
-        assert run.position.point_bytes > 0.0
-        run.memory_gib = (kept + 0.5) * run.position.point_bytes * points / 2**30
+        assert run.position.particle_bytes > 0.0
+        run.memory_gib = (kept + 0.5) * run.position.particle_bytes * particles / 2**30
         assert run.kept_steps(batch) == kept
         run.model(batch, kept).backward()
         gradients.append([parameter.grad for parameter in run.simulator.parameters()])
@@ -118,15 +118,8 @@ def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, 
 def test_mixed_precision_trains_by_the_products_of_a_gpu(
     settings: ModelSettings, curriculum: Curriculum, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # On a CPU: what stands in for the fast products there has no other precision.
-    monkeypatch.setattr("gns.kernels.linear._product", None)
-    monkeypatch.setattr(
-        Interaction,
-        "forward",
-        lambda self, x, graph: message_sum(
-            self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T, graph
-        ),
-    )
+    # On a CPU, by the form for other devices: the fused kernels have no other precision.
+    monkeypatch.setattr(interaction, "fused_message_sum", message_sum)
     batch = curriculum.batch(2, 3, np.random.default_rng(0))
     losses, gradients = [], []
     for mixed in (False, True):

@@ -49,7 +49,7 @@ def test_the_gradient_of_the_front_with_respect_to_velocities(problem: tuple[Sim
 
     def last(speed: Tensor) -> Tensor:
         velocities = torch.stack((speed, 0 * speed)).expand_as(state.positions)
-        start = State.launched(state.positions, velocities, step=simulator.settings.step, history=3)
+        start = State.moving(state.positions, velocities, step=simulator.settings.step, history=3)
         return torch.quantile(unroll(simulator, start, conditions, STEPS)[-1, :, 0], 0.995)
 
     speed = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)

@@ -1,6 +1,6 @@
-"""Scenes of every kind, from numbers without units: what `--tolerance` is measured on, and what it is tried on.
+"""Scenes of every kind, from numbers without units: those that `--tolerance` is measured on, and others.
 
-Lengths are in S, the smallest side of the body; a body of length (in x) and height (in y) stands at the left wall
+Lengths are in S, the smallest side of the mass; a mass of length (in x) and height (in y) stands at the left wall
 or `gap` S away from it. Times are in sqrt(H / g), speeds in sqrt(g H), with H the height; stiffness and cohesion in
 rho g H. The box is a whole number of S along each axis, so that cells of S / n fit it for every whole n.
 """
@@ -14,17 +14,17 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 
 GRAVITY = 9.81
 FRAMES = 20
-"""Of a run: only the last one is looked at."""
+"""Of a run: only the last one is used."""
 OWN_CELLS = 20
-"""Cells across S of a scene as it is given; a resolution replaces them."""
+"""Cells across S of a scene; a resolution replaces them."""
 OWN_STEP = 0.9
 ROOM = 1.2
-"""Height of the box over that of the body, at least."""
+"""Least height of the box over that of the mass."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """A body that is let go or thrown, in numbers without units."""
+    """A mass that is released or thrown, in numbers without units."""
 
     aspect: float
     """Height over length."""
@@ -40,7 +40,7 @@ class Flow:
     velocity: float = 0.0
     """Along x, in sqrt(g H)."""
     gap: float = 0.0
-    """From the left wall to the body, in S."""
+    """From the left wall to the mass, in S."""
     depth: float = 0.0
     """Along z, in S; 0 in 2D."""
     walls_apart: float = 0.0
@@ -64,13 +64,13 @@ class Flow:
         length, height = (1.0, self.aspect) if self.aspect >= 1.0 else (1.0 / self.aspect, 1.0)
         weight = self.density * GRAVITY * height * unit
         time = math.sqrt(height * unit / GRAVITY)
-        sides: tuple[float, ...] = (length, height)
+        size: tuple[float, ...] = (length, height)
         box: tuple[float, ...] = (math.ceil(self.box), math.ceil(ROOM * height))
         if self.depth:
-            sides, box = (*sides, self.depth), (*box, math.ceil(self.walls_apart or self.box))
+            size, box = (*size, self.depth), (*box, math.ceil(self.walls_apart or self.box))
         along = max(0.0, 0.5 * (box[2] - self.depth)) if self.walls_apart else 0.0
-        lower = (self.gap, 0.0, along)[: len(sides)]
-        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: len(sides)]
+        lower = (self.gap, 0.0, along)[: len(size)]
+        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: len(size)]
         return Scene(
             domain=Domain(size=scaled(box, unit), cell=unit / OWN_CELLS),
             material=Material(
@@ -82,12 +82,10 @@ class Flow:
                 tension_cutoff=0.5 * self.cohesion * weight,
             ),
             masses=(
-                Mass(lower=scaled(lower, unit), size=scaled(sides, unit), velocity=speed if self.velocity else None),
+                Mass(lower=scaled(lower, unit), size=scaled(size, unit), velocity=speed if self.velocity else None),
             ),
             baffles=tuple(
-                Baffle(
-                    lower=scaled((x, 0.0, z)[: len(sides)], unit), size=scaled((long, high, long)[: len(sides)], unit)
-                )
+                Baffle(lower=scaled((x, 0.0, z)[: len(size)], unit), size=scaled((long, high, long)[: len(size)], unit))
                 for x, long, high, z in self.baffles
             ),
             duration=self.duration * time,
@@ -140,7 +138,7 @@ MEASURED = {
         ),
     },
 }
-"""What `--tolerance` is measured on, by dimension."""
+"""The scenes that `--tolerance` is measured on, by dimension."""
 
 UNSEEN = {
     2: {
@@ -187,7 +185,7 @@ UNSEEN = {
         ),
     },
 }
-"""What was not measured: other angles, shapes, sizes, densities, damping, cohesion, throws, walls and baffles."""
+"""Others: other angles, shapes, sizes, densities, damping, cohesion, throws, walls and baffles."""
 
 
 def shortened(flow: Flow, share: float) -> Flow:

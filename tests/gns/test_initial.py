@@ -1,0 +1,130 @@
+"""The initial state: conditions of a scene, the mass of each particle, and the scenes that a model refuses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.errors import InputError
+from datasets.geometry.solid import Solid
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.scene import Baffle, Domain, Mass, Scene
+from gns.initial import Start, initial_state
+from gns.model.settings import ModelSettings
+from tests.gns.conftest import spreading
+
+SETTINGS = ModelSettings(baffles=True)
+SOIL = Material(friction_deg=30.0, cohesion=500.0)
+SCENE = Scene(
+    domain=Domain(size=(0.6, 0.4), cell=0.01),
+    material=Material(friction_deg=35.0),
+    masses=(
+        Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.0, 0.0)),
+        Mass(lower=(0.0, 0.1), size=(0.1, 0.06), material=SOIL),
+    ),
+    baffles=(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.5, 0.02), size=(0.04, 0.2))),
+    duration=0.25,
+)
+
+
+def test_the_conditions_are_those_of_the_scene() -> None:
+    initial = initial_state(SCENE, SETTINGS)
+    conditions, particles = initial.conditions, initial_particles(SCENE)
+    assert conditions.size == (0.6, 0.4)
+    upper = particles.positions[initial.indices, 1] > 0.1
+    assert 0 < upper.sum() < len(upper)
+    expected = np.where(upper, np.float32(500.0), np.float32(0.0))
+    np.testing.assert_array_equal(conditions.cohesion.numpy(), expected)
+    friction = np.tan(np.radians(np.where(upper, 30.0, 35.0)))
+    np.testing.assert_allclose(conditions.friction.numpy(), friction, rtol=1e-6)
+    assert float(conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
+    np.testing.assert_array_equal(initial.velocity0[:, 0], np.where(upper, np.float32(0.0), np.float32(1.0)))
+    assert conditions.baffles is not None
+    corners = torch.tensor([[[[0.3, 0.0], [0.35, 0.1]], [[0.5, 0.02], [0.54, 0.22]]]])
+    torch.testing.assert_close(conditions.baffles, corners)
+    assert (initial.steps, len(initial.known)) == (25, 1)
+
+
+def test_without_baffles_there_are_none() -> None:
+    bare = dataclasses.replace(SCENE, baffles=())
+    for settings in (SETTINGS, ModelSettings()):
+        initial = initial_state(bare, settings)
+        assert initial.conditions.baffles is None
+        assert initial.to("cpu").conditions.baffles is None
+
+
+def test_after_frames_the_baffles_are_there_too() -> None:
+    flow = spreading(30.0)
+    baffled = dataclasses.replace(flow.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
+    start = dataclasses.replace(flow, positions=flow.positions[:21], time=flow.time[:21], scene=baffled)
+    initial = initial_state(baffled, SETTINGS, start)
+    assert initial.conditions.baffles is not None
+    assert initial.conditions.baffles.shape == (1, 1, 2, 2)
+    assert not initial.conditions.cohesion.any()
+    assert (initial.steps, len(initial.known), initial.start) == (20, 6, Start.FROM_MPM_FRAMES)
+    torch.testing.assert_close(initial.state.positions, torch.from_numpy(initial.known[-1]))
+
+
+def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:
+    initial = initial_state(SCENE, SETTINGS)
+    there, double = initial.to("meta"), initial.to(dtype=torch.float64)
+    for part in ("state", "conditions"):
+        for field in dataclasses.fields(getattr(initial, part)):
+            before, on, wide = (getattr(getattr(each, part), field.name) for each in (initial, there, double))
+            if isinstance(before, torch.Tensor):
+                assert (on.device.type, on.shape) == ("meta", before.shape), field.name
+                assert wide.dtype == torch.float64
+                torch.testing.assert_close(wide.float(), before)
+            else:
+                assert before == on == wide
+    assert (there.steps, there.scene, there.start) == (25, SCENE, Start.FROM_REST)
+
+
+def test_the_mass_of_each_particle() -> None:
+    initial = initial_state(SCENE, SETTINGS)
+    upper = initial.known[0, :, 1] > 0.1
+    np.testing.assert_array_equal(initial.of_mass(1).numpy(), upper)
+    # The first mass alone is of the scene's shared material.
+    np.testing.assert_array_equal(initial.of_mass(None).numpy(), ~upper)
+
+
+REFUSED = [
+    (SCENE, ModelSettings(), "baffles: expected a scene without baffles"),
+    (SCENE, ModelSettings(dimension=3), "expected a 3D scene"),
+    (dataclasses.replace(SCENE, slope_deg=10.0), SETTINGS, "slope_deg: expected a level floor"),
+    (
+        dataclasses.replace(SCENE, solids=(Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)),
+        SETTINGS,
+        "solids: expected a scene without solids, the model knows baffles alone",
+    ),
+    (
+        dataclasses.replace(SCENE, baffles=(dataclasses.replace(SCENE.baffles[0], turned_deg=5.0),)),
+        SETTINGS,
+        r"baffles\[0\].turned_deg: expected a baffle along the axes",
+    ),
+    (dataclasses.replace(SCENE, open_sides=("x+",)), SETTINGS, "open_sides: expected a closed box"),
+    (
+        dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),
+        SETTINGS,
+        "masses: expected masses that are free from the start",
+    ),
+    (
+        dataclasses.replace(
+            SCENE,
+            masses=(
+                SCENE.masses[0],
+                dataclasses.replace(SCENE.masses[1], material=Material(friction_deg=30.0, density=900.0)),
+            ),
+        ),
+        SETTINGS,
+        "masses: expected masses of one density, the model has no others, got 900 and 1800",
+    ),
+]
+
+
+@pytest.mark.parametrize(("scene", "settings", "message"), REFUSED)
+def test_scenes_that_a_model_cannot_know_are_refused(scene: Scene, settings: ModelSettings, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        initial_state(scene, settings)
