@@ -10,7 +10,8 @@ from pathlib import Path
 from datasets.command_line import run
 from datasets.errors import InputError
 from gns.inference import shipped
-from gns.model import card, checkpoint
+from gns import card
+from gns.model import checkpoint
 from inverse.finite_difference import central
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.mpm import MpmForward

@@ -7,7 +7,7 @@ start and a run on either side of it (a response surface: Box & Wilson, On the e
 conditions, J. Roy. Statist. Soc. B 13 (1951) 1-45, section 4, without the mixed terms). Runs of one model share their
 jitter seed, so that little of their chance is in a difference.
 
-When to use it: where the flow is none that the surrogate has learnt (`gns.model.card`), where an unknown or an observation is
+When to use it: where the flow is none that the surrogate has learnt (`gns.card`), where an unknown or an observation is
 nothing it knows, or where the unknowns are few (docs/efficiency.md).
 """
 

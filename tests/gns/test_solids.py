@@ -257,13 +257,13 @@ def test_a_point_on_a_face_moves_with_the_face(dimension: int) -> None:
     generator = torch.Generator().manual_seed(1)
     baffles = scattered(dimension)
     size = ROOM[dimension]
-    target, batch = near_surfaces(baffles, 400, generator)
-    start, _ = near_surfaces(baffles, 400, generator)
+    target, batch = near_surfaces(baffles, 200, generator)
+    start, _ = near_surfaces(baffles, 200, generator)
     start = keep_out(start, start, size, baffles, batch)
     target = start + 0.03 * torch.randn(start.shape, generator=generator, dtype=start.dtype).clamp(-1.0, 1.0)
     kept = keep_out(target, start, size, baffles, batch)
     held = (kept != target).any(1)
-    assert held.sum() > 50
+    assert held.sum() > 25
     target, start, batch = target[held], start[held], batch[held]
     # Keep what no small change of a corner sends elsewhere: which face is met is a decision.
     shift = 1e-6 * torch.randn(baffles.shape, generator=generator, dtype=baffles.dtype)
@@ -308,9 +308,9 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
         got = share.view(2, -1)[sample, some]
         torch.testing.assert_close(got, inside.double().mean(0), atol=0.08, rtol=0.0)
     baffles = baffles + 1e-3 * torch.rand(baffles.shape, generator=generator).double()
-    small = tuple(count // 2 for count in points.shape)
+    small = tuple(count // 3 for count in points.shape)
     assert torch.autograd.gradcheck(
-        lambda b: occupancy(small, 2.0 * cell, size, b, 2), baffles.requires_grad_(), eps=1e-7, atol=1e-5
+        lambda b: occupancy(small, 3.0 * cell, size, b, 2), baffles.requires_grad_(), eps=1e-7, atol=1e-5
     )
 
 

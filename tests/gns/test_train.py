@@ -111,9 +111,7 @@ def broken(call: str, number: int, kind: signal.Signals, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("call", "number", "kind", "done"),
     [
-        ("update", 5, signal.SIGINT, 5),
         ("update", 3, signal.SIGTERM, 3),
-        ("evaluate", 2, signal.SIGTERM, 6),
         ("evaluate", 3, signal.SIGINT, 7),
     ],
 )

@@ -173,7 +173,7 @@ def test_who_proposes_follows_from_the_problem(tmp_path: Path) -> None:
     assert why == "none was asked for"
     source, why = chosen(dataclasses.replace(shipped, scene=dataclasses.replace(shipped.scene, damping=0.0)))
     assert isinstance(source, MpmSource)
-    assert why == "flow2d.pt has not learnt such a flow: damping 0 (learnt: 0.12)"
+    assert why == "flow2d.pt is outside of its training range: damping 0 (trained: 0.12)"
     floor = Unknown(name="floor_friction", initial=0.4, lower=0.1, upper=0.8)
     source, why = chosen(dataclasses.replace(shipped, unknowns=(floor,)))
     assert isinstance(source, MpmSource)

@@ -5,7 +5,8 @@ from pathlib import Path
 from datasets.errors import InputError
 from gns.inference import shipped
 from gns.initial import check
-from gns.model import card, checkpoint
+from gns import card
+from gns.model import checkpoint
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.forward.linearised import MpmSource
@@ -38,6 +39,6 @@ def choose(
     except InputError as error:
         outside = outside or [str(error)]
     if outside:
-        reason = f"{weights.name} has not learnt such a flow: {'; '.join(outside)}"
+        reason = f"{weights.name} is outside of its training range: {'; '.join(outside)}"
         return MpmSource(problem, observation, simulate), reason
     return GnsSource(simulator, problem, observation, memory_gib), None
