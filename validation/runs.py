@@ -22,11 +22,11 @@ from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import ALL, LAST, Recording, ScenesFailed, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.output.request import ALL, LAST, Recording
 from mpm.process import processors
 from mpm.resolution import particle_steps
-from mpm.simulation import LARGE, ScenesFailed, simulate_many
+from mpm.simulation import LARGE
 
 SHARE = "share_s"
 """In the summary of a stored run: its share of the wall time of all that ran beside it [s]."""
@@ -38,8 +38,6 @@ class Run:
 
     scene: Scene
     precision: Precision = "f32"
-    until_rest: bool = False
-    """Whether it may end once the deposit is at rest."""
     record: Recording = LAST
     """What is recorded: the last frame, a hundredth of the file, unless more is asked for."""
 
@@ -53,7 +51,7 @@ class Run:
         ]
         record = [(each.name, getattr(self.record, each.name)) for each in dataclasses.fields(self.record)]
         record = [(name, sorted(value) if isinstance(value, frozenset) else value) for name, value in record]
-        text = repr((__version__, sorted(scene), record, self.precision, self.until_rest))
+        text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
@@ -62,7 +60,6 @@ class Run:
         scene = self.scene
         return (
             particle_count(scene) >= LARGE,
-            self.until_rest,
             self.precision,
             repr(self.record),
             scene.dimension,
@@ -75,7 +72,7 @@ class Run:
 
 
 class RunStore:
-    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulation.simulate_many`."""
+    """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate_many`."""
 
     def __init__(
         self, folder: Path, simulate: Callable[..., list[Trajectory]] = simulate_many, *, label: str = ""
@@ -126,9 +123,7 @@ class RunStore:
     def _make(self, batch: Sequence[Run]) -> list[Trajectory]:
         """Run and store runs that differ in their scenes alone."""
         began = time.perf_counter()
-        options = {"precision": batch[0].precision, "until_rest": batch[0].until_rest}
-        defaults = {each.name: each.default for each in dataclasses.fields(Run)}
-        chosen = {key: value for key, value in options.items() if value != defaults[key]}
+        chosen = {} if batch[0].precision == Run.precision else {"precision": batch[0].precision}
         failed: ScenesFailed | None = None
         outcomes: Sequence[Trajectory | WorkFailed]
         try:

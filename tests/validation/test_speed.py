@@ -8,7 +8,6 @@ import pytest
 from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.particles import initial_particles, particle_count
-from mpm import ALL, WITH_FIELDS
 from mpm.arrays.features import features_of
 from validation.bench.speed import bench as speed
 from validation.bench.speed import gains, rates
@@ -129,7 +128,7 @@ def test_every_switch_compiles_one_thing_more(dimension: int) -> None:
             scenes,
             [initial_particles(scene) for scene in scenes],
             "f32",
-            record=WITH_FIELDS if runs[name].fields else ALL,
+            record=runs[name].record,
         )
         return dataclasses.asdict(found)
 
@@ -193,7 +192,7 @@ def test_shortcuts_take_the_scene_as_it_ships() -> None:
     runs = gains.shortcut_runs(["column-tall-42"])
     ships = read_scene("column-tall-42")
     assert runs["column-tall-42", gains.FULL].scenes == runs["column-tall-42", gains.REST].scenes == (ships,)
-    assert runs["column-tall-42", gains.REST].until_rest
+    assert runs["column-tall-42", gains.REST].record.until_rest
     (short,) = runs["column-tall-42", gains.SHORT].scenes
     assert short == dataclasses.replace(ships, step_fraction=0.4)
 

@@ -11,8 +11,7 @@ from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.output.request import ALL, LAST, Recording
-from mpm.simulation import ScenesFailed
+from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
 from tests.validation.conftest import FakeMpm
 from validation import runs
 from validation.runs import SHARE, Run, RunStore
@@ -72,7 +71,7 @@ def test_other_options_another_version_and_a_broken_file_are_run_again(
     base = Run(scene=SCENE)
     others = [
         dataclasses.replace(base, precision="f64"),
-        dataclasses.replace(base, until_rest=True),
+        dataclasses.replace(base, record=AT_REST),
         dataclasses.replace(base, record=ALL),
         Run(scene=dataclasses.replace(SCENE, duration=0.5)),
     ]

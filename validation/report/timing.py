@@ -1,6 +1,5 @@
 """Work timed in turn, so that what else the machine does meets all of it alike."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,7 +9,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from datasets.scene import Scene
-from mpm import ALL, WITH_FIELDS, simulate_many
+from mpm import ALL, Recording, simulate_many
 from mpm.arrays.layout import Precision
 
 Key = TypeVar("Key")
@@ -24,8 +23,7 @@ class Run:
     scenes: tuple[Scene, ...]
     precision: Precision = "f32"
     threads: int = 1
-    fields: bool = False
-    until_rest: bool = False
+    record: Recording = ALL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +91,7 @@ def timed(run: Run) -> Took:
         run.scenes,
         precision=run.precision,
         threads=run.threads,
-        record=dataclasses.replace(WITH_FIELDS if run.fields else ALL, until_rest=run.until_rest),
+        record=run.record,
     )
     summaries = [flow.summary for flow in flows]
     return Took(

@@ -8,7 +8,6 @@ from validation.bench.contact import bench as contact
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
 def test_the_page_has_its_tables_and_a_conclusion_from_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact, "PLATES", ((0.5, 20.0),))
     monkeypatch.setattr(contact, "toe_slopes", lambda shifts: [-0.5 for _ in shifts])

@@ -1,6 +1,6 @@
-"""Scenes of every kind, from numbers without units: what `--tolerance` is measured on, and what it is tried on.
+"""Scenes of every kind, from numbers without units: those that `--tolerance` is measured on, and others.
 
-Lengths are in S, the smallest side of the body; a body of length (in x) and height (in y) stands at the left wall
+Lengths are in S, the smallest side of the mass; a mass of length (in x) and height (in y) stands at the left wall
 or `gap` S away from it. Times are in sqrt(H / g), speeds in sqrt(g H), with H the height; stiffness and cohesion in
 rho g H. The box is a whole number of S along each axis, so that cells of S / n fit it for every whole n.
 """
@@ -14,17 +14,17 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 
 GRAVITY = 9.81
 FRAMES = 20
-"""Of a run: only the last one is looked at."""
+"""Of a run: only the last one is used."""
 OWN_CELLS = 20
-"""Cells across S of a scene as it is given; a resolution replaces them."""
+"""Cells across S of a scene; a resolution replaces them."""
 OWN_STEP = 0.9
 ROOM = 1.2
-"""Height of the box over that of the body, at least."""
+"""Least height of the box over that of the mass."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """A body that is let go or thrown, in numbers without units."""
+    """A mass that is released or thrown, in numbers without units."""
 
     aspect: float
     """Height over length."""
@@ -40,7 +40,7 @@ class Flow:
     velocity: float = 0.0
     """Along x, in sqrt(g H)."""
     gap: float = 0.0
-    """From the left wall to the body, in S."""
+    """From the left wall to the mass, in S."""
     depth: float = 0.0
     """Along z, in S; 0 in 2D."""
     walls_apart: float = 0.0
@@ -140,7 +140,7 @@ MEASURED = {
         ),
     },
 }
-"""What `--tolerance` is measured on, by dimension."""
+"""The scenes that `--tolerance` is measured on, by dimension."""
 
 UNSEEN = {
     2: {
@@ -187,7 +187,7 @@ UNSEEN = {
         ),
     },
 }
-"""What was not measured: other angles, shapes, sizes, densities, damping, cohesion, throws, walls and baffles."""
+"""Others: other angles, shapes, sizes, densities, damping, cohesion, throws, walls and baffles."""
 
 
 def shortened(flow: Flow, share: float) -> Flow:

@@ -1,19 +1,17 @@
-"""What the accuracy of the MPM is measured on: scenes, resolutions, the reference; the runs; and what they promise."""
+"""What the accuracy of the MPM is measured on: scenes, resolutions, references; and the bounds that follow."""
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
-from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
 from datasets.scene import Scene
-from mpm.resolution import COVERAGE, Measured, Resolution, at
+from mpm.resolution import COVERAGE, Measured, Resolution, with_resolution
 from validation.bench.accuracy.flows import MEASURED, OWN_STEP
-from validation.bench.accuracy.scores import Outcome, Truth, score, truth
+from validation.bench.accuracy.scores import Outcome, Reference, reference, score
 from validation.runs import Run, RunStore
 
 OWN_PARTICLES = 2
@@ -47,12 +45,12 @@ class Study:
 
 
 def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = OWN_PARTICLES) -> Resolution:
-    """A resolution with the reference's step and particles per axis, unless told."""
+    """A resolution, by default with the reference's step and particles per axis."""
     return Resolution(cells=cells, particles_per_axis=particles_per_axis, step_fraction=step_fraction, precision="f32")
 
 
 def full() -> tuple[Study, ...]:
-    """What ships is measured by."""
+    """The studies that the shipped `resolution.toml` comes from."""
     return (
         Study(
             dimension=2,
@@ -74,7 +72,7 @@ def full() -> tuple[Study, ...]:
 
 
 def quick() -> tuple[Study, ...]:
-    """The same on a few cells of a few scenes, to try the command."""
+    """The same on a few cells of a few scenes."""
     return tuple(
         dataclasses.replace(
             study,
@@ -90,10 +88,10 @@ def quick() -> tuple[Study, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What a study found."""
+    """The errors of a study."""
 
     study: Study
-    truths: Mapping[str, Truth]
+    references: Mapping[str, Reference]
     outcomes: Sequence[Outcome]
 
     def at(self, resolution: Resolution) -> Outcome:
@@ -103,7 +101,7 @@ class Findings:
     def lasting(self, resolution: Resolution) -> dict[str, float]:
         """The largest error of each scene here and on all finer grids that differ in nothing else.
 
-        Where errors of both signs cancel, one is small by luck; on finer grids it shows.
+        Where errors of both signs cancel, one is small by chance; on finer grids it is not.
         """
         finer = [
             each
@@ -113,13 +111,22 @@ class Findings:
         ]
         return {name: max(each.scores[name].largest for each in finer) for name in self.study.scenes}
 
-    def promised(self, resolution: Resolution) -> float:
-        """The error that a further scene of this kind is promised to stay within: see `promise`."""
-        return promise(list(self.lasting(resolution).values()))
+    def bound(self, resolution: Resolution) -> float:
+        """The bound on the error of a further scene of this kind: see `prediction_limit`."""
+        return prediction_limit(list(self.lasting(resolution).values()))
+
+    def reference_error(self) -> float:
+        """The references' own distance from the limit, rms over the scenes, if errors are proportional to the cell [-].
+
+        From n to N cells a front then moves by k (1 / n - 1 / N), and k / N is left.
+        """
+        n, finest = max(self.study.cells), self.study.reference
+        moved = [score.bias for score in self.at(own(n)).scores.values()]
+        return math.sqrt(np.mean(np.square(moved))) * n / (finest - n)
 
 
-def promise(errors: Sequence[float]) -> float:
-    """The error that one more scene stays within with probability COVERAGE, from those of the measured scenes.
+def prediction_limit(errors: Sequence[float]) -> float:
+    """A bound on the error of one more scene with probability COVERAGE, from the errors of the measured scenes.
 
     The upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s
     the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
@@ -133,40 +140,28 @@ def promise(errors: Sequence[float]) -> float:
     return max(limit, *errors)
 
 
-def trials(scene: Scene, resolution: Resolution, seeds: int) -> list[Run]:
+def runs(scene: Scene, resolution: Resolution, seeds: int = 1) -> list[Run]:
     """Runs of `scene` at a resolution, one per seed."""
-    finer = at(scene, resolution)
+    finer = with_resolution(scene, resolution)
     return [Run(scene=dataclasses.replace(finer, seed=seed), precision=resolution.precision) for seed in range(seeds)]
 
 
-def all_runs(study: Study) -> list[Run]:
-    """What a study asks for."""
-    pairs = product(study.scenes.values(), study.tried())
-    tried = [run for scene, each in pairs for run in trials(scene, each, study.seeds)]
-    best = [run for scene in study.scenes.values() for run in references(study, scene)]
-    return tried + best
-
-
-def references(study: Study, scene: Scene) -> list[Run]:
-    """The reference run of a scene."""
-    return trials(scene, own(study.reference), 1)
-
-
-def carry_out(study: Study, folder: Path) -> Findings:
-    """Make all runs of a study that `folder` does not have yet, and score them."""
-    store = RunStore(folder)
-    store.run(all_runs(study))
-    truths = {name: truth(store.run(references(study, scene))) for name, scene in study.scenes.items()}
+def compute(study: Study, store: RunStore) -> Findings:
+    """Make all runs of a study, and score them."""
+    exact = {name: runs(scene, own(study.reference)) for name, scene in study.scenes.items()}
+    tried = {
+        (each, name): runs(scene, each, study.seeds) for each in study.tried() for name, scene in study.scenes.items()
+    }
+    # All at once, so that those that need the same kernel follow one another.
+    store.run([run for group in (*tried.values(), *exact.values()) for run in group])
+    references = {name: reference(store.run(group)[0]) for name, group in exact.items()}
     return Findings(
         study=study,
-        truths=truths,
+        references=references,
         outcomes=[
             Outcome(
                 resolution=each,
-                scores={
-                    name: score(store.run(trials(scene, each, study.seeds)), truths[name])
-                    for name, scene in study.scenes.items()
-                },
+                scores={name: score(store.run(tried[each, name]), references[name]) for name in study.scenes},
             )
             for each in study.tried()
         ],
@@ -174,13 +169,13 @@ def carry_out(study: Study, folder: Path) -> Findings:
 
 
 def measured(findings: Sequence[Findings]) -> tuple[Measured, ...]:
-    """What `--tolerance` picks from."""
+    """What `--tolerance` reads."""
     return tuple(
         Measured(
             dimension=each.study.dimension,
             resolution=outcome.resolution,
             expected=float(f"{outcome.error:.3g}"),
-            promised=float(f"{each.promised(outcome.resolution):.3g}"),
+            promised=float(f"{each.bound(outcome.resolution):.3g}"),
             particle_steps=float(f"{outcome.particle_steps:.3g}"),
         )
         for each in findings

@@ -1,7 +1,7 @@
 """Columns of dry sand on a rough floor, as experiments let them go: half a column in 2D, a quarter cylinder in 3D.
 
-The planes of symmetry are smooth walls, the rest of the box is out of reach. Only the aspect ratio a = H / L tells one
-column from another: the stiffness goes with the height, E = STIFFNESS rho g H, so lengths and times scale with L and
+The planes of symmetry are smooth walls; no column comes near the far ones. Columns differ in their aspect ratio
+a = H / L alone: the stiffness goes with the height, E = STIFFNESS rho g H, so lengths and times scale with L and
 sqrt(H / g).
 """
 
@@ -19,7 +19,7 @@ LENGTH = 0.1
 GRAVITY = 9.81
 DENSITY = 1800.0
 FRICTION_DEG = 30.0
-"""Of the grains and of the floor: sand and glass beads of the experiments have 25 to 32 degrees."""
+"""Of the grains and of the floor; sand and glass beads of the experiments have 25 to 32 degrees."""
 STIFFNESS = 150.0
 """E / (rho g H): the foot of a column gives by half a per cent."""
 STEP = 0.9
@@ -27,7 +27,7 @@ FRAME, FRAMES = 0.05, 300
 """A frame in sqrt(H / g); frames of a run that does not come to rest."""
 HEADROOM = 1.1
 """Height of the box over that of the column."""
-REACH = {2: (3.0, 0.8), 3: (3.0, 0.55)}
+EXTENT = {2: (3.0, 0.8), 3: (3.0, 0.55)}
 """Prefactor and exponent, by dimension, of a runout (d - L) / L that no column comes near: the length of the box."""
 SUMMIT = 0.25
 """The deposit's height is measured this near to the axis, in L."""
@@ -43,7 +43,7 @@ def half_column(aspect: float, cells: int, *, friction_deg: float = FRICTION_DEG
 def quarter_cylinder(aspect: float, cells: int, *, friction_deg: float = FRICTION_DEG, seed: int = 0) -> Scene:
     """A quarter of a cylinder of radius L and height `aspect` L in the corner of two smooth walls, in 3D.
 
-    `cells` as above. Slabs half a cell thick, one layer of points each, as long as the circle is at their middle, to
+    `cells` as above. Slabs half a cell thick, one layer of particles each, as long as the circle is at their middle, to
     the nearest half cell.
     """
     across = across_length(aspect, cells)
@@ -65,7 +65,7 @@ def column(aspect: float, cells: int, masses: tuple[Mass, ...], friction_deg: fl
     """The scene around `masses`, `cells` across L."""
     dimension = len(masses[0].size)
     cell, height = LENGTH / cells, aspect * LENGTH
-    factor, exponent = REACH[dimension]
+    factor, exponent = EXTENT[dimension]
     long = math.ceil(cells * (1.5 + factor * aspect**exponent)) * cell
     high = math.ceil(cells * aspect * HEADROOM) * cell
     frame_dt = FRAME * math.sqrt(height / GRAVITY)
@@ -94,11 +94,11 @@ def volume_error(scene: Scene) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Deposit:
-    """What the laws speak of, in units of L."""
+    """Front, runout and height in units of L."""
 
     aspect: float
     front: float
-    """(d - L) / L with d the radius that 99.5 % of the points are within."""
+    """(d - L) / L with d the radius that 99.5 % of the particles are within."""
     runout: float
     """The same with the largest radius."""
     height: float
@@ -106,7 +106,7 @@ class Deposit:
     skew: float
     """In 3D, how much further the front is along the walls than along the diagonal, over its radius [-]; 0 in 2D."""
     rest_time: float | None
-    """Over sqrt(H / g); None of a column that still moved at the end."""
+    """Over sqrt(H / g); None where the column still moved at the end."""
 
 
 def measured(aspect: float, positions: Positions, rest_time: float | None) -> Deposit:

@@ -155,7 +155,7 @@ def conclusion(found: Mapping[Variant, Columns], stated: Mapping[str, float]) ->
     best, fine = closest(found, stated), min(each.cell for each in found)
     smallest = found[best].rms(stated)
     lines = [
-        f"The damping with the smallest deviation from the paper's runouts is {best.damping:g}, with {percent(smallest)}"
+        f"The damping closest to the paper's runouts is {best.damping:g}, with {percent(smallest)}"
         f" rms (criterion {percent(CLOSE)}: {'met' if smallest <= CLOSE else '**missed**'})."
     ]
     for damping in DAMPINGS:

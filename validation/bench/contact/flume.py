@@ -11,8 +11,7 @@ from datasets.library import read_scene
 from datasets.measures import front
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
-from mpm.output.request import Recording
-from mpm.simulation import simulate
+from mpm import Recording, simulate
 from validation.report.plots import INK, ORANGE, figure, pane
 
 SCENE = "flume-35"

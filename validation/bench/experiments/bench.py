@@ -6,6 +6,7 @@ from pathlib import Path
 
 from datasets.measures import Positions
 from datasets.scene import Scene
+from mpm import AT_REST
 from validation.bench.experiments.computed import compute, with_cells
 from validation.bench.experiments.page import draw, write
 from validation.experiments.experiment import FOLDER, read_experiments
@@ -38,4 +39,4 @@ def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> 
 
 def deposits_of(store: RunStore, scenes: Sequence[Scene]) -> list[Positions]:
     """The deposits [m] of scenes, each of shape [N, D], at rest or at their end."""
-    return [flow.positions[-1] for flow in store.run([Run(scene=scene, until_rest=True) for scene in scenes])]
+    return [flow.positions[-1] for flow in store.run([Run(scene=scene, record=AT_REST) for scene in scenes])]

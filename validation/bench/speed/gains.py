@@ -6,6 +6,7 @@ from dataclasses import replace
 from datasets.library import read_scene
 from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.report.markdown import table
+from mpm import WITH_FIELDS, Recording
 from validation.bench.speed.rates import column
 from validation.report.timing import Run, Spread, Took, ratio
 
@@ -68,7 +69,7 @@ def switches(dimension: int) -> dict[str, Run]:
         "a baffle, far from the flow": cornered(scene),
     }
     return {name: Run(scenes=(each,)) for name, each in more.items()} | {
-        "velocity, pressure and plastic strain recorded": Run(scenes=(scene,), fields=True)
+        "velocity, pressure and plastic strain recorded": Run(scenes=(scene,), record=WITH_FIELDS)
     }
 
 
@@ -98,7 +99,7 @@ def shortcut_runs(names: Sequence[str] | None = None) -> dict[tuple[str, str], R
     for name in SCENES if names is None else names:
         scene = read_scene(name)
         runs[name, FULL] = Run(scenes=(scene,))
-        runs[name, REST] = Run(scenes=(scene,), until_rest=True)
+        runs[name, REST] = Run(scenes=(scene,), record=Recording(until_rest=True))
         runs[name, SHORT] = Run(scenes=(replace(scene, step_fraction=0.4),))
     return runs
 

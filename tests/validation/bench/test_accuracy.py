@@ -1,4 +1,4 @@
-"""Errors against a reference, the Pareto front, and the study end to end on a scene of a second's work."""
+"""Errors against a reference, bounds on further scenes, and the pages on a study of a second's work."""
 
 import dataclasses
 import math
@@ -8,20 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
+from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.accuracy import extent as bodies
-from validation.bench.accuracy import flows, studies, tolerance
-from validation.bench.accuracy import page as accuracy_report
-from validation.bench.accuracy.extent import Trial
+from validation.bench.accuracy import flows, lengths, studies, tolerance
 from validation.bench.accuracy.flows import Flow
-from validation.bench.accuracy.scores import Outcome, Score, equal_shares, score, truth
-from validation.bench.accuracy.studies import Findings, Study
+from validation.bench.accuracy.scores import Outcome, Score, equal_shares, reference, score
+from validation.bench.accuracy.studies import Findings, Study, prediction_limit
 from validation.report import pareto
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
@@ -41,58 +37,48 @@ def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
     )
 
 
-def test_the_front_is_what_nothing_cheaper_beats() -> None:
+def test_the_pareto_front_holds_what_nothing_cheaper_beats() -> None:
     choices = [(1.0, 9.0), (2.0, 9.0), (3.0, 4.0), (4.0, 5.0), (5.0, 4.0), (6.0, 1.0), (1.0, 10.0)]
-    worth = pareto.front(choices, lambda each: each[0], lambda each: each[1])
-    assert worth == [(1.0, 9.0), (3.0, 4.0), (6.0, 1.0)]
+    assert pareto.front(choices, lambda each: each[0], lambda each: each[1]) == [(1.0, 9.0), (3.0, 4.0), (6.0, 1.0)]
 
 
 def test_equal_shares_of_an_even_layer_lie_evenly() -> None:
-    shares = equal_shares(COLUMN, deposit(COLUMN, 0.8))
+    shares = equal_shares(deposit(COLUMN, 0.8))
     assert shares == pytest.approx(0.8 * (np.arange(20) + 0.5) / 20, abs=1e-3)
 
 
-def test_a_deposit_that_is_further_by_a_hundredth_is_off_by_it() -> None:
-    reference = truth([deposit(COLUMN, 0.6)])
-    assert reference.reach == pytest.approx(0.6 * 0.995, abs=1e-3)
-    assert math.isnan(reference.scatter)
-    found = score([deposit(COLUMN, 0.6, shift=0.01)], reference)
-    assert found.bias == pytest.approx(0.01 / reference.reach, rel=1e-3)
-    assert found.errors == pytest.approx((found.bias,))
-    assert found.profile_error == pytest.approx(0.01 / reference.reach, rel=0.05)
-    assert found.particle_steps == 7000
-
-
-def test_scatter_counts_as_error_but_not_as_bias() -> None:
-    reference = truth([deposit(COLUMN, 0.6)])
-    found = score([deposit(COLUMN, 0.6, shift=shift) for shift in (-0.01, 0.01)], reference)
-    assert found.bias == pytest.approx(0.0, abs=1e-5)
-    assert found.error == pytest.approx(0.01 / reference.reach, rel=1e-2)
-    assert found.largest == pytest.approx(found.error, rel=2e-2)
-    assert found.scatter == pytest.approx(math.sqrt(2.0) * 0.01 / reference.reach, rel=1e-3)
-
-
-def test_a_profile_can_be_off_where_the_front_is_not() -> None:
-    reference = truth([deposit(COLUMN, 0.6)])
+def test_errors_are_of_fronts_and_profiles_over_the_extent() -> None:
+    exact = reference(deposit(COLUMN, 0.6))
+    assert exact.extent == pytest.approx(0.6 * 0.995, abs=1e-3)
+    further = score([deposit(COLUMN, 0.6, shift=0.01)], exact)
+    assert further.bias == pytest.approx(0.01 / exact.extent, rel=1e-3)
+    assert further.errors == pytest.approx((further.bias,), rel=0.05)
+    assert further.particle_steps == 7000
+    # Scatter is an error, but no bias.
+    both = score([deposit(COLUMN, 0.6, shift=shift) for shift in (-0.01, 0.01)], exact)
+    assert both.bias == pytest.approx(0.0, abs=1e-5)
+    assert both.error == pytest.approx(0.01 / exact.extent, rel=1e-2)
+    assert both.largest == pytest.approx(both.error, rel=2e-2)
+    assert both.scatter == pytest.approx(math.sqrt(2.0) * 0.01 / exact.extent, rel=1e-3)
+    # A profile can be off where the front is not.
     bent = deposit(COLUMN, 0.6)
     bent.positions[0, :900, 0] *= 0.9
-    found = score([bent], reference)
-    assert found.bias == pytest.approx(0.0, abs=1e-6)
-    assert found.error == found.profile_error > 0.02
+    assert score([bent], exact).bias == pytest.approx(0.0, abs=1e-6)
+    assert score([bent], exact).error > 0.02
 
 
 SCENES = [flow.scene() for group in (flows.MEASURED, flows.UNSEEN) for kind in group.values() for flow in kind.values()]
 
 
-@pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("cells", [4.0, 7.0, 14.0, 80.0])
-def test_every_whole_number_of_cells_fits_the_box_of_a_flow(scene: Scene, cells: float) -> None:
-    finer = at(scene, studies.own(cells))
-    assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
+def test_every_whole_number_of_cells_fits_the_box_of_a_flow(cells: float) -> None:
+    for scene in SCENES:
+        finer = with_resolution(scene, studies.own(cells))
+        assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_what_a_tolerance_is_tried_on_was_not_measured(dimension: int) -> None:
+def test_a_tolerance_is_tried_on_other_scenes_than_the_measured(dimension: int) -> None:
     measured, unseen = flows.MEASURED[dimension], flows.UNSEEN[dimension]
     assert not set(measured) & set(unseen)
     assert not set(measured.values()) & set(unseen.values())
@@ -111,16 +97,13 @@ def test_a_flow_of_another_size_is_the_same_in_numbers_without_units() -> None:
     assert large.masses[0].velocity[0] == pytest.approx(math.sqrt(10.0) * small.masses[0].velocity[0])
 
 
-def test_one_more_scene_keeps_the_promise_as_often_as_it_says() -> None:
+def test_one_more_scene_is_within_the_bound_as_often_as_stated() -> None:
     chance = np.random.default_rng(5)
     drawn = np.abs(0.05 + 0.02 * chance.normal(size=(2000, 10)))
-    kept = [float(errors[-1]) <= studies.promise(errors[:-1].tolist()) for errors in drawn]
-    assert COVERAGE - 0.01 < np.mean(kept) < COVERAGE + 0.05
-
-
-def test_a_promise_is_no_less_than_what_was_seen() -> None:
-    assert studies.promise([0.01] * 9 + [0.5]) >= 0.5
-    assert studies.promise([0.03]) == 0.03
+    within = [float(errors[-1]) <= prediction_limit(errors[:-1].tolist()) for errors in drawn]
+    assert COVERAGE - 0.01 < np.mean(within) < COVERAGE + 0.05
+    assert prediction_limit([0.01] * 9 + [0.5]) >= 0.5
+    assert prediction_limit([0.03]) == 0.03
 
 
 def findings(errors: dict[float, Sequence[float]]) -> Findings:
@@ -131,12 +114,12 @@ def findings(errors: dict[float, Sequence[float]]) -> Findings:
     )
     return Findings(
         study=study,
-        truths={},
+        references={},
         outcomes=[
             Outcome(
                 resolution=studies.own(cells),
                 scores={
-                    name: Score(bias=0.0, scatter=0.0, errors=(value,), profile_error=0.0, particle_steps=cells**3)
+                    name: Score(bias=0.0, scatter=0.0, errors=(value,), particle_steps=cells**3)
                     for name, value in zip(names, values, strict=True)
                 },
             )
@@ -153,13 +136,13 @@ def test_an_error_that_grows_again_on_finer_grids_counts_on_the_coarse_one() -> 
     assert promised[0] > promised[2] >= 0.02
 
 
-def test_what_is_left_beyond_the_reference_is_that_of_an_error_in_proportion_to_the_cell() -> None:
+def test_the_error_of_the_reference_if_errors_are_in_proportion_to_the_cell() -> None:
     found = findings({20.0: (0.1, 0.1), 40.0: (0.1, 0.1)})
     for outcome in found.outcomes:
         bias = 0.8 * (1.0 / 80.0 - 1.0 / outcome.resolution.cells)
         for name, each in outcome.scores.items():
             outcome.scores[name] = dataclasses.replace(each, bias=bias)  # type: ignore[index]
-    assert accuracy_report.left_over(found) == pytest.approx(0.8 / 80.0)
+    assert found.reference_error() == pytest.approx(0.8 / 80.0)
 
 
 def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() -> None:
@@ -172,17 +155,15 @@ def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() ->
 
 def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() -> None:
     scenes = [flow.scene() for flow in flows.MEASURED[2].values()]
-    trials = [
-        Trial(scene=finer, error=finer.domain.cell / (0.05 * finer.masses[0].size[0]))
-        for finer in (at(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0))
-    ]
-    found = {name: bodies.spread(name, of, trials) for name, of in bodies.LENGTHS.items()}
+    grids = [with_resolution(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0)]
+    errors = [(scene, scene.domain.cell / (0.05 * scene.masses[0].size[0])) for scene in grids]
+    found = {name: lengths.fit(name, errors) for name in lengths.LENGTHS}
     assert found["length"].exponent == pytest.approx(-1.0)
     assert found["length"].factor == pytest.approx(1.0)
     assert min(found[name].factor for name in found if name != "length") > 1.1
 
 
-def test_the_commands_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pages_of_a_tiny_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = ("square, 20°", "high, 30°")
     tiny = Study(
         dimension=2,
@@ -193,29 +174,22 @@ def test_the_commands_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         seeds=2,
     )
     monkeypatch.setattr(studies, "full", lambda: (tiny,))
-    where = ["--out", str(tmp_path), "--keep", str(tmp_path / "keep")]
-    assert run(accuracy.command, "test", ["mpm", *where]) == 0
-    text = (tmp_path / "accuracy.md").read_text()
-    assert text.splitlines()[2].startswith("- **2D**")
-    assert "high, 30°" in text
+    keep = tmp_path / "keep"
+    assert accuracy.bench(tmp_path, quick=False, keep=keep).startswith("- **2D**")
+    assert "high, 30°" in (tmp_path / "accuracy.md").read_text()
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
     assert (tmp_path / "accuracy-scenes.png").exists()
     found = from_mapping(Measurements, read_toml(tmp_path / "resolution.toml")).measured
     assert [each.resolution for each in found] == list(tiny.tried())
-    # Coarser promises less, and the file is what a tolerance reads.
-    promised = {each.resolution: each.promised for each in found}
-    assert promised[studies.own(2.0)] > promised[studies.own(5.0)] > 0.0
-    picked = resolved(read_scene("column-short-21"), 1.05 * promised[studies.own(5.0)], found)
-    assert picked.cells == pytest.approx(5.0)
+    # The bound of a coarser grid is larger, and the file is what a tolerance reads.
+    bounds = {each.resolution: each.promised for each in found}
+    assert bounds[studies.own(2.0)] > bounds[studies.own(5.0)] > 0.0
+    selected = resolved(read_scene("column-short-21"), 1.05 * bounds[studies.own(5.0)], found)
+    assert selected.cells == pytest.approx(5.0)
 
     monkeypatch.setattr(tolerance, "UNSEEN", {2: {"low, 25°": flows.UNSEEN[2]["low, 25°"]}})
     monkeypatch.setattr(tolerance, "TOLERANCES", (0.9, 1e-6))
-    assert run(tolerance.command, "test", [*where, "--quick", "--measured", str(tmp_path / "resolution.toml")]) == 0
-    text = (tmp_path / "tolerance.md").read_text()
-    assert "- Asked for 90 %: 1 of 1 scenes are within it (bar: 90 %, met)" in text
-    assert "- 0.0001 % in 2D: no resolution that was measured promises it." in text
-
-
-def test_signs_and_per_cents() -> None:
-    assert accuracy_report.signed(-0.0213) == "-2.1 %"
-    assert accuracy_report.percent(0.0213) == "2.1 %"
+    text = tolerance.bench(tmp_path, quick=True, keep=keep, measured=tmp_path / "resolution.toml")
+    assert "- **90 %**: 1 of 1 scenes are within it (criterion 90 %: met)" in text
+    assert "0.0001 % in 2D: no measured resolution has a bound within it." in text
+    assert "| 2D | low, 25° |" in " ".join((tmp_path / "tolerance.md").read_text().split())

@@ -9,12 +9,13 @@ import pytest
 from datasets.material import Material
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from tests.validation.sand_at_rest import at_rest, scene_of
-from validation.bench.stability import critical_height, exact
+from mpm import exact_solutions
+from tests.validation.bench.sand_at_rest import at_rest, scene_of
+from validation.bench.stability import critical_height
 from validation.bench.stability import expectations as expect
-from validation.bench.stability.exact_cases import EXACT_CASES
+from validation.bench.stability.rows import EXACT
 
-BY_NAME = {case.name: case for case in EXACT_CASES}
+BY_NAME = {row.name: row for row in EXACT}
 FREE = {"gravity": 0.0}
 
 
@@ -33,14 +34,14 @@ def test_a_block_slides_as_a_rigid_one(name: str, share: float, ok: bool) -> Non
     acceleration = {"block-29": 0.4661, "block-35": 1.6089}[name]
     way = np.zeros((len(flow.time), 1, 2))
     way[:, 0, 0] = share * 0.5 * acceleration * flow.time**2
-    assert exact.slides(moved(flow, way)).ok is ok
+    assert expect.slides(moved(flow, way)).ok is ok
 
 
 @pytest.mark.parametrize(("share", "ok"), [(1.0, True), (0.98, False), (0.0, False)])
 def test_a_body_without_force_moves_on(share: float, ok: bool) -> None:
     flow = at_rest(BY_NAME["far-slow"].scene)
     way = share * flow.time[:, None, None] * np.array([0.01, -0.01])
-    assert exact.moves_on(moved(flow, way)).ok is ok
+    assert expect.moves_on(moved(flow, way)).ok is ok
 
 
 @pytest.mark.parametrize(("share", "ok"), [(1.0, True), (0.99, False)])
@@ -50,9 +51,9 @@ def test_a_spin_keeps_its_angular_momentum_and_energy(share: float, ok: bool) ->
     arm = flow.positions[0] - np.array([0.3, 0.2])
     omega = np.where(np.arange(len(flow.time)) > 2, share, 1.0)[:, None, None] * 3.0
     flow = moved(flow, np.zeros(2), omega * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
-    assert exact.keeps_angular_momentum(flow).ok is ok
+    assert expect.keeps_angular_momentum(flow).ok is ok
     energy = flow.summary["energy"] | {"kinetic": [1.0, 1.0, 1.0, 1.0, 1.0 if ok else 0.98]}
-    assert exact.spins_on(dataclasses.replace(flow, summary=flow.summary | {"energy": energy})).ok is ok
+    assert expect.spins_on(dataclasses.replace(flow, summary=flow.summary | {"energy": energy})).ok is ok
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.02])
@@ -68,7 +69,7 @@ def test_the_decrement_of_a_bar_is_measured(decay: float) -> None:
     velocities = np.zeros_like(way)
     speed = swing * (omega * np.cos(omega * flow.time) - rate * np.sin(omega * flow.time))
     velocities[..., 0] = speed[:, None] * shape
-    found = exact.bar_decrement(moved(flow, way, velocities), most=1.0e-3)
+    found = expect.bar_decrement(moved(flow, way, velocities), maximum=1.0e-3)
     assert found.value == pytest.approx(decay, abs=3e-4)
     assert found.ok is (decay == 0.0)
 
@@ -80,7 +81,7 @@ def test_the_decrement_of_a_layer_is_measured() -> None:
     way, velocities = np.zeros((*flow.positions.shape,)), np.zeros((*flow.positions.shape,))
     way[..., 1] = 1.0e-3 * np.sin(omega * flow.time)[:, None] * shape
     velocities[..., 1] = 1.0e-3 * omega * np.cos(omega * flow.time)[:, None] * shape
-    assert exact.layer_decrement(moved(flow, way, velocities), most=0.03).value == pytest.approx(0.0, abs=3e-4)
+    assert expect.layer_decrement(moved(flow, way, velocities), maximum=0.03).value == pytest.approx(0.0, abs=3e-4)
 
 
 def test_a_layer_that_rings_stays_in_compression() -> None:
@@ -104,12 +105,12 @@ def geostatic(scene: Scene, factor: float = 1.0) -> Trajectory:
 
 def test_a_bed_in_geostatic_stress() -> None:
     scene = BY_NAME["bed-k0"].scene
-    assert exact.weighs_what_lies_above(geostatic(scene)).ok
-    assert not exact.weighs_what_lies_above(geostatic(scene, 1.02)).ok
+    assert expect.weighs_what_lies_above(geostatic(scene)).ok
+    assert not expect.weighs_what_lies_above(geostatic(scene, 1.02)).ok
     flow = geostatic(scene)
-    assert exact.stays_at_rest(flow).ok
+    assert expect.stays_at_rest(flow).ok
     assert flow.velocities is not None
-    assert not exact.stays_at_rest(dataclasses.replace(flow, velocities=flow.velocities + np.float32(1.0e-5))).ok
+    assert not expect.stays_at_rest(dataclasses.replace(flow, velocities=flow.velocities + np.float32(1.0e-5))).ok
 
 
 @pytest.mark.parametrize(("lost", "ok"), [(0.0, True), (0.0005, True), (0.002, False)])
@@ -117,16 +118,16 @@ def test_a_column_that_stands(lost: float, ok: bool) -> None:
     flow = at_rest()
     way = np.zeros((len(flow.time), 1, 2))
     way[1:, 0, 1] = -lost
-    assert exact.stands(moved(flow, way)).ok is ok
+    assert expect.stands(moved(flow, way)).ok is ok
 
 
 @pytest.mark.parametrize(("time", "ok"), [(0.2, False), (1.0, True), (None, False)])
 def test_thrown_sand_rests_after_it_has_landed(time: float | None, ok: bool) -> None:
     """2 m/s from 0.02 m: it lands after 0.4175 s."""
     flow = at_rest(BY_NAME["thrown-rest"].scene)
-    found = exact.rests_after_landing(dataclasses.replace(flow, summary=flow.summary | {"rest_time": time}))
+    found = expect.rests_after_landing(dataclasses.replace(flow, summary=flow.summary | {"rest_time": time}))
     assert found.ok is ok
-    assert found.most == pytest.approx(3.0 / 0.4175, rel=1e-3)
+    assert found.maximum == pytest.approx(3.0 / 0.4175, rel=1e-3)
 
 
 @pytest.mark.parametrize(("share", "ok"), [(1.0, True), (2.0, False), (0.0, False)])
@@ -137,8 +138,8 @@ def test_a_bed_rests_settled(share: float, ok: bool) -> None:
     way = np.zeros((len(flow.time), 1, 2))
     way[1:, 0, 1] = -share * settled
     flow = moved(flow, way)
-    assert exact.rests_settled(dataclasses.replace(flow, summary=flow.summary | {"rest_time": 1.0})).ok is ok
-    assert not exact.rests_settled(flow).ok
+    assert expect.rests_settled(dataclasses.replace(flow, summary=flow.summary | {"rest_time": 1.0})).ok is ok
+    assert not expect.rests_settled(flow).ok
 
 
 def test_a_cut_stands_or_falls() -> None:
@@ -157,12 +158,12 @@ CUT = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.2)), material=Material(fricti
 
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.3])
 def test_a_cut_at_a_ratio(ratio: float) -> None:
-    assert 0.2 / expect.critical_height(critical_height.at_ratio(CUT, ratio)) == pytest.approx(ratio)
+    assert 0.2 / exact_solutions.critical_height(critical_height.at_ratio(CUT, ratio)) == pytest.approx(ratio)
 
 
 @pytest.mark.parametrize("critical", [0.6, 0.95, 1.2])
 def test_bisection_finds_what_fails(critical: float) -> None:
-    found = critical_height.bracket(CUT, lambda scene: 0.2 / expect.critical_height(scene) > critical)
+    found = critical_height.bracket(CUT, lambda scene: 0.2 / exact_solutions.critical_height(scene) > critical)
     assert found.holds <= critical <= found.fails <= critical_height.WITHIN * found.holds
 
 
@@ -170,12 +171,12 @@ def test_bisection_finds_what_fails(critical: float) -> None:
 def test_little_tension_raises_the_critical_height(friction_deg: float, raised: float) -> None:
     """The least over the width b of gamma H = 2 c t + gamma b t / 2 + T t (H / b - t)."""
     t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
-    found = critical_height.number_with_tension(friction_deg, 0.003)
+    found = exact_solutions.stability_number(friction_deg, 0.003)
     assert found == pytest.approx(2.0 * t * (1.0 + raised), rel=1e-4)
     widths = np.linspace(0.01, 0.2, 2000) * found
     slices = (2.0 * t + 0.5 * widths * t - 0.003 * t**2) / (1.0 - 0.003 * t / widths)
     assert found == pytest.approx(slices.min(), rel=1e-6)
-    assert critical_height.number_with_tension(friction_deg, 0.0) == pytest.approx(2.0 * t)
+    assert exact_solutions.stability_number(friction_deg, 0.0) == pytest.approx(2.0 * t)
     assert critical_height.bracket(CUT, lambda scene: True).tension == pytest.approx(0.003)
 
 

@@ -1,4 +1,4 @@
-"""What the peers' formats have in common: sand and obstacles in one cloud of points; the keys of `metadata.json`."""
+"""What the other codes' formats share: sand and obstacles in one cloud of particles; keys of `metadata.json`."""
 
 import json
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.exchange.baffle_particles import obstacle_points
+from datasets.exchange.baffle_particles import obstacle_particles
 from datasets.records import Record, from_mapping
 from datasets.trajectory import Trajectory
 
@@ -24,21 +24,21 @@ STEEPEST = 1.0e3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Particles:
-    """One trajectory as the peers see it."""
+class Cloud:
+    """One trajectory as the other codes store it."""
 
     name: str
     positions: NDArray[np.floating]
     """Positions [m], shape [T, N, D]."""
     stationary: NDArray[np.bool_]
-    """Which points are obstacles, shape [N]; the others are sand."""
+    """Which particles are obstacles, shape [N]; the others are sand."""
     friction: NDArray[np.float32] | None
-    """tan(phi) of each point [-], shape [N], 0 for obstacles; None where the file does not say."""
+    """tan(phi) of each particle [-], shape [N], 0 for obstacles; None where the file does not say."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeerMetadata(Record):
-    """What Talus takes from a peer's `metadata.json`."""
+class ForeignMetadata(Record):
+    """What Talus uses of another code's `metadata.json`."""
 
     bounds: tuple[tuple[float, float], ...]
     """Lower and upper end of the box per axis [m]."""
@@ -46,9 +46,9 @@ class PeerMetadata(Record):
     dt: float
     """Time between frames [s]; in LagrangeBench of the solver, whose every `write_every`-th step is a frame."""
     default_connectivity_radius: float
-    """Radius of the peers' neighbour search [m]."""
+    """Radius of their neighbour search [m]."""
     dx: float | None = None
-    """Spacing of the points at the start [m]."""
+    """Spacing of the particles at the start [m]."""
     write_every: int = 1
     periodic_boundary_conditions: tuple[bool, ...] = ()
 
@@ -80,10 +80,10 @@ class PeerMetadata(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Statistics(Record):
-    """What a peer's `metadata.json` takes over from that of Talus."""
+    """What another code's `metadata.json` shares with that of Talus."""
 
     default_connectivity_radius: float
-    """Radius of the peers' neighbour search [m]."""
+    """Radius of their neighbour search [m]."""
     vel_mean: tuple[float, ...]
     """[m per frame]"""
     vel_std: tuple[float, ...]
@@ -94,7 +94,7 @@ class Statistics(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Described:
-    """What a peer's `metadata.json` says of a dataset of Talus."""
+    """What another code's `metadata.json` says of a dataset of Talus."""
 
     size: tuple[float, ...]
     """Extent of the box [m]; its lower corner is the origin."""
@@ -103,9 +103,9 @@ class Described:
     frames: int
     """Frames of a trajectory, T, the start included."""
     spacing: float
-    """Spacing of the points at the start [m]."""
+    """Spacing of the particles at the start [m]."""
     particles: int
-    """Most points of a trajectory, obstacles included."""
+    """Most particles of a trajectory, obstacles included."""
     trajectories: dict[str, int]
     """How many there are, per split."""
     statistics: Statistics
@@ -135,7 +135,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def known_keys(kind: type[M], data: Mapping[str, Any], where: Path) -> M:
-    """Build `kind` from the keys of `data` that it knows; a peer's file may have others. Raises InputError."""
+    """Build `kind` from the keys of `data` that it knows; another code's file may have others. Raises InputError."""
     names = signature(kind).parameters
     try:
         return from_mapping(kind, {name: data[name] for name in names if name in data})
@@ -143,14 +143,14 @@ def known_keys(kind: type[M], data: Mapping[str, Any], where: Path) -> M:
         raise error.at(str(where)) from None
 
 
-def particles_of(trajectory: Trajectory, name: str) -> Particles:
-    """Sand and, after it, the lattices of points that stand for the baffles, at the spacing of the sand's cells."""
+def cloud_of(trajectory: Trajectory, name: str) -> Cloud:
+    """Sand and, after it, the lattices of particles that stand for the baffles, at the spacing of the sand's cells."""
     scene, sand = trajectory.scene, trajectory.positions
     share = scene.particle_spacing
     obstacles = np.concatenate(
-        [np.empty((0, scene.dimension)), *(obstacle_points(baffle, share) for baffle in scene.baffles)]
+        [np.empty((0, scene.dimension)), *(obstacle_particles(baffle, share) for baffle in scene.baffles)]
     ).astype(np.float32)
-    return Particles(
+    return Cloud(
         name=name,
         positions=np.concatenate([sand, np.broadcast_to(obstacles, (len(sand), *obstacles.shape))], axis=1),
         stationary=np.repeat([False, True], [sand.shape[1], len(obstacles)]),
@@ -158,13 +158,11 @@ def particles_of(trajectory: Trajectory, name: str) -> Particles:
     )
 
 
-def checked_particles(
-    name: str, positions: Any, types: Any, material: Any, *, stationary: Mapping[int, bool]
-) -> Particles:
-    """Particles from what a peer's file holds; `stationary` says of each type that is understood whether it is one.
+def checked_cloud(name: str, positions: Any, types: Any, material: Any, *, stationary: Mapping[int, bool]) -> Cloud:
+    """A cloud from what another code's file holds; `stationary` says of each type that is understood whether it is one.
 
-    Raises InputError, which names the trajectory, for anything else than positions [T, N, D], one type per point or
-    for all, and at most one material property per point, per point of sand, or for all.
+    Raises InputError, which names the trajectory, for anything else than positions [T, N, D], one type per
+    particle or for all, and at most one material property per particle, per particle of sand, or for all.
     """
 
     def require(ok: bool, expected: str, got: object) -> None:
@@ -183,12 +181,12 @@ def checked_particles(
     require(isinstance(types, np.ndarray | np.integer | int), "types as an array", type(types).__name__)
     types = np.asarray(types)
     require(types.dtype.kind in "iu", "types as integers", types.dtype)
-    require(types.shape in ((), (count,)), f"one type for all points or for each of {count}", types.shape)
+    require(types.shape in ((), (count,)), f"one type for all particles or for each of {count}", types.shape)
     found = sorted(set(types.ravel().tolist()))
     require(set(found) <= stationary.keys(), f"particle types of {sorted(stationary)}", found)
     still = np.broadcast_to(np.isin(types, [number for number, fixed in stationary.items() if fixed]), (count,))
     require(not still.all(), "sand that moves", "obstacles alone")
-    return Particles(
+    return Cloud(
         name=name,
         positions=positions,
         stationary=still,
@@ -197,7 +195,7 @@ def checked_particles(
 
 
 def checked_friction(name: str, material: Any, stationary: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """tan(phi) of each point, shape [N], from the material property of a peer's file. Raises InputError."""
+    """tan(phi) of each particle, shape [N], from the material property of another code's file. Raises InputError."""
     if not isinstance(material, np.ndarray | np.number | int | float):
         raise InputError(f"expected material properties as an array, got {type(material).__name__}", key=name)
     values = np.asarray(material)
@@ -209,11 +207,11 @@ def checked_friction(name: str, material: Any, stationary: NDArray[np.bool_]) ->
     if values.shape == stationary.shape:
         friction[sand] = values[sand]
     elif values.shape in ((), (int(sand.sum()),)):
-        # The peers' generator leaves the obstacles out.
+        # The generator of geoelements leaves the obstacles out.
         friction[sand] = values
     else:
         raise InputError(
-            f"expected one material property, tan(phi), for all points or for each of {len(stationary)}, "
+            f"expected one material property, tan(phi), for all particles or for each of {len(stationary)}, "
             f"got shape {values.shape}",
             key=name,
         )

@@ -1,4 +1,4 @@
-"""Deposits: each check passes on a heap as it should be, and finds one that is not."""
+"""Deposits: each check passes on a pile as it should be, and finds one that is not."""
 
 import copy
 import dataclasses
@@ -10,21 +10,21 @@ import pytest
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
-from tests.validation.sand_at_rest import BED, SAND, at_rest, scene_of, shaped
+from tests.validation.bench.sand_at_rest import BED, SAND, at_rest, scene_of, shaped
 from validation.bench.stability import deposit
 
 FINE = Domain(size=(1.2, 0.6), cell=0.02)
 
 
 def wedge(slope_deg: float, friction_deg: float = 30.0, **changes: object) -> Trajectory:
-    """A heap at the left wall at a constant slope, with the bed's area."""
+    """A pile at the left wall at a constant slope, with the bed's area."""
     tan = math.tan(math.radians(slope_deg))
     top = math.sqrt(2.0 * 0.4 * 0.2 * tan)
     material = dataclasses.replace(SAND, friction_deg=friction_deg)
     return shaped(lambda x: max(0.0, top - x * tan), scene_of(domain=FINE, material=material, **changes))
 
 
-def test_a_moving_heap_is_not_at_rest() -> None:
+def test_a_moving_pile_is_not_at_rest() -> None:
     flow = at_rest()
     assert deposit.rest(flow).ok
     summary = copy.deepcopy(flow.summary)
@@ -45,7 +45,7 @@ def test_a_slope_may_not_exceed_the_angle_of_friction(slope_deg: float, ok: bool
 def test_the_strongest_material_of_a_scene_sets_the_slope() -> None:
     strong = Mass(lower=(1.0, 0.0), size=(0.1, 0.1), material=Material(friction_deg=45.0))
     assert not deposit.repose(wedge(40.0)).ok
-    assert deposit.repose(at_rest(scene_of(BED, strong, domain=FINE))).most == 45.0 + deposit.REPOSE_MARGIN_DEG
+    assert deposit.repose(at_rest(scene_of(BED, strong, domain=FINE))).maximum == 45.0 + deposit.REPOSE_MARGIN_DEG
 
 
 def test_a_step_at_a_baffle_is_no_slope() -> None:
@@ -89,7 +89,7 @@ def test_a_bed_that_hangs_above_the_floor_has_grown() -> None:
     assert finding.value > 0.2
 
 
-def test_the_volume_of_a_heap_is_that_of_its_core() -> None:
+def test_the_volume_of_a_pile_is_that_of_its_core() -> None:
     finding = deposit.volume(wedge(25.0))
     assert finding is not None
     assert finding.value == pytest.approx(0.0, abs=0.03)

@@ -1,4 +1,4 @@
-"""Masses behind gates: held until their time, or until they have settled, and then let go; nobody else pays."""
+"""Masses behind barriers: held until their time, or until they have settled, and then let go; nobody else pays."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ from mpm import AT_REST, WITH_FIELDS, simulate, simulate_many
 from mpm import simulation as runs
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING
-from mpm.initial.barriers import gates, inside
+from mpm.initial.barriers import barriers, inside
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -24,7 +24,7 @@ BLOCK = Mass(lower=(0.1, 0.0, 0.06), size=(0.1, 0.1, 0.08), release=0.02)
 SCENE_3D = Scene(domain=Domain(size=(0.3, 0.2, 0.2), cell=CELL), material=SAND, masses=(BLOCK,), duration=0.06)
 
 
-def of(scene: Scene, *masses: Mass, **changes: object) -> Scene:
+def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
     return dataclasses.replace(scene, masses=masses, **changes)  # type: ignore[arg-type]
 
 
@@ -55,8 +55,10 @@ def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, p
 
 
 def test_smooth_gates_carry_no_weight() -> None:
-    # Behind gates the floor carries everything: sand in a silo whose walls are smooth.
-    flow = simulate(of(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, record=WITH_FIELDS)
+    # Behind barriers the floor carries everything: sand in a silo whose walls are smooth.
+    flow = simulate(
+        with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, record=WITH_FIELDS
+    )
     impulse = np.array(flow.summary["wall_impulse"])
     weight = 0.2 * 0.3 * SAND.density * 9.81
     np.testing.assert_allclose(-impulse[20, 1] / (20 * 0.0025), weight, rtol=1e-5)
@@ -66,7 +68,7 @@ def test_smooth_gates_carry_no_weight() -> None:
 
 @pytest.mark.parametrize("release", [0.05, "settled"])
 def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> None:
-    scene = of(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
     flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     total = momentum(flow)
     mass = 0.2 * 0.3 * SAND.density
@@ -76,7 +78,7 @@ def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> 
 
 
 def test_a_mass_settles_before_it_is_let_go() -> None:
-    scene = of(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.5)
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.5)
     flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     (release,) = flow.summary["release_time"]
     assert 0.01 < release < 0.4
@@ -93,14 +95,16 @@ def test_a_mass_settles_before_it_is_let_go() -> None:
 
 
 def test_without_damping_it_would_swing_much_longer() -> None:
-    swings = simulate(of(SCENE, dataclasses.replace(COLUMN, release=0.15)), precision="f64", threads=1)
-    settles = simulate(of(SCENE, dataclasses.replace(COLUMN, release="settled")), precision="f64", threads=1)
+    swings = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release=0.15)), precision="f64", threads=1)
+    settles = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release="settled")), precision="f64", threads=1)
     at = slice(30, 50)
     assert max(settles.summary["energy"]["kinetic"][at]) < 0.01 * max(swings.summary["energy"]["kinetic"][at])
 
 
 def test_a_mass_in_equilibrium_settles_at_once() -> None:
-    flow = simulate(of(SCENE, dataclasses.replace(COLUMN, k0=0.5, release="settled")), precision="f64", threads=1)
+    flow = simulate(
+        with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release="settled")), precision="f64", threads=1
+    )
     assert flow.summary["release_time"] == [2 * SCENE.frame_dt]
 
 
@@ -110,7 +114,7 @@ def test_masses_have_their_own_times() -> None:
     third = Mass(lower=(0.4, 0.2), size=(0.1, 0.1))
     settling = Mass(lower=(0.55, 0.0), size=(0.1, 0.1), release="settled")
     # Without volume correction, which the falling mass would ask for: gaps that close slowly keep a mass from settling.
-    scene = of(SCENE, first, second, third, settling, duration=0.15, jitter=0.4, volume_correction=False)
+    scene = with_masses(SCENE, first, second, third, settling, duration=0.15, jitter=0.4, volume_correction=False)
     flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     particles = initial_particles(flow.scene)
     times = flow.summary["release_time"]
@@ -127,16 +131,16 @@ def test_masses_have_their_own_times() -> None:
 
 
 def test_rest_waits_for_the_release() -> None:
-    scene = of(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
     flow = simulate(scene, threads=1, record=AT_REST)
     assert flow.summary["rest_time"] > 0.5
-    settling = of(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=3.0, floor_friction=0.4)
+    settling = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=3.0, floor_friction=0.4)
     flow = simulate(settling, threads=1, record=AT_REST)
     assert flow.summary["rest_time"] > flow.summary["release_time"][0] + 0.3
 
 
 def test_on_several_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = of(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
     alone = simulate(scene, precision="f64", threads=1)
     monkeypatch.setattr(runs, "PARTICLES_PER_WORKER", 300)
     both = simulate(scene, precision="f64", threads=2)
@@ -145,7 +149,7 @@ def test_on_several_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_beside_other_scenes_as_alone() -> None:
-    plain = of(SCENE, dataclasses.replace(COLUMN, release=None, k0=None))
+    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=None))
     held, free = simulate_many([SCENE, plain], threads=1)
     np.testing.assert_array_equal(held.positions, simulate(SCENE, threads=1).positions)
     np.testing.assert_array_equal(free.positions, simulate(plain, threads=1).positions)
@@ -153,13 +157,13 @@ def test_beside_other_scenes_as_alone() -> None:
 
 
 def test_other_scenes_have_no_gates() -> None:
-    plain = of(SCENE, dataclasses.replace(COLUMN, release=None, k0=0.5))
-    assert not Batch([plain], precision="f32").features.gated
-    assert Batch([SCENE], precision="f32").features.gated
+    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=0.5))
+    assert not Batch([plain], precision="f32").features.barriers
+    assert Batch([SCENE], precision="f32").features.barriers
 
 
 def test_gates_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
-    low, high = gates(SCENE, COLUMN)
+    low, high = barriers(SCENE, COLUMN)
     assert (low.axis, high.axis) == (0, 0)
     assert low.nodes[:, 0].tolist() == [PADDING + 18, PADDING + 21]
     assert high.nodes[:, 0].tolist() == [PADDING + 30, PADDING + 33]
@@ -167,7 +171,7 @@ def test_gates_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
     assert low.nodes[:, 1].tolist() == [PADDING - 2, PADDING + 15 + 3]
     assert inside(low.nodes, np.array([[PADDING + 20, PADDING], [PADDING + 21, PADDING]])).tolist() == [True, False]
     # A face on a wall has none, and off the lines of the grid the next line beyond the face is the first.
-    (only,) = gates(SCENE, dataclasses.replace(COLUMN, lower=(0.0, 0.1), size=(0.21, 0.1)))
+    (only,) = barriers(SCENE, dataclasses.replace(COLUMN, lower=(0.0, 0.1), size=(0.21, 0.1)))
     assert only.nodes[:, 0].tolist() == [PADDING + 11, PADDING + 14]
     assert only.nodes[0, 1] == PADDING + 5
-    assert [gate.axis for gate in gates(SCENE_3D, BLOCK)] == [0, 0, 2, 2]
+    assert [barrier.axis for barrier in barriers(SCENE_3D, BLOCK)] == [0, 0, 2, 2]
