@@ -1,4 +1,4 @@
-"""Several processes that train one model: `torchrun --nproc-per-node N -m gns.train ...`.
+"""Data-parallel training of one model by multiple processes: `torchrun --nproc-per-node N -m gns.train ...`.
 
 Each process draws its own samples; `DistributedDataParallel` arranges in its `forward` that the gradients are averaged,
 so a model must be called as a module, never by its methods. Without torchrun there is one process, and nothing to do.

@@ -1,4 +1,4 @@
-"""The loss, and the samples that it is taken of."""
+"""The unrolled loss, and the curriculum of its samples."""
 
 from collections.abc import Sequence
 
@@ -25,7 +25,7 @@ SHARE_MOVING = 0.60
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
-"""Times in all from which the statistics are taken; where there are fewer, all."""
+"""Times in all over which the statistics run; where there are fewer, all."""
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:

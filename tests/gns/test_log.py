@@ -1,4 +1,4 @@
-"""The log of a training: rows, and what is forgotten when it goes on from an earlier place."""
+"""The log of a training: rows, and the removal of rows after the checkpoint that it continues from."""
 
 from pathlib import Path
 
