@@ -18,7 +18,6 @@ from validation.bench.accuracy import flows, lengths, studies, tolerance
 from validation.bench.accuracy.flows import Flow
 from validation.bench.accuracy.scores import Outcome, Score, equal_shares, reference, score
 from validation.bench.accuracy.studies import Findings, Study, prediction_limit
-from validation.report import pareto
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
 
@@ -35,11 +34,6 @@ def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
         scene=scene,
         summary={"steps": 7, "particles": 1000},
     )
-
-
-def test_the_pareto_front_holds_what_nothing_cheaper_beats() -> None:
-    choices = [(1.0, 9.0), (2.0, 9.0), (3.0, 4.0), (4.0, 5.0), (5.0, 4.0), (6.0, 1.0), (1.0, 10.0)]
-    assert pareto.front(choices, lambda each: each[0], lambda each: each[1]) == [(1.0, 9.0), (3.0, 4.0), (6.0, 1.0)]
 
 
 def test_equal_shares_of_an_even_layer_lie_evenly() -> None:
