@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 
-from gns.inference import shipped
-
 from datasets.errors import InputError
+from gns.inference import shipped
 from gns.model import card, checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation

@@ -36,10 +36,8 @@ MOST_READS = 4_000_000
 MOST_DIMENSIONS = 8
 NUMBERS = frozenset(("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"))
 """The dtypes that an array may have, without their byte order."""
-OPCODES = set(  # noqa: SIM905
-    "PROTO FRAME STOP MARK GLOBAL STACK_GLOBAL REDUCE BUILD MEMOIZE BINPUT LONG_BINPUT BINGET LONG_BINGET NONE NEWTRUE "
-    "NEWFALSE BININT BININT1 BININT2 LONG1 LONG4 BINFLOAT BINUNICODE SHORT_BINUNICODE BINUNICODE8 BINBYTES "
-    "SHORT_BINBYTES BINBYTES8 EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_LIST APPEND APPENDS".split()
+OPCODES = set(
+    ["PROTO", "FRAME", "STOP", "MARK", "GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "MEMOIZE", "BINPUT", "LONG_BINPUT", "BINGET", "LONG_BINGET", "NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_LIST", "APPEND", "APPENDS"]
 )
 BROKEN = (
     *(OSError, ValueError, EOFError, MemoryError, OverflowError, NotImplementedError, RuntimeError, SyntaxError),
@@ -143,7 +141,7 @@ class ArrayUnpickler(pickle._Unpickler):
     def call(self) -> None:
         """REDUCE: only what `find_class` gave is called."""
         arguments, function = self.stack.pop(), self.stack[-1]
-        if function is not Dtype and getattr(function, "__self__", None) is not self or type(arguments) is not tuple:
+        if (function is not Dtype and getattr(function, "__self__", None) is not self) or type(arguments) is not tuple:
             raise Refused("found a call of something that is no function")
         self.stack[-1] = function(*arguments)
 

@@ -9,11 +9,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from gns.inference import shipped
-
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping
+from gns.inference import shipped
 from inverse.problem import Problem
 from inverse.result import Purpose
 from validation.report.machine import GNS, MPM, machine
