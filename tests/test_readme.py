@@ -30,7 +30,7 @@ upper = 40.0
 [observation]
 kind = "front"
 [target]
-hidden = true
+twin = true
 [loop]
 seeds = 4
 mpm_runs = 3
