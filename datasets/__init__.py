@@ -1,5 +1,7 @@
 """What a scene, a material and a trajectory are, and how they are read and written.
 
+For example:
+
     from datasets import Domain, Mass, Material, Scene, read_trajectory, write_scene
 
     sand = Material(friction_deg=30.0)

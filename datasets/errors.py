@@ -14,3 +14,7 @@ class InputError(ValueError):
     def at(self, where: str) -> "InputError":
         """The same mistake with the file it stands in."""
         return InputError(self.message, where=where, key=self.key)
+
+
+class OutOfRange(InputError):
+    """Known keys and right types, but a value, or values together, that cannot be."""

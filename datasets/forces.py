@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.files import make_folder, replacing, write_text
-from datasets.trajectory import Trajectory, read_trajectory, solid_names
+from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 
 # matplotlib takes a while to import: only who draws pays for it.
 if TYPE_CHECKING:
@@ -242,12 +242,12 @@ def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     smooth
         Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
     """
-    path, flow = read_trajectory(trajectory)
+    flow = read_trajectory(trajectory)
     make_folder(out)
     try:
         forces = write_forces(flow, out, window=smooth)
     except InputError as error:
-        raise error.at(str(path)) from None
+        raise error.at(str(trajectory_file(trajectory))) from None
     print("\n".join(spoken(forces)))
 
 

@@ -26,12 +26,12 @@ def runout(positions: Positions) -> float:
 
 
 def front(positions: Positions) -> float:
-    """The x [m] that 99.5 % of the points are behind: d without the fate of single points."""
+    """The x [m] that 99.5 % of the particles are behind: d without the fate of single particles."""
     return float(np.quantile(positions[:, 0].astype(np.float64), FRONT_QUANTILE))
 
 
 def toe(positions: Positions) -> tuple[float, ...]:
-    """Centroid [m] of the furthest 10 % of the points, shape [D]."""
+    """Centroid [m] of the furthest 10 % of the particles, shape [D]."""
     count = max(1, math.ceil(TOE_FRACTION * len(positions)))
     furthest = np.argpartition(positions[:, 0], -count)[-count:]
     return tuple(float(x) for x in positions[furthest].mean(axis=0, dtype=np.float64))
@@ -48,7 +48,7 @@ def height_profile(
 ) -> NDArray[np.float64]:
     """Height of the deposit at its initial density, per station [m], shape [S].
 
-    The volume of the points (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest
+    The volume of the particles (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest
     stations and divided by the length that a station stands for (half of it at the walls): conserves volume and is
     continuous in the positions. In 3D the volume is summed over z, so divide by the width for a mean height.
     """
@@ -102,7 +102,7 @@ def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], s
     """Depth [m] at its initial density of what stands or flows right before the first row of baffles.
 
     Mean over the strips `UPSTREAM` long and as wide as each baffle of that row (the one whose faces have the least x).
-    volume: of the points [m^D], one for all or shape [N].
+    volume: of the particles [m^D], one for all or shape [N].
     """
     face = min(baffle.lower[0] for baffle in scene.baffles)
     before = (positions[:, 0] >= face - UPSTREAM) & (positions[:, 0] < face)
@@ -122,7 +122,7 @@ def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], s
 def kinetic_energy(velocities: Positions, mass: float | NDArray[np.floating]) -> NDArray[np.float64]:
     """Kinetic energy [J, in 2D per metre of width] of velocities [m/s], shape [..., N, D]; returns shape [...].
 
-    mass: of the points [kg, in 2D per metre of width], one for all or shape [N].
+    mass: of the particles [kg, in 2D per metre of width], one for all or shape [N].
     """
     square = np.square(velocities, dtype=np.float64).sum(axis=-1)
     return np.asarray(0.5 * (mass * square).sum(axis=-1))

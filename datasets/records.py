@@ -1,4 +1,4 @@
-"""TOML or JSON into frozen dataclasses, strictly: an unknown key or a wrong type is an error that names it."""
+"""TOML or JSON into frozen dataclasses: an unknown key or a wrong type is an error that names it."""
 
 import difflib
 import json
@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from datasets.errors import InputError
+from datasets.errors import InputError, OutOfRange
 
 T = TypeVar("T")
 
@@ -40,10 +40,11 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """Build the dataclass `kind` from nested mappings; an integer may stand for a float.
 
-    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`.
+    Raises InputError with the path of the first wrong key, such as `masses[1].velocity`; OutOfRange where keys and
+    types are right.
     """
     try:
-        # JSON mode is the strict one that still takes an array for a tuple.
+        # JSON mode converts nothing either, but still takes an array for a tuple.
         text = json.dumps(with_new_names(data), default=str)
         record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
@@ -57,7 +58,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
             key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
-            raise InputError(cause.message, key=".".join(part for part in (path, key) if part)) from None
+            raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
             known = _names(kind)
             near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
@@ -110,6 +111,6 @@ def dotted(location: tuple[int | str, ...]) -> str:
 
 def _names(kind: type) -> list[str]:
     """Every field name of a dataclass and of the dataclasses in it, for "did you mean"."""
-    schema = TypeAdapter(kind).json_schema()
+    schema = _adapter(kind).json_schema()
     parts = [schema, *schema.get("$defs", {}).values()]
     return [name for part in parts for name in part.get("properties", {})]

@@ -1,4 +1,4 @@
-"""Scene: everything a simulation needs to know, in one frozen value."""
+"""Scene: all that defines a simulation, in one frozen value."""
 
 import dataclasses
 import json
@@ -27,7 +27,12 @@ RELAXATION = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Domain(Record):
-    """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
+    """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
+
+    For example:
+
+        Domain(size=(1.0, 0.5), cell=0.01)  # 2D: 100 x 50 cells
+    """
 
     size: Vector
     """Extent in x, y and, in 3D, z [m]; a whole number of cells."""
@@ -37,7 +42,13 @@ class Domain(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Record):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.masses`)."""
+    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.masses`).
+
+    For example:
+
+        Mass(lower=(0.0, 0.0), size=(0.2, 0.4), velocity=(1.0, 0.0))
+        Mass(kind="polygon", vertices=((0.0, 0.0), (0.3, 0.0), (0.0, 0.3)))
+    """
 
     kind: str = "box"
     """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `particles`."""
@@ -73,7 +84,7 @@ class Mass(Record):
     k0: float | str | None = None
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; none where absent."""
     release: float | str | None = None
-    """Time [s] until which smooth vertical gates hold its sides, or "settled"; free from the start where absent."""
+    """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -85,7 +96,12 @@ class Mass(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Baffle(Record):
-    """A fixed rigid box that stands in the flow's way."""
+    """A fixed rigid box in the way of the flow.
+
+    For example:
+
+        Baffle(lower=(0.8, 0.0, 0.4), size=(0.1, 0.3, 0.1), turned_deg=30.0)
+    """
 
     lower: Vector
     """Lower corner [m]."""
@@ -99,7 +115,14 @@ class Baffle(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(Record):
-    """Domain, material, masses, baffles and how long to watch them."""
+    """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
+
+    For example:
+
+        scene = Scene(domain=Domain(size=(1.0, 0.5), cell=0.01), material=Material(friction_deg=30.0),
+                      masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),), floor_friction=0.4)
+        looser = dataclasses.replace(scene, material=Material(friction_deg=25.0))
+    """
 
     domain: Domain
     material: Material
@@ -140,9 +163,9 @@ class Scene(Record):
     step_fraction: float = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
     particles_per_axis: int = 2
-    """Material points per cell along one axis: 2 gives 4 points per cell in 2D, 8 in 3D."""
+    """Particles per cell along one axis: 2 gives 4 particles per cell in 2D, 8 in 3D."""
     jitter: float = 0.8
-    """Random displacement of a point at the start, as a fraction of its share of the cell, in [0, 1]."""
+    """Random displacement of a particle at the start, as a fraction of its share of the cell, in [0, 1]."""
     seed: int = 0
     """Seed of that displacement."""
 
@@ -309,7 +332,7 @@ def check(scene: Scene) -> None:
         check_start(scene, mass, f"masses[{index}]")
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))
-    shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of several boxes
+    shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
     upright = [mass.kind == "box" for mass in scene.masses] + [baffle.turned_deg == 0.0 for baffle in scene.baffles]
     shared &= np.outer(upright, upright)  # others are more than boxes
     if shared.any():
@@ -358,7 +381,9 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
             round(frames) < scene.frames - 1, "release", f"a time before the end at {scene.duration:g} s", mass.release
         )
     if mass.release is not None:
-        require(not any(mass.velocity or ()), "velocity", "a mass at rest behind its gates", list(mass.velocity or ()))
+        require(
+            not any(mass.velocity or ()), "velocity", "a mass at rest behind its barriers", list(mass.velocity or ())
+        )
 
 
 def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
@@ -386,7 +411,7 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
 
 
 def corners(boxes: Sequence[Mass | Baffle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The least and the greatest coordinates of each box [m], both of shape [N, D]."""
+    """The smallest and the largest coordinates of each box [m], both of shape [N, D]."""
     lower = np.array([box.lower for box in boxes])
     return lower, lower + np.array([box.size for box in boxes])
 

@@ -1,4 +1,4 @@
-"""Trajectory: the motion of all points of one scene, in memory and as a plain NPZ file."""
+"""Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ file."""
 
 import json
 import zipfile
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.particles import initial_volumes, particle_count
 from datasets.scene import Scene
 
 Floats = NDArray[np.float32]
@@ -29,18 +30,26 @@ FIELDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """What a simulation saw, frame by frame; from the MPM or from the GNS alike."""
+    """The motion of the particles of a scene, frame by frame; from the MPM or from the GNS alike.
+
+    For example:
+
+        flow = mpm.simulate(scene)
+        flow.save(Path("flow.npz"))
+        flow = read_trajectory("flow.npz")
+        x = flow.positions[-1, :, 0]  # of every particle of the deposit [m]
+    """
 
     positions: Floats
     """Positions [m], shape [T, N, D]; T counts the frames that were kept, which need not begin at the start."""
     time: NDArray[np.float64]
     """Time of each of these frames [s], shape [T]."""
     velocity0: Floats
-    """Initial velocity of each point [m/s], shape [N, D]."""
+    """Initial velocity of each particle [m/s], shape [N, D]."""
     friction: Floats
-    """tan(phi) of each point [-], shape [N]."""
+    """tan(phi) of each particle [-], shape [N]."""
     scene: Scene
-    """The scene it came from."""
+    """The scene it came from; its `frame_dt` is that of `time`, unless not all frames were kept."""
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     volume: Floats | None = None
@@ -63,6 +72,32 @@ class Trajectory:
 
     The solids are those of `solid_names`, in that order. The derivative is the force on them (`datasets.forces`).
     """
+
+    @property
+    def volumes(self) -> NDArray[np.float64]:
+        """Initial volume of each particle [m^D], shape [N]: as given, else that of the scene's own particles.
+
+        Of other particles than these (another code's) only the mean is known: the scene's volume over their number.
+        """
+        count = self.positions.shape[1]
+        if self.volume is not None:
+            return self.volume.astype(np.float64)
+        if particle_count(self.scene) == count:
+            return initial_volumes(self.scene)
+        return np.full(count, initial_volumes(self.scene).sum() / count)
+
+    @property
+    def frame_dt(self) -> float:
+        """Time between two frames that were kept [s], the scene's where there is one frame alone.
+
+        Raises InputError where the frames are not evenly spaced in time.
+        """
+        if len(self.time) == 1:
+            return self.scene.frame_dt
+        steps = np.diff(self.time)
+        if np.ptp(steps) > 1.0e-6 * steps[0]:
+            raise InputError("expected frames evenly spaced in time, they are not", key="time")
+        return float((self.time[-1] - self.time[0]) / len(steps))
 
     @property
     def baffle_impulse(self) -> NDArray[np.float64] | None:
@@ -94,21 +129,21 @@ class Trajectory:
                 raise InputError("expected an array, the key is missing", where=str(path), key=key)
         positions = arrays["positions"]
         if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
-            expected = "shape [T, N, 2 or 3], at least one frame of one point"
+            expected = "shape [T, N, 2 or 3], at least one frame of one particle"
             raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
-        frames, points, dimension = positions.shape
+        frames, particles, dimension = positions.shape
         scene = scene_in(arrays["scene"], path)
         shapes: dict[str, tuple[int, ...]] = {
             "positions": positions.shape,
             "time": (frames,),
-            "velocity0": (points, dimension),
-            "friction": (points,),
-            "volume": (points,),
+            "velocity0": (particles, dimension),
+            "friction": (particles,),
+            "volume": (particles,),
             "velocities": positions.shape,
-            "stress": (frames, points, 4 if dimension == 2 else 6),
-            "pressure": (frames, points),
-            "density": (frames, points),
-            "plastic_strain": (frames, points),
+            "stress": (frames, particles, 4 if dimension == 2 else 6),
+            "pressure": (frames, particles),
+            "density": (frames, particles),
+            "plastic_strain": (frames, particles),
             impulse_key(scene): (frames, len(solid_names(scene)), dimension),
         }
         for key, shape in shapes.items():
@@ -154,10 +189,22 @@ def impulse_key(scene: Scene) -> str:
     return "solid_impulse" if scene.solids else "baffle_impulse"
 
 
-def read_trajectory(place: Path) -> tuple[Path, Trajectory]:
-    """The trajectory at a path, or in the folder of a run, and its file. Raises InputError."""
-    path = place / "trajectory.npz" if place.is_dir() else place
-    return path, Trajectory.load(path)
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read the trajectory at a path, or in the folder of a run.
+
+    For example:
+
+        flow = read_trajectory("results")  # results/trajectory.npz
+
+    Raises InputError, which names the file and the key.
+    """
+    return Trajectory.load(trajectory_file(path))
+
+
+def trajectory_file(path: str | Path) -> Path:
+    """The file of a trajectory: at a path, or in the folder of a run."""
+    path = Path(path)
+    return path / "trajectory.npz" if path.is_dir() else path
 
 
 def stored_scene(path: Path) -> Scene:

@@ -13,16 +13,13 @@ from itertools import islice
 from multiprocessing import get_context
 from operator import add
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed, run
-from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Entry, Split
-from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.layers2d import LAYERS2D
-from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.scene import Scene
@@ -31,13 +28,22 @@ from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.process import processors
 
-DEFINITIONS = {definition.name: definition for definition in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
-
+CONNECT = 10.0
+"""Seconds in which a scheduler must answer."""
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
 
 
-def command(definition: str, /, *, out: Path, count: int | None = None, seed: int = 0, jobs: int | None = None) -> None:
+def command(
+    definition: str,
+    /,
+    *,
+    out: Path,
+    count: int | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+) -> None:
     """Simulate the trajectories of a dataset definition with the MPM.
 
     Running the same command again finishes what is missing. The files are the same for the same seed, whatever the
@@ -46,7 +52,7 @@ def command(definition: str, /, *, out: Path, count: int | None = None, seed: in
     Parameters
     ----------
     definition
-        flow2d, releases2d, layers2d, obstacle3d or channel3d.
+        flow2d, releases2d, layers2d, obstacle3d, channel3d, or the path of a definition in TOML.
     out
         Folder of the dataset: train, valid, test, metadata.json, generation.json.
     count
@@ -55,23 +61,31 @@ def command(definition: str, /, *, out: Path, count: int | None = None, seed: in
         Seed of the dataset.
     jobs
         Processes that simulate; one per processor unless given.
+    scheduler
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate instead; they need this
+        version of Talus and the folder OUT in the same place.
     """
-    if definition not in DEFINITIONS:
-        raise InputError(f"expected one of {', '.join(DEFINITIONS)}, got {definition!r}", key="definition")
-    generate(DEFINITIONS[definition], out, seed=seed, count=count, jobs=processors() if jobs is None else jobs)
+    if scheduler is not None and jobs is not None:
+        raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
+    generate(read_definition(definition), out, seed=seed, count=count, jobs=jobs or processors(), scheduler=scheduler)
 
 
-def generate(definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int) -> None:
+def generate(
+    definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int, scheduler: str | None = None
+) -> None:
     """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
 
-    Raises InputError where `out` holds other trajectories than these, WorkFailed where a simulation fails.
+    In `jobs` processes, or by the workers of the Dask scheduler at an address. Raises InputError where `out` holds
+    other trajectories than these, WorkFailed where a simulation fails.
     """
     if jobs < 1:
         raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
     start = time.perf_counter()
     entries = definition.entries(seed=seed, count=count)
-    missing = not_yet_there(entries, out)
-    with pool(jobs) as executor:
+    if len({entry.scene.frame_dt for entry in entries}) > 1:
+        raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
+    missing = missing_entries(entries, out)
+    with pool(jobs) if scheduler is None else cluster(scheduler) as (executor, jobs):
         simulate_all(executor, missing, out, jobs=jobs, total=len(entries))
         statistics = statistics_of(executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
     write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
@@ -86,22 +100,22 @@ def generate(definition: Definition, out: Path, *, seed: int, count: int | None,
     )
 
 
-def place_of(entry: Entry, out: Path) -> Path:
+def trajectory_path(entry: Entry, out: Path) -> Path:
     """The file of a trajectory in the dataset folder `out`."""
     return out / entry.split.value / f"{entry.name}.npz"
 
 
-def not_yet_there(entries: Iterable[Entry], out: Path) -> list[Entry]:
+def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
     """The entries without a file. Raises InputError for a file that is not of this dataset: nothing is overwritten."""
-    wanted = {place_of(entry, out): entry for entry in entries}
+    required = {trajectory_path(entry, out): entry for entry in entries}
     # Parts of files that a killed process left begin with a dot.
     found = {path: None for split in Split for path in sorted((out / split.value).glob("[!.]*.npz"))}
     for path in found:
-        if path not in wanted:
+        if path not in required:
             raise InputError("expected no trajectory but those of this definition, seed and count", where=str(path))
-        if stored_scene(path) != wanted[path].scene:
+        if stored_scene(path) != required[path].scene:
             raise InputError("expected the scene that this definition and seed give, found another", where=str(path))
-    return [entry for path, entry in wanted.items() if path not in found]
+    return [entry for path, entry in required.items() if path not in found]
 
 
 def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: int, total: int) -> None:
@@ -113,7 +127,7 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
         while True:
             # No more than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
             for entry in islice(waiting, jobs - len(running)):
-                running[executor.submit(simulate_one, entry.scene, place_of(entry, out))] = entry.name
+                running[executor.submit(simulate_one, entry.scene, trajectory_path(entry, out))] = entry.name
             if not running:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -141,7 +155,7 @@ def simulate_one(scene: Scene, path: Path) -> None:
 
 def statistics_of(executor: Executor, entries: Iterable[Entry], out: Path) -> MotionStatistics:
     """The statistics of all `entries` together, added in their order whoever is ready first."""
-    paths = [place_of(entry, out) for entry in entries]
+    paths = [trajectory_path(entry, out) for entry in entries]
     each = executor.map(statistics_of_one, paths)
     bar: Iterable[MotionStatistics] = tqdm(
         each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True
@@ -152,12 +166,12 @@ def statistics_of(executor: Executor, entries: Iterable[Entry], out: Path) -> Mo
 def statistics_of_one(path: Path) -> MotionStatistics:
     """The statistics of the trajectory at `path`; runs in a process of the pool."""
     trajectory = Trajectory.load(path)
-    return motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
+    return motion_statistics(trajectory.positions, trajectory.frame_dt)
 
 
 @contextmanager
-def pool(jobs: int) -> Iterator[Executor]:
-    """Processes started afresh. When the block ends early they finish the scene in hand and take no other."""
+def pool(jobs: int) -> Iterator[tuple[Executor, int]]:
+    """`jobs` processes started afresh. When the block ends early they finish their present scene and begin no other."""
     executor = ProcessPoolExecutor(
         max_workers=jobs,
         mp_context=get_context("spawn"),
@@ -166,11 +180,33 @@ def pool(jobs: int) -> Iterator[Executor]:
         initargs=(signal.SIGINT, signal.SIG_IGN),
     )
     try:
-        yield executor
+        yield executor, jobs
     except BrokenProcessPool:
         raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[tuple[Executor, int]]:
+    """The workers of a Dask scheduler, which share this folder, and how many they are. Raises InputError."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError('expected Dask: pip install "talus[cluster]"', key="--scheduler") from None
+    try:
+        client: Any = Client(address, timeout=CONNECT)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"
+        ) from None
+    with client:
+        threads = client.nthreads()
+        # Taichi holds one simulation per process.
+        if not threads or set(threads.values()) != {1}:
+            expected = "expected workers of one thread each (dask worker --nthreads 1)"
+            raise InputError(f"{expected}, got {sorted(threads.values())}", where=address, key="--scheduler")
+        yield client.get_executor(pure=False), len(threads)
 
 
 if __name__ == "__main__":

@@ -22,10 +22,10 @@ from mpm.output.request import ALL, Recording
 from mpm.process import processors
 from mpm.runtime import Arch
 
-FRAMES_PER_LAUNCH = 20
+FRAMES_PER_CALL = 20
 """Between two launches the progress bar moves and Ctrl-C is heard."""
 PARTICLES_PER_WORKER = 10_000
-"""Fewer than that are not worth a thread of their own."""
+"""The fewest particles for which another thread pays off."""
 LARGE = 2 * PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
@@ -75,7 +75,7 @@ def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpac
     the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
     GPU, or where the checkpoint is of another scene, recording or precision.
     """
-    batch, wall_s, compile_s = run_one(scene, options, resume, never)
+    batch, wall_s, compile_s = run_one(scene, options, resume, never_stop)
     return finished(trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s))
 
 
@@ -91,8 +91,8 @@ def simulate_resumably(
     stop: asked between two launches, a few frames apart; once it says so, Interrupted is raised with the checkpoint.
     Other errors as `simulate`.
     """
-    batch, wall_s, compile_s = run_one(scene, options, resume, stop or never)
-    checkpoint = Checkpoint.of(batch, wall_s=wall_s)
+    batch, wall_s, compile_s = run_one(scene, options, resume, stop or never_stop)
+    checkpoint = Checkpoint.from_batch(batch, wall_s=wall_s)
     if batch.computed < scene.frames - 1 and not checkpoint.rest and failure(batch, 0) is None:
         raise Interrupted(checkpoint)
     outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
@@ -127,8 +127,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     particles = particles_of(scenes)
     groups: dict[Features, list[int]] = {}
     for index, (scene, own) in enumerate(zip(scenes, particles, strict=True)):
-        needs = features_of([scene], [own], precision, record=record, gpu=arch != "cpu")
-        groups.setdefault(needs, []).append(index)
+        features = features_of([scene], [own], precision, record=record, gpu=arch != "cpu")
+        groups.setdefault(features, []).append(index)
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
     frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
@@ -141,8 +141,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
                 gpu=arch != "cpu",
                 particles=[particles[index] for index in group],
             )
-            took = run_batch(batch, arch, bar, never)
-            wall_s, compile_s = wall_s + took[0], compile_s + took[1]
+            seconds = run_batch(batch, arch, bar, never_stop)
+            wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):
                 outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
     for outcome in outcomes.values():
@@ -199,16 +199,16 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
     Launches begin at the same frames wherever a run was interrupted, and with them the sorting.
     """
     frames = max(scene.frames for scene in batch.scenes)
-    for launch in range(1, frames, FRAMES_PER_LAUNCH):
-        first, last = max(launch, batch.computed + 1), min(launch + FRAMES_PER_LAUNCH, frames)
+    for start in range(1, frames, FRAMES_PER_CALL):
+        first, last = max(start, batch.computed + 1), min(start + FRAMES_PER_CALL, frames)
         if first >= last:
             continue
         if batch.ended(first).all() or stop():
             break
         for index, particles in enumerate(batch.particles):
-            if first == launch and len(particles.positions) >= SORTED:
+            if first == start and len(particles.positions) >= SORTED:
                 batch.sort(index)
-        batch.barrier_count[:] = 0
+        batch.arrivals[:] = 0
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1
         bar.update(last - first)
@@ -223,10 +223,10 @@ def finished(outcome: Trajectory | WorkFailed) -> Trajectory:
 
 def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
     """A bar that counts frames, where asked for."""
-    hidden = not options.get("progress", False)
-    return tqdm(total=frames, initial=computed, unit="frame", disable=hidden, desc="mpm")
+    disabled = not options.get("progress", False)
+    return tqdm(total=frames, initial=computed, unit="frame", disable=disabled, desc="mpm")
 
 
-def never() -> bool:
-    """Asks no run to stop."""
+def never_stop() -> bool:
+    """Never asks a run to stop."""
     return False

@@ -14,7 +14,7 @@ from datasets.exchange.vtk import frames_of, write_vtk
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.exchange.xdmf import write_xdmf
 from datasets.files import make_folder
-from datasets.trajectory import Trajectory, read_trajectory
+from datasets.trajectory import Trajectory, read_trajectory, trajectory_file
 from validation.report.rendering import Colour, require, write_movie, write_picture
 
 
@@ -91,7 +91,7 @@ def command(
         if number < 1:
             raise InputError(f"expected an integer of at least 1, got {number}", key=key)
     chosen = [Format(name) for name in listed(format, list(Format), "--format")]
-    path, flow = read_trajectory(trajectory)
+    flow = read_trajectory(trajectory)
     end = float(flow.time[-1])
     if time is not None and not 0.0 <= time <= end:
         raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
@@ -99,10 +99,10 @@ def command(
         try:
             require(flow, colour)
         except InputError as error:
-            raise error.at(str(path)) from None
+            raise error.at(str(trajectory_file(trajectory))) from None
     make_folder(out)
     shown = frames_of(flow, frames)
-    print(f"{len(shown)} frames of {flow.positions.shape[1]} points")
+    print(f"{len(shown)} frames of {flow.positions.shape[1]} particles")
     for each in chosen:
         print(written(each, flow, out, frames))
     if picture:

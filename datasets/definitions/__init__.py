@@ -1,1 +1,24 @@
 """What datasets consist of: distributions of scenes, by name or from a file."""
+
+from pathlib import Path
+
+from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions.definition import Definition
+from datasets.definitions.distributions import definition_from_file
+from datasets.definitions.flow2d import FLOW2D
+from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.obstacle3d import OBSTACLE3D
+from datasets.definitions.releases2d import RELEASES2D
+from datasets.errors import InputError
+
+DEFINITIONS = {each.name: each for each in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
+"""Those that ship."""
+
+
+def read_definition(name: str) -> Definition:
+    """The definition of a shipped name, or in the TOML file at a path. Raises InputError."""
+    if name in DEFINITIONS:
+        return DEFINITIONS[name]
+    if name.endswith(".toml") or "/" in name:
+        return definition_from_file(Path(name))
+    raise InputError(f"expected one of {', '.join(DEFINITIONS)}, or a TOML file, got {name!r}", key="definition")

@@ -22,7 +22,7 @@ CELLS = 32
 """Cells along each side of the domain of 1 m."""
 SIDE_CELLS = (8, 25)
 """Smallest and largest side of a mass in cells: the paper's 0.25 to 0.80 m."""
-MOST_POINTS = 17_000
+MOST_PARTICLES = 17_000
 PARTICLES_PER_AXIS = 2
 HIGHEST_START = 8
 """Largest height of a lifted mass above the floor in cells: below the top of the baffles, so that it meets them."""
@@ -86,10 +86,10 @@ def draw_mass(stream: np.random.Generator) -> Mass:
 
 
 def draw_extents(stream: np.random.Generator) -> NDArray[np.int64]:
-    """Sides of a mass in cells, shape [3]: not too many points, and not too long for a baffle behind it."""
+    """Sides of a mass in cells, shape [3]: not too many particles, and not too long for a baffle behind it."""
     while True:
         extents = stream.integers(*SIDE_CELLS, 3, endpoint=True)
-        if PARTICLES_PER_AXIS**3 * extents.prod() <= MOST_POINTS and extents[0] <= CELLS - ROOM_CELLS:
+        if PARTICLES_PER_AXIS**3 * extents.prod() <= MOST_PARTICLES and extents[0] <= CELLS - ROOM_CELLS:
             return extents
 
 

@@ -1,4 +1,4 @@
-"""python -m datasets.exchange DATASET --to LAYOUT, or SOURCE --from LAYOUT: datasets in the peers' layouts."""
+"""python -m datasets.exchange DATASET --to LAYOUT, or SOURCE --from LAYOUT: datasets in the layouts of other codes."""
 
 import sys
 from pathlib import Path
@@ -8,9 +8,7 @@ from cyclopts import Parameter
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.exchange.exporting import export
-from datasets.exchange.importing import import_dataset
-from datasets.exchange.layouts import LAYOUTS
+from datasets.exchange.conversion import export, import_dataset
 
 LayoutName = Literal["geoelements", "lagrangebench"]
 
@@ -26,16 +24,16 @@ def command(
     spacing: float | None = None,
     up: Literal["y", "z"] = "y",
 ) -> None:
-    """Write a dataset of Talus in a peer's layout, or a peer's dataset as one of Talus.
+    """Write a dataset of Talus in the layout of another code, or one of theirs as a dataset of Talus.
 
-    One trajectory is in memory at a time. Running the same command again finishes what is missing. A peer's files are
+    One trajectory is in memory at a time. Running the same command again finishes what is missing. Their files are
     read without executing anything they hold; their scenes are reconstructed, and each trajectory says what was
     assumed.
 
     Parameters
     ----------
     dataset
-        With --to a folder from python -m mpm.generate; with --from a peer's folder: train, valid, test in .npz or .h5
+        With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz or .h5
         and metadata.json.
     out
         Folder of the result; empty, or begun by the same command.
@@ -44,9 +42,9 @@ def command(
     from_
         Layout to read.
     friction_deg
-        With --from: angle of friction [deg], for sets that do not say tan(phi) of their points.
+        With --from: angle of friction [deg], for sets that do not say tan(phi) of their particles.
     spacing
-        With --from: spacing of the points at the start [m]; from the set's dx, or estimated, unless given.
+        With --from: spacing of the particles at the start [m]; from the set's dx, or estimated, unless given.
     up
         With --from: the axis that points up, y or z.
     """
@@ -57,11 +55,11 @@ def command(
     if to is not None:
         if friction_deg is not None or spacing is not None or up != "y":
             raise InputError("expected --friction-deg, --spacing and --up with --from alone")
-        export(dataset, LAYOUTS[to], out)
+        export(dataset, to, out)
     elif from_ is not None:
         if spacing is not None and not spacing > 0.0:
             raise InputError(f"expected a positive length in m, got {spacing:g}", key="spacing")
-        import_dataset(dataset, LAYOUTS[from_], out, friction_deg=friction_deg, spacing=spacing, up=up)
+        import_dataset(dataset, from_, out, friction_deg=friction_deg, spacing=spacing, up=up)
 
 
 if __name__ == "__main__":

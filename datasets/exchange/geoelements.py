@@ -5,6 +5,7 @@ A split is one file (`train.npz`, `valid.npz`, `test.npz`); each of its keys hol
 in one array, `gns_data`; such a file cannot be read one trajectory at a time.
 """
 
+import pickle
 import zipfile
 from collections.abc import Container, Iterable, Iterator
 from enum import IntEnum
@@ -14,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError
-from datasets.exchange.common import Described, Particles, checked_particles
-from datasets.exchange.foreign_npz import ForeignNpz, open_foreign_npz
-from datasets.exchange.pickle_writing import object_array_pickle
+from datasets.exchange.cloud import Cloud, Described, checked_cloud
+from datasets.exchange.untrusted import open_untrusted_npz
 from datasets.files import replacing
 
 SUFFIX = ".npz"
@@ -25,7 +25,7 @@ ALL = "gns_data"
 
 
 class ParticleType(IntEnum):
-    """The peers' numbers; those that are not here are other materials, such as water (5) or goop (7)."""
+    """Their numbers; those that are not here are other materials, such as water (5) or goop (7)."""
 
     STATIONARY = 3
     SAND = 6
@@ -37,28 +37,41 @@ EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of every member: the same trajectories give the same bytes."""
 
 
-def write(path: Path, trajectories: Iterable[Particles]) -> None:
+class OlderNames(pickle._Pickler):
+    """Pickles arrays by the name `numpy.core.multiarray`, which every numpy reads; `_core` none before 1.26."""
+
+    write: Any
+    memoize: Any
+
+    def save_global(self, obj: Any, name: str | None = None) -> None:
+        """Write the name of a function of numpy; of any other as usual."""
+        if getattr(obj, "__module__", None) == "numpy._core.multiarray":
+            self.write(pickle.GLOBAL + f"numpy.core.multiarray\n{name or obj.__name__}\n".encode())
+            self.memoize(obj)
+        else:
+            super().save_global(obj, name)  # type: ignore[misc]
+
+
+def write(path: Path, clouds: Iterable[Cloud]) -> None:
     """Write a split, one trajectory in memory at a time; numpy 1 and 2 read it alike."""
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
-        for particles in trajectories:
-            if particles.name == ALL:
+        for cloud in clouds:
+            if cloud.name == ALL:
                 raise InputError(f"expected a trajectory of another name than {ALL}", where=str(path))
-            items = [
-                particles.positions,
-                np.where(particles.stationary, ParticleType.STATIONARY, ParticleType.SAND).astype(np.int64),
-            ]
-            if particles.friction is not None:
-                items.append(particles.friction)
-            member = zipfile.ZipInfo(f"{particles.name}.npy", EARLIEST)
-            with archive.open(member, "w", force_zip64=True) as stream:
-                header = {"descr": "|O", "fortran_order": False, "shape": (len(items),)}
+            types = np.where(cloud.stationary, ParticleType.STATIONARY, ParticleType.SAND).astype(np.int64)
+            items = [each for each in (cloud.positions, types, cloud.friction) if each is not None]
+            objects = np.empty(len(items), dtype=object)
+            for index, item in enumerate(items):
+                # A byte order of its own is what their tensors cannot take.
+                objects[index] = np.ascontiguousarray(item, item.dtype.newbyteorder("="))
+            with archive.open(zipfile.ZipInfo(f"{cloud.name}.npy", EARLIEST), "w", force_zip64=True) as stream:
+                header = {"descr": "|O", "fortran_order": False, "shape": objects.shape}
                 np.lib.format.write_array_header_1_0(stream, header)
-                for piece in object_array_pickle(items):
-                    stream.write(piece)
+                OlderNames(stream, protocol=4).dump(objects)
 
 
 def metadata(described: Described) -> dict[str, Any]:
-    """What `metadata.json` says; the counts of features are those of the peers' network with one material property."""
+    """What `metadata.json` says; the counts of features are those of their network with one material property."""
     axes = len(described.size)
     velocities, walls, embedding, material = 5 * axes, 2 * axes, 16, 1
     return {
@@ -73,7 +86,7 @@ def metadata(described: Described) -> dict[str, Any]:
 
 def names(path: Path) -> list[str]:
     """The trajectories of a split, in order, without reading them. Raises InputError."""
-    with open_foreign_npz(path) as file:
+    with open_untrusted_npz(path) as file:
         if ALL not in file.keys:
             return file.keys
         shape = file.shape(ALL)
@@ -82,32 +95,30 @@ def names(path: Path) -> list[str]:
         return [f"{index:05d}" for index in range(shape[0])]
 
 
-def read(path: Path, wanted: Container[str]) -> Iterator[Particles]:
-    """The trajectories of a split whose names are `wanted`, one in memory at a time unless they are one array.
+def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
+    """The trajectories of a split whose names are `requested`, one in memory at a time unless they are one array.
 
     Never executes a pickle. Raises InputError, which names the file and the trajectory.
     """
-    with open_foreign_npz(path) as file:
-        for name, parts in _entries(file, wanted):
-            try:
-                yield _particles(name, parts)
-            except InputError as error:
-                raise error.at(str(path)) from None
+    with open_untrusted_npz(path) as file:
+        together = ALL in file.keys
+        entries = (
+            ((f"{index:05d}", parts) for index, parts in enumerate(file.read(ALL)))
+            if together
+            else ((name, file.read(name)) for name in file.keys if name in requested)
+        )
+        for name, parts in entries:
+            if name in requested:
+                try:
+                    yield _cloud(name, parts)
+                except InputError as error:
+                    raise error.at(str(path)) from None
 
 
-def _entries(file: ForeignNpz, wanted: Container[str]) -> Iterator[tuple[str, Any]]:
-    if ALL in file.keys:
-        for index, parts in enumerate(file.read(ALL)):
-            if f"{index:05d}" in wanted:
-                yield f"{index:05d}", parts
-    else:
-        yield from ((name, file.read(name)) for name in file.keys if name in wanted)
-
-
-def _particles(name: str, parts: Any) -> Particles:
+def _cloud(name: str, parts: Any) -> Cloud:
     if isinstance(parts, np.ndarray) and parts.ndim == 0 and parts.dtype.hasobject:
         parts = parts.item()
     if not isinstance(parts, tuple | list | np.ndarray) or len(parts) not in (2, 3):
         raise InputError("expected positions, particle types and perhaps a material property", key=name)
     positions, types, material = (*parts, None)[:3]
-    return checked_particles(name, positions, types, material, stationary=STATIONARY)
+    return checked_cloud(name, positions, types, material, stationary=STATIONARY)

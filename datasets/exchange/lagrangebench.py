@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.exchange import geoelements
-from datasets.exchange.common import Described, Particles, checked_particles
-from datasets.exchange.foreign_npz import LARGEST
+from datasets.exchange.cloud import Cloud, Described, checked_cloud
+from datasets.exchange.untrusted import LARGEST
 from datasets.files import replacing
 
 SUFFIX = ".h5"
@@ -33,17 +33,17 @@ class ParticleType(IntEnum):
 STATIONARY = {int(kind): kind is ParticleType.SOLID_WALL for kind in ParticleType}
 
 
-def write(path: Path, trajectories: Iterable[Particles]) -> None:
+def write(path: Path, clouds: Iterable[Cloud]) -> None:
     """Write a split, one trajectory in memory at a time. Not compressed: their reader slices frames at random."""
     with replacing(path) as part, h5py.File(part, "w") as file:
-        for index, particles in enumerate(trajectories):
+        for index, cloud in enumerate(clouds):
             group = file.create_group(f"{index:05d}")
-            group["position"] = particles.positions.astype(np.float32, copy=False)
-            group["particle_type"] = np.where(particles.stationary, ParticleType.SOLID_WALL, ParticleType.FLUID).astype(
+            group["position"] = cloud.positions.astype(np.float32, copy=False)
+            group["particle_type"] = np.where(cloud.stationary, ParticleType.SOLID_WALL, ParticleType.FLUID).astype(
                 np.int32
             )
-            if particles.friction is not None:
-                group["material_property"] = particles.friction
+            if cloud.friction is not None:
+                group["material_property"] = cloud.friction
 
 
 def metadata(described: Described) -> dict[str, Any]:
@@ -70,35 +70,35 @@ def names(path: Path) -> list[str]:
         return list(file)
 
 
-def read(path: Path, wanted: Container[str]) -> Iterator[Particles]:
-    """The trajectories of a split whose names are `wanted`, one in memory at a time. Raises InputError."""
+def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
+    """The trajectories of a split whose names are `requested`, one in memory at a time. Raises InputError."""
     with _open(path) as file:
         for name in file:
-            if name in wanted:
-                yield _particles(file, name)
+            if name in requested:
+                yield _cloud(file, name)
 
 
-def _particles(file: h5py.File, name: str) -> Particles:
+def _cloud(file: h5py.File, name: str) -> Cloud:
     positions = _array(file, f"{name}/position")
     types = _array(file, f"{name}/particle_type")
     material = _array(file, f"{name}/material_property") if "material_property" in file[name] else None
     # Sets of the original GNS, as LagrangeBench converts them, keep the numbers they had there.
     original = geoelements.ParticleType.SAND in types
     stationary = geoelements.STATIONARY if original else STATIONARY
-    return checked_particles(name, positions, types, material, stationary=stationary)
+    return checked_cloud(name, positions, types, material, stationary=stationary)
 
 
-def _array(file: h5py.File, place: str) -> NDArray[Any]:
+def _array(file: h5py.File, key: str) -> NDArray[Any]:
     """One array of the file itself: HDF5 could as well point to another file of this machine."""
-    parts = place.split("/")
+    parts = key.split("/")
     links = [file["/".join(parts[:depth]) or "/"].get(part, getlink=True) for depth, part in enumerate(parts)]
     if not all(isinstance(link, h5py.HardLink) for link in links):
-        raise InputError("expected an array in the file, found none", key=place)
-    array = file[place]
+        raise InputError("expected an array in the file, found none", key=key)
+    array = file[key]
     if not isinstance(array, h5py.Dataset) or array.external or array.is_virtual or array.dtype.kind not in "biuf":
-        raise InputError("expected an array of numbers in the file", key=place)
+        raise InputError("expected an array of numbers in the file", key=key)
     if array.nbytes > LARGEST:
-        raise InputError(f"expected at most {LARGEST / 2**30:g} GiB, found {array.nbytes / 2**30:.1f}", key=place)
+        raise InputError(f"expected at most {LARGEST / 2**30:g} GiB, found {array.nbytes / 2**30:.1f}", key=key)
     return np.asarray(array[()])
 
 

@@ -1,4 +1,4 @@
-"""Trajectory -> a time series that ParaView opens: points with their fields, baffles as surfaces, the box's outline."""
+"""Trajectory -> a time series that ParaView opens: particles with their fields, baffles as surfaces, the box's edges."""
 
 import dataclasses
 import re
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"(points-\d+|(baffles|solids)(-\d+)?|domain)\.vt[pu]")
+PARTS = re.compile(r"((particles|points)-\d+|(baffles|solids)(-\d+)?|domain)\.vt[pu]")
 """The files that a series consists of, whatever its length."""
 UNITS = {
     "velocity": "m/s",
@@ -45,7 +45,7 @@ UNITS = {
 """Of the arrays; of impulse and force in 2D per metre of width."""
 UNCHANGING = frozenset({"material", "friction_deg", "baffle", "solid", "friction"})
 """Arrays that are the same in every frame."""
-MOVING = "points"
+MOVING = "particles"
 """The part whose geometry changes."""
 ACTIVE = {MOVING: "velocity", "baffles": "force", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
@@ -75,10 +75,10 @@ class Meshes:
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
-        """Index into `materials` of each point, shape [N].
+        """Index into `materials` of each particle, shape [N].
 
-        Told by the mass that the point is in (or nearest to) at the start, so that it holds for a part of the points;
-        by the nearest particle of the scene's own where a mass is no box.
+        That of the mass that the particle is in (or nearest to) at the start, so that it holds for a part of the
+        particles; that of the nearest of the scene's own particles where a mass is no box.
         """
         scene, start = self.trajectory.scene, self.start
         materials = self.materials
@@ -95,7 +95,7 @@ class Meshes:
 
     @cached_property
     def friction_deg(self) -> NDArray[np.float32]:
-        """Angle of internal friction of each point [deg], shape [N]."""
+        """Angle of internal friction of each particle [deg], shape [N]."""
         return np.degrees(np.arctan(self.trajectory.friction)).astype(np.float32)
 
     def velocity(self, frame: int) -> NDArray[np.float32] | None:
@@ -110,12 +110,12 @@ class Meshes:
             velocity = trajectory.velocities[frame]
         elif frame > 0:
             after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
-            took = trajectory.time[after] - trajectory.time[before]
-            velocity = ((trajectory.positions[after] - trajectory.positions[before]) / took).astype(np.float32)
+            elapsed = trajectory.time[after] - trajectory.time[before]
+            velocity = ((trajectory.positions[after] - trajectory.positions[before]) / elapsed).astype(np.float32)
         return velocity
 
     def fields(self, frame: int) -> dict[str, NDArray[Any]]:
-        """What there is to know of the points at `frame`, shape [N] or [N, D] each."""
+        """All that is known of the particles at `frame`, shape [N] or [N, D] each."""
         trajectory = self.trajectory
         recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "density", "plastic_strain")}
         velocity = self.velocity(frame)
@@ -131,11 +131,11 @@ class Meshes:
     def parts(self) -> tuple[str, ...]:
         """What there is to draw, the same in every frame."""
         scene = self.trajectory.scene
-        return ("points", *(("baffles",) if scene.baffles else ()), *(("solids",) if scene.solids else ()), "domain")
+        return (MOVING, *(("baffles",) if scene.baffles else ()), *(("solids",) if scene.solids else ()), "domain")
 
     def changes(self, part: str) -> bool:
         """Whether a part is another one in every frame."""
-        return part == "points" or (part != "domain" and self.trajectory.solid_impulse is not None)
+        return part == MOVING or (part != "domain" and self.trajectory.solid_impulse is not None)
 
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
         """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
@@ -150,7 +150,7 @@ class Meshes:
         return mesh
 
     def shape(self, name: str, frame: int) -> "pyvista.PolyData":
-        """The part `name` at `frame` without its arrays: the points, a vertex each, or one of the surfaces."""
+        """The part `name` at `frame` without its arrays: the particles, a vertex each, or one of the surfaces."""
         import pyvista
 
         if name == MOVING:
@@ -160,7 +160,7 @@ class Meshes:
         return surface
 
     def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
-        """The arrays of a part at `frame`: of the points those of `fields`, of solids what each of their faces tells.
+        """The arrays of a part at `frame`: of the particles those of `fields`, of solids those of each of their faces.
 
         That is the number of the baffle or solid, of solids their friction, infinite without slip, and, where it was
         recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since
@@ -185,9 +185,9 @@ class Meshes:
                 "friction": surface.friction.mean(axis=1).astype(np.float32),
             }
         if impulse is not None:
-            gained, took = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
+            gained, elapsed = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
             arrays["impulse"] = spatial(impulse[frame])[number]
-            arrays["force"] = spatial(gained / took if took > 0.0 else gained)[number]
+            arrays["force"] = spatial(gained / elapsed if elapsed > 0.0 else gained)[number]
         return arrays
 
     @cached_property

@@ -32,7 +32,13 @@ CONTACTS = ("coulomb", "no-slip")
 
 @dataclass(frozen=True, kw_only=True)
 class Solid(Record):
-    """A fixed rigid body; which keys give its shape depends on its kind (`KEYS`)."""
+    """A fixed rigid body; which keys give its shape depends on its kind (`KEYS`).
+
+    For example:
+
+        Solid(kind="polygon", vertices=((0.5, 0.0), (0.9, 0.0), (0.7, 0.2)), friction=0.4)
+        Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.0), (2.0, 0.0)))  # solid below this line
+    """
 
     name: str | None = None
     """What it is called in records; `solids[I]` where absent."""

@@ -184,14 +184,14 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
     return manifold3d.Manifold(mesh)
 
 
-def boundary(parts: list[Body], box: Box) -> Triangles:
+def boundary(bodies: list[Body], box: Box) -> Triangles:
     """The boundary of the union of `bodies`; touching bodies are one."""
-    if len(parts) == 1:
-        (body,) = parts
+    if len(bodies) == 1:
+        (body,) = bodies
         vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
         owner = np.zeros(len(triangles), np.int32)
     else:
-        vertices, triangles, friction, owner = union(parts, CLOSING * box.cell)
+        vertices, triangles, friction, owner = union(bodies, CLOSING * box.cell)
     normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
     flat = ~normals.any(axis=1)
     return Triangles(
@@ -204,13 +204,13 @@ def boundary(parts: list[Body], box: Box) -> Triangles:
     )
 
 
-def union(parts: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3], triangles [T, 3], friction at their corners [T, 3] and the body of each [T].
 
     Every body grows by `gap`, so that those that touch but for rounding share volume.
     """
     parts, numbers = [], {}
-    for number, body in enumerate(parts):
+    for number, body in enumerate(bodies):
         part = manifold(grown(body, gap), body.triangles, body.friction).as_original()
         if part.status() != manifold3d.Error.NoError:
             raise InputError("expected a closed surface that does not cross itself", key=body.key)

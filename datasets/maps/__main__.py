@@ -167,7 +167,7 @@ def heading(kind: Kind, maps: PlanMaps, said: dict[str, Any]) -> str:
         parts.append(f"area {said['area_deposit' if kind.name == 'thickness' else 'area_covered']:.4g} m²")
     parts.append(f"largest {said[f'{kind.name}_max']:.3g} {kind.unit}")
     if kind.name == "thickness" and said["extent"] is not None:
-        parts.append(f"extent x = {said['reach']:.4g} m")
+        parts.append(f"extent x = {said['extent']:.4g} m")
     return "; ".join(parts)
 
 
@@ -195,7 +195,7 @@ def command(
     formats
         Any of tif, asc, png and geojson, in 2D of csv and png, separated by commas; all unless given.
     """
-    _, flow = read_trajectory(trajectory)
+    flow = read_trajectory(trajectory)
     known = FORMATS[flow.scene.dimension]
     chosen = known if formats is None else listed(formats, known, "--formats")
     length = flow.scene.domain.cell if cell is None else cell

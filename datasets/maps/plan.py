@@ -27,7 +27,6 @@ from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes
 from datasets.geometry.surface import surface_of
 from datasets.measures import profile_stations
-from datasets.particles import particle_count, particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 
@@ -120,16 +119,6 @@ def plan_axes(scene: Scene) -> tuple[int, ...]:
     return (0,) if scene.dimension == 2 else (0, 2)
 
 
-def volumes_of(trajectory: Trajectory) -> Floats:
-    """Initial volume of each particle of `trajectory` [m^D], shape [N]: together that of the scene's masses.
-
-    Of other particles than the scene's own (a surrogate's, another code's) only the mean volume is known.
-    """
-    scene, count = trajectory.scene, trajectory.positions.shape[1]
-    whole = particle_volumes(scene, particle_count(scene))
-    return whole if len(whole) == count else np.full(count, whole.sum() / count)
-
-
 class Spread:
     """The particles of one frame, spread over the cells: sums over them of anything that each carries."""
 
@@ -187,7 +176,7 @@ class Mapper:
 
     def __init__(self, trajectory: Trajectory, edges: tuple[Floats, ...]) -> None:
         self.trajectory, self.edges = trajectory, edges
-        self.meshes, self.volumes = Meshes(trajectory), volumes_of(trajectory)
+        self.meshes, self.volumes = Meshes(trajectory), trajectory.volumes
         scene = trajectory.scene
         self.axes = plan_axes(scene)
         self.walls = tuple(scene.domain.size[axis] for axis in self.axes)

@@ -31,10 +31,10 @@ def open_trajectory(path: Path) -> Trajectory:
     scene = scene_in(arrays["scene"], path)
     positions = mapped(path, "positions")
     if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
-        expected = "shape [T, N, 2 or 3], at least one frame of one point"
+        expected = "shape [T, N, 2 or 3], at least one frame of one particle"
         raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
-    frames, points, dimension = positions.shape
-    for key, shape in {"time": (frames,), "velocity0": (points, dimension), "friction": (points,)}.items():
+    frames, particles, dimension = positions.shape
+    for key, shape in {"time": (frames,), "velocity0": (particles, dimension), "friction": (particles,)}.items():
         if arrays[key].shape != shape:
             raise InputError(f"expected shape {shape}, got {arrays[key].shape}", where=str(path), key=key)
     if scene.dimension != dimension:

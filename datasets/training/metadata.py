@@ -1,4 +1,4 @@
-"""What `metadata.json` of a dataset says: the keys of the peers' format and ours."""
+"""What `metadata.json` of a dataset says: the keys of geoelements' format and ours."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,18 +12,23 @@ from datasets.training.statistics import MOVING_SPEED, MotionStatistics
 def metadata(
     definition: Definition, entries: Sequence[Entry], *, seed: int, statistics: MotionStatistics
 ) -> dict[str, Any]:
-    """The contents of `metadata.json` for a dataset of `entries`, all in the same box and of the same frames.
+    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
 
-    `statistics` are those of the training split.
+    The box and the length are those of the largest; what differs between scenes is [smallest, largest]. `statistics`
+    are those of the training split.
     """
-    scene = entries[0].scene
-    material = asdict(scene.material)
-    del material["friction_deg"]
-    angles = [entry.scene.material.friction_deg for entry in entries]
+    scenes = [entry.scene for entry in entries]
+    scene = scenes[0]
+    materials = [asdict(each.material) for each in scenes]
+    angles = [each.material.friction_deg for each in scenes]
+
+    def shared(key: str) -> Any:
+        return extremes([getattr(each, key) for each in scenes])
+
     return {
-        # The peers' keys.
-        "bounds": [[0.0, length] for length in scene.domain.size],
-        "sequence_length": scene.frames,
+        # The keys of geoelements.
+        "bounds": [[0.0, max(lengths)] for lengths in zip(*(each.domain.size for each in scenes), strict=True)],
+        "sequence_length": max(each.frames for each in scenes),
         "default_connectivity_radius": definition.connectivity_radius,
         "dim": scene.dimension,
         "dt": scene.frame_dt,
@@ -39,14 +44,22 @@ def metadata(
             "velocities": statistics.velocity.count,
             "accelerations": statistics.acceleration.count,
         },
-        "cell": scene.domain.cell,
-        "particles_per_axis": scene.particles_per_axis,
-        "step_fraction": scene.step_fraction,
-        "material": material,
+        "cell": extremes([each.domain.cell for each in scenes]),
+        "particles_per_axis": shared("particles_per_axis"),
+        "step_fraction": shared("step_fraction"),
+        "material": {key: extremes([each[key] for each in materials]) for key in materials[0] if key != "friction_deg"},
         "friction_deg": [min(angles), max(angles)],
-        "floor_friction": scene.floor_friction,
-        "wall_friction": scene.wall_friction,
-        "baffle_friction": scene.baffle_friction,
-        "damping": scene.damping,
+        "floor_friction": shared("floor_friction"),
+        "wall_friction": shared("wall_friction"),
+        "baffle_friction": shared("baffle_friction"),
+        "damping": shared("damping"),
         "version": __version__,
     }
+
+
+def extremes(values: Sequence[Any]) -> Any:
+    """The value that all have, else the smallest and the largest of those that are numbers."""
+    if all(value == values[0] for value in values):
+        return values[0]
+    numbers = [value for value in values if value is not None]
+    return [min(numbers), max(numbers)]

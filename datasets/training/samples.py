@@ -24,7 +24,7 @@ MOVING = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """One trajectory, every so many frames; all of its points."""
+    """One trajectory, every so many frames; all of its particles."""
 
     name: str
     """The file it came from."""
@@ -33,13 +33,13 @@ class Flow:
     velocity0: Floats
     """Initial velocities [m/s], shape [N, D]."""
     friction: Floats
-    """tan(phi) of each point [-], shape [N]."""
+    """tan(phi) of each particle [-], shape [N]."""
     cohesion: Floats
-    """Cohesion of each point [Pa], shape [N]."""
+    """Cohesion of each particle [Pa], shape [N]."""
     baffles: Floats
     """Lower and upper corner of each baffle [m], shape [K, 2, D]; K may be 0."""
     volume: NDArray[np.float64]
-    """Initial volume of each point [m^D], shape [N]."""
+    """Initial volume of each particle [m^D], shape [N]."""
     size: tuple[float, ...]
     """Extent of the domain [m], length D."""
     gravity: float
@@ -62,7 +62,7 @@ class Flow:
     def of(trajectory: Trajectory, step: float, name: str) -> "Flow":
         """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError."""
         scene = trajectory.scene
-        stride = frames_per_step(scene.frame_dt, step, name)
+        stride = frames_per_step(trajectory.frame_dt, step, name)
         check_plain(scene, "a model", name)
         if scene.slope_deg != 0.0:
             raise InputError("expected a level floor, a model knows no other", where=name, key="slope_deg")
@@ -90,17 +90,17 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
     return stride
 
 
-def point_cohesion(scene: Scene, points: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's points, in the order of `datasets.particles.initial_particles`; [points].
+def point_cohesion(scene: Scene, particles: int, where: str) -> Floats:
+    """Cohesion [Pa] of each of a scene's particles, in the order of `datasets.particles.initial_particles`; [particles].
 
-    Raises InputError where masses differ and the number of points is not theirs.
+    Raises InputError where masses differ and the number of particles is not theirs.
     """
     values = [scene.material_of(mass).cohesion for mass in scene.masses]
     if len(set(values)) == 1:
-        return np.full(points, values[0], np.float32)
+        return np.full(particles, values[0], np.float32)
     counts = mass_counts(scene)
-    if sum(counts) != points:
-        message = f"expected the {sum(counts)} points of masses that differ in cohesion, got {points}"
+    if sum(counts) != particles:
+        message = f"expected the {sum(counts)} particles of masses that differ in cohesion, got {particles}"
         raise InputError(message, where=where, key="positions")
     return np.repeat(np.array(values, np.float32), counts)
 
@@ -160,11 +160,11 @@ class Sample:
     targets: Floats
     """Positions in the coming steps [m], shape [K, n, D]."""
     friction: Floats
-    """tan(phi) of each point [-], shape [n]."""
+    """tan(phi) of each particle [-], shape [n]."""
     cohesion: Floats
-    """Cohesion of each point [Pa], shape [n]."""
+    """Cohesion of each particle [Pa], shape [n]."""
     volume: Floats
-    """Initial volume of each point [m^D], shape [n]."""
+    """Initial volume of each particle [m^D], shape [n]."""
     baffles: Floats
     """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
 
@@ -172,17 +172,17 @@ class Sample:
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
     """The stretch of `flow` with `steps` after index `now` and, as far as there are, `history` displacements before.
 
-    cell, kept, rng: which points stay, see `datasets.training.thinning.thin`. Of a flow on disk this reads its frames alone.
+    cell, kept, rng: which particles stay, see `datasets.training.thinning.thin`. Of a flow on disk this reads its frames alone.
     """
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
-    points = thinned.indices
+    particles = thinned.indices
     first = max(0, now - history)
     return Sample(
-        frames=flow.positions[first : now + 1, points],
-        velocity0=flow.velocity0[points],
-        targets=flow.positions[now + 1 : now + 1 + steps, points],
-        friction=flow.friction[points],
-        cohesion=flow.cohesion[points],
+        frames=flow.positions[first : now + 1, particles],
+        velocity0=flow.velocity0[particles],
+        targets=flow.positions[now + 1 : now + 1 + steps, particles],
+        friction=flow.friction[particles],
+        cohesion=flow.cohesion[particles],
         volume=thinned.volumes,
         baffles=flow.baffles,
     )

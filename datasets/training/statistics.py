@@ -1,12 +1,12 @@
 """Mean and spread of a dataset's velocities and accelerations, in memory that does not grow with the dataset.
 
-With the positions x_t of a point in frame t, per axis and with one frame as the unit of time:
+With the positions x_t of a particle in frame t, per axis and with one frame as the unit of time:
 
     velocity      v_t = x_t - x_(t-1)
     acceleration  a_t = v_(t+1) - v_t
 
-What is counted: **moving points only**. A velocity counts where the point moved in that step faster than
-`MOVING_SPEED`; an acceleration where it did so before or after. Most points of most frames lie still in a settled
+What is counted: **moving particles only**. A velocity counts where the particle moved in that step faster than
+`MOVING_SPEED`; an acceleration where it did so before or after. Most particles of most frames lie still in a settled
 deposit; counting them would shrink the spread by how long the sequence was watched, not by how the sand flows.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOVING_SPEED = 0.01
-"""A point slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
+"""A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
 
 
 @dataclass(frozen=True, kw_only=True)

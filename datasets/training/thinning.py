@@ -1,4 +1,4 @@
-"""Fewer points for the same flow: keep some of the points of each cell, which then carry the volume of all."""
+"""Fewer particles for the same flow: keep some of the particles of each cell, which then carry the volume of all."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Thinned:
-    """The points that stay, and the volume that each of them stands for."""
+    """The particles that stay, and the volume that each of them stands for."""
 
     indices: NDArray[np.int64]
-    """Indices of the kept points, ascending, shape [n]."""
+    """Indices of the kept particles, ascending, shape [n]."""
     volumes: NDArray[np.float32]
-    """Initial volume of each kept point [m^D], shape [n]; the sum is that of all points."""
+    """Initial volume of each kept particle [m^D], shape [n]; the sum is that of all particles."""
 
 
 def thin(
@@ -24,11 +24,11 @@ def thin(
     kept: int,
     rng: np.random.Generator,
 ) -> Thinned:
-    """Keep at random `kept` points of each cell.
+    """Keep at random `kept` particles of each cell.
 
-    positions: initial positions [m], shape [N, D]; volume: of the points [m^D], one for all or shape [N];
-    cell: edge of a cell [m]. The points of a cell (all of them where it holds no more than `kept`) share its volume
-    equally. Two draws from `rng` keep different points of the same flow: that is the augmentation of the training data.
+    positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
+    cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
+    equally. Two draws from `rng` keep different particles of the same flow: that is the augmentation of the training data.
     """
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)

@@ -11,8 +11,11 @@ neighbours each 0.07 (SciPy 0.5), 3,200 particles 0.45 (4.0), 20,000 particles 2
 (55).
 """
 
+import importlib
 import itertools
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,10 +24,8 @@ from torch import Tensor
 from datasets.command_line import WorkFailed
 from gns.kernels import cells
 
-try:
-    import torch_cluster
-except ImportError:
-    torch_cluster = None
+torch_cluster: Any = importlib.import_module("torch_cluster") if find_spec("torch_cluster") else None
+"""An optional package, with its own kernels for a GPU; it has no wheel on the registry."""
 
 CELLS_PER_AXIS = 65_536
 """At most so many in torch's cell list, for the number of a cell to fit into 64 bits; a wider cloud has larger ones."""

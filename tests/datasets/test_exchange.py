@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.exchange import geoelements, importing, lagrangebench
+from datasets.exchange import conversion, geoelements, lagrangebench
 from datasets.exchange.__main__ import command
-from datasets.exchange.common import PeerMetadata
-from datasets.exchange.layouts import LAYOUTS
+from datasets.exchange.cloud import ForeignMetadata
+from datasets.exchange.conversion import LAYOUTS
 from datasets.files import write_json
 from datasets.geometry.solid import Solid
 from datasets.training.statistics import motion_statistics
@@ -62,7 +62,7 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
             assert b.summary["reconstructed"]["spacing_from"] == "dx"
     # Types too: what comes back gives the peers the same bytes.
     assert exchange(back, "--to", layout, "--out", again) == 0
-    suffix = LAYOUTS[layout].suffix
+    suffix = LAYOUTS[layout].SUFFIX
     for split in SPLITS:
         assert (theirs / f"{split}{suffix}").read_bytes() == (again / f"{split}{suffix}").read_bytes()
     before, after = (json.loads((folder / "metadata.json").read_text()) for folder in (ours, back))
@@ -87,7 +87,7 @@ def test_what_the_peers_metadata_says(tmp_path: Path, layout: str) -> None:
     particles = max(
         each.positions.shape[1]
         for split in SPLITS
-        for path in [tmp_path / "theirs" / f"{split}{LAYOUTS[layout].suffix}"]
+        for path in [tmp_path / "theirs" / f"{split}{LAYOUTS[layout].SUFFIX}"]
         for each in LAYOUTS[layout].read(path, set(LAYOUTS[layout].names(path)))
     )
     if layout == "geoelements":
@@ -275,7 +275,9 @@ def test_metadata_that_makes_no_scene(
 
 
 def test_frames_of_a_solver_that_writes_every_so_often() -> None:
-    described = PeerMetadata(bounds=((0.0, 1.0),) * 2, dim=2, dt=0.0004, write_every=100, default_connectivity_radius=1)
+    described = ForeignMetadata(
+        bounds=((0.0, 1.0),) * 2, dim=2, dt=0.0004, write_every=100, default_connectivity_radius=1
+    )
     assert described.frame_dt == pytest.approx(0.04)
 
 
@@ -322,5 +324,5 @@ def test_the_page_names_every_key(tmp_path: Path) -> None:
     assert set(json.loads((tmp_path / "back" / "exchange.json").read_text())) <= set(re.findall(r"`(\w+)`", page))
     for flag in ("--to", "--from", "--out", "--friction-deg", "--spacing", "--up"):
         assert flag in page
-    assert importing.SAFE_NAME.fullmatch("toy-0000")
+    assert conversion.SAFE_NAME.fullmatch("toy-0000")
     assert toy_scene(2, 0).dimension == 2

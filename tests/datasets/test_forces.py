@@ -11,7 +11,7 @@ from matplotlib.image import imread
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.forces import command, forces_of, write_forces
+from datasets.forces import command, forces_of, write_forces, write_table
 from datasets.scene import Baffle
 from datasets.trajectory import Trajectory
 
@@ -94,14 +94,15 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
 def test_named_sides_of_the_box_are_columns(tmp_path: Path, flow: Trajectory) -> None:
     walls = np.array(flow.summary["wall_impulse"])
     sides = {"x+": (walls * [1, 0]).tolist(), "y-": (walls * [0, 1]).tolist()}
-    write_forces(dataclasses.replace(flow, summary=flow.summary | {"side_impulse": sides}), tmp_path)
+    named = dataclasses.replace(flow, summary=flow.summary | {"side_impulse": sides})
+    write_table(tmp_path / "forces.csv", forces_of(named))
     head, values = rows(tmp_path / "forces.csv")
     assert head[5:] == ["x+_fx_N_per_m", "x+_fy_N_per_m", "y-_fx_N_per_m", "y-_fy_N_per_m"]
     np.testing.assert_allclose(values[:, 5:], np.tile([3.0, 0.0, 0.0, -5.0], (5, 1)))
 
 
 def test_the_table_holds_the_impulse(tmp_path: Path, flow: Trajectory) -> None:
-    write_forces(flow, tmp_path)
+    write_table(tmp_path / "forces.csv", forces_of(flow))
     head, values = rows(tmp_path / "forces.csv")
     assert head[:3] == ["time_s", "baffles[0]_fx_N_per_m", "baffles[0]_fy_N_per_m"]
     np.testing.assert_allclose(values[:, 0], TIME[1:])
@@ -120,7 +121,7 @@ def test_three_dimensions_are_in_newtons(tmp_path: Path, flow: Trajectory) -> No
     )
     impulse = np.random.default_rng(1).random((len(TIME), 2, 3))
     solid = dataclasses.replace(flow, scene=scene, solid_impulse=impulse, summary={})
-    write_forces(solid, tmp_path)
+    write_table(tmp_path / "forces.csv", forces_of(solid))
     assert rows(tmp_path / "forces.csv")[0][-1] == "baffles[1]_fz_N"
 
 

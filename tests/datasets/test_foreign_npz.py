@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.exchange import foreign_npz
-from datasets.exchange.foreign_npz import open_foreign_npz
+from datasets.exchange import untrusted
+from datasets.exchange.untrusted import open_untrusted_npz
 from tests.datasets.test_pickle_reading import Calls, same, trajectories
 
 
 def everything(path: Path) -> dict[str, Any]:
-    with open_foreign_npz(path) as file:
+    with open_untrusted_npz(path) as file:
         return {key: file.read(key) for key in file.keys}
 
 
@@ -55,7 +55,7 @@ def test_arrays_as_numpy_wrote_them(tmp_path: Path, save: Any) -> None:
     assert list(found) == list(arrays)
     for key, array in arrays.items():
         same(found[key], array)
-    with open_foreign_npz(tmp_path / "all.npz") as file:
+    with open_untrusted_npz(tmp_path / "all.npz") as file:
         assert {key: file.shape(key) for key in file.keys} == {key: array.shape for key, array in arrays.items()}
 
 
@@ -73,15 +73,15 @@ def test_a_pickle_is_refused_by_name_and_not_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"", "numpy's format"),
-        (pickle.dumps(np.arange(3)), "numpy's format"),
+        (b"", "whole NPZ"),
+        (pickle.dumps(np.arange(3)), "whole NPZ"),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }", bytes(8)), "match its bytes"),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1,), }", bytes(16)), "match its bytes"),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999999999,), }"), "shape"),
         (npy("{'descr': '<U4', 'fortran_order': False, 'shape': (1,), }", bytes(16)), "numbers"),
         (npy("{'descr': [('x', '|O')], 'fortran_order': False, 'shape': (1,), }"), "numbers"),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (__import__('os'),), }"), "numbers"),
-        (npy("(" * 5000), "numbers"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (__import__('os'),), }"), "whole NPZ"),
+        (npy("(" * 5000), "whole NPZ"),
         (npy(" " * 20_000, version=b"\2\0"), "header"),
         (npy("{}", version=b"\4\0"), "numpy's format"),
         (b"\x93NUMPY\1\0\1", "whole NPZ"),
@@ -113,7 +113,7 @@ def test_members_that_are_no_arrays_or_come_twice(tmp_path: Path) -> None:
 def test_what_swells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.savez_compressed(tmp_path / "bomb.npz", zeros=np.zeros(1_000_000))
     assert (tmp_path / "bomb.npz").stat().st_size < 20_000
-    monkeypatch.setattr(foreign_npz, "LARGEST", 2**20)
+    monkeypatch.setattr(untrusted, "LARGEST", 2**20)
     assert "GiB" in refused(tmp_path / "bomb.npz").message
 
 
@@ -150,17 +150,17 @@ def test_random_damage_under_a_right_checksum(tmp_path: Path) -> None:
         content = archive.read("gns_data.npy")
     stream = np.random.default_rng(2)
     outcomes = []
-    for _ in range(400):
+    for _ in range(150):
         outcomes.append(outcome(with_member(path, damaged(stream, content), "gns_data.npy")))
-    assert outcomes.count("InputError") > 100
+    assert outcomes.count("InputError") > 40
 
 
 def damage(path: Path, *, stream: np.random.Generator, whole: bytes) -> None:
     outcomes = []
-    for _ in range(200):
+    for _ in range(80):
         path.write_bytes(damaged(stream, whole))
         outcomes.append(outcome(path))
-    assert outcomes.count("InputError") > 50
+    assert outcomes.count("InputError") > 20
 
 
 def damaged(stream: np.random.Generator, content: bytes) -> bytes:

@@ -99,6 +99,7 @@ def test_the_solids_and_bodies_on_the_page_load(tmp_path: Path) -> None:
 
 def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> None:
     shapes = {
+        "volume": (5,),
         "velocities": (3, 5, 2),
         "stress": (3, 5, 4),
         "pressure": (3, 5),

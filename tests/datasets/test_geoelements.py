@@ -9,7 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.exchange import geoelements
-from datasets.exchange.common import Particles, particles_of
+from datasets.exchange.cloud import Cloud, cloud_of
 from datasets.exchange.geoelements import ParticleType
 from tests.datasets.toys import toy
 
@@ -27,7 +27,7 @@ def stored(path: Path, *parts: Any, key: str = "simulation_trajectory_0") -> Pat
     return path
 
 
-def only(path: Path) -> Particles:
+def only(path: Path) -> Cloud:
     (name,) = geoelements.names(path)
     (particles,) = geoelements.read(path, {name})
     assert particles.name == name
@@ -37,7 +37,7 @@ def only(path: Path) -> Particles:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_numpy_reads_what_talus_writes(tmp_path: Path, dimension: int) -> None:
     path = tmp_path / "train.npz"
-    written = [particles_of(toy(dimension, seed), f"toy-{seed}") for seed in range(2)]
+    written = [cloud_of(toy(dimension, seed), f"toy-{seed}") for seed in range(2)]
     geoelements.write(path, written)
     # As the peers' loader does it, on a file that this test has just written.
     with np.load(path, allow_pickle=True) as file:
@@ -55,13 +55,13 @@ def test_numpy_reads_what_talus_writes(tmp_path: Path, dimension: int) -> None:
 
 def test_the_bytes_depend_on_the_trajectories_alone(tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
-        geoelements.write(tmp_path / name, [particles_of(toy(2), "toy")])
+        geoelements.write(tmp_path / name, [cloud_of(toy(2), "toy")])
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_obstacles_come_last_and_stand(tmp_path: Path) -> None:
     trajectory = toy(3)
-    geoelements.write(tmp_path / "a.npz", [particles_of(trajectory, "toy")])
+    geoelements.write(tmp_path / "a.npz", [cloud_of(trajectory, "toy")])
     particles = only(tmp_path / "a.npz")
     sand = trajectory.positions.shape[1]
     assert particles.stationary.tolist() == [False] * sand + [True] * (len(particles.stationary) - sand)
@@ -142,7 +142,7 @@ def test_a_table_of_trajectories(tmp_path: Path) -> None:
         ((POSITIONS, TYPES, 1e300), "a tan(phi)"),
         ((POSITIONS, TYPES, 10**30), "a tan(phi)"),
         ((POSITIONS, 10**30), "types as integers"),
-        ((POSITIONS, TYPES, np.array(["a"] * 5)), "no array of plain numbers"),
+        ((POSITIONS, TYPES, np.array(["a"] * 5)), "not of plain numbers"),
     ],
 )
 def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected: str) -> None:
@@ -156,13 +156,13 @@ def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected:
 
 def test_the_name_that_means_all(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="gns_data"):
-        geoelements.write(tmp_path / "train.npz", [particles_of(toy(2), "gns_data")])
+        geoelements.write(tmp_path / "train.npz", [cloud_of(toy(2), "gns_data")])
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_failing_source_leaves_no_file(tmp_path: Path) -> None:
     def interrupted() -> Any:
-        yield particles_of(toy(2), "toy")
+        yield cloud_of(toy(2), "toy")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -175,13 +175,13 @@ def test_members_are_written_one_by_one(tmp_path: Path) -> None:
     import gc
     import weakref
 
-    kept: list[weakref.ref[Particles]] = []
+    kept: list[weakref.ref[Cloud]] = []
 
     def trajectories() -> Any:
         for seed in range(3):
             gc.collect()
             assert [reference() for reference in kept[:-1]] == [None] * len(kept[:-1])
-            particles = particles_of(toy(2, seed), f"toy-{seed}")
+            particles = cloud_of(toy(2, seed), f"toy-{seed}")
             kept.append(weakref.ref(particles))
             yield particles
             del particles

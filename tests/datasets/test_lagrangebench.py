@@ -9,7 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.exchange import lagrangebench
-from datasets.exchange.common import Particles, particles_of
+from datasets.exchange.cloud import Cloud, cloud_of
 from tests.datasets.toys import toy
 
 POSITIONS = np.random.default_rng(0).random((4, 5, 2)).astype(np.float32)
@@ -23,7 +23,7 @@ def stored(path: Path, **arrays: Any) -> Path:
     return path
 
 
-def only(path: Path) -> Particles:
+def only(path: Path) -> Cloud:
     (name,) = lagrangebench.names(path)
     (particles,) = lagrangebench.read(path, {name})
     return particles
@@ -31,7 +31,7 @@ def only(path: Path) -> Particles:
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_written_as_their_reader_takes_it(tmp_path: Path, dimension: int) -> None:
-    written = [particles_of(toy(dimension, seed), f"toy-{seed}") for seed in range(2)]
+    written = [cloud_of(toy(dimension, seed), f"toy-{seed}") for seed in range(2)]
     lagrangebench.write(tmp_path / "train.h5", written)
     with h5py.File(tmp_path / "train.h5") as file:
         assert list(file) == ["00000", "00001"]
@@ -43,7 +43,7 @@ def test_written_as_their_reader_takes_it(tmp_path: Path, dimension: int) -> Non
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    written = particles_of(toy(3), "toy")
+    written = cloud_of(toy(3), "toy")
     lagrangebench.write(tmp_path / "train.h5", [written])
     again = only(tmp_path / "train.h5")
     np.testing.assert_array_equal(again.positions, written.positions)
@@ -53,7 +53,7 @@ def test_round_trip(tmp_path: Path) -> None:
 
 def test_the_bytes_depend_on_the_trajectories_alone(tmp_path: Path) -> None:
     for name in ("a.h5", "b.h5"):
-        lagrangebench.write(tmp_path / name, [particles_of(toy(2), "toy")])
+        lagrangebench.write(tmp_path / name, [cloud_of(toy(2), "toy")])
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
 
 
@@ -70,7 +70,7 @@ def test_the_numbers_of_the_original_sets(tmp_path: Path) -> None:
 
 
 def test_some_of_many(tmp_path: Path) -> None:
-    lagrangebench.write(tmp_path / "train.h5", [particles_of(toy(2, seed), "toy") for seed in range(3)])
+    lagrangebench.write(tmp_path / "train.h5", [cloud_of(toy(2, seed), "toy") for seed in range(3)])
     assert [particles.name for particles in lagrangebench.read(tmp_path / "train.h5", {"00002"})] == ["00002"]
 
 

@@ -125,7 +125,7 @@ def test_an_outline_ends_at_the_walls() -> None:
     assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05) == []
 
 
-def test_the_reach_is_that_of_the_largest_part(flow: Trajectory) -> None:
+def test_the_extent_is_that_of_the_largest_part(flow: Trajectory) -> None:
     """A few particles that rolled on are no deposit."""
     astray = flow.positions.copy()
     astray[-1, :8] = np.float32([0.925, 0.2, 0.125])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.exchange.baffle_particles import obstacle_points
-from datasets.exchange.common import Particles, particles_of
-from datasets.exchange.reconstruction import Known, fitted_domain, meet, point_spacing, reconstruct, without
+from datasets.exchange.baffle_particles import obstacle_particles
+from datasets.exchange.cloud import Cloud, cloud_of
+from datasets.exchange.reconstruction import Known, estimated_spacing, fitted_domain, overlap, reconstruct, without
 from datasets.scene import Baffle, Domain
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, strewn, toy
@@ -19,14 +19,12 @@ KNOWN = Known(
 )
 
 
-def cloud(
-    sand: np.ndarray, obstacles: np.ndarray | None = None, velocity: tuple[float, float] = (1.0, 0.0)
-) -> Particles:
+def cloud(sand: np.ndarray, obstacles: np.ndarray | None = None, velocity: tuple[float, float] = (1.0, 0.0)) -> Cloud:
     """Sand that moves at `velocity` [m/s] past obstacles that stand."""
     obstacles = np.empty((0, 2)) if obstacles is None else obstacles
     still = np.repeat([False, True], [len(sand), len(obstacles)])
     step = np.where(still[:, None], 0.0, np.array(velocity) * KNOWN.frame_dt)
-    return Particles(
+    return Cloud(
         name="some",
         positions=np.concatenate([sand, obstacles]) + step * np.arange(FRAMES)[:, None, None],
         stationary=still,
@@ -35,7 +33,7 @@ def cloud(
 
 
 def lattice(lower: tuple[float, float], size: tuple[float, float], spacing: float = 0.01) -> np.ndarray:
-    return obstacle_points(Baffle(lower=lower, size=size), spacing)
+    return obstacle_particles(Baffle(lower=lower, size=size), spacing)
 
 
 @pytest.mark.parametrize(("dimension", "known_spacing"), [(2, 0.005), (2, None), (3, 0.01)])
@@ -49,7 +47,7 @@ def test_a_trajectory_of_talus(dimension: int, known_spacing: float | None) -> N
         spacing_from="",
         friction_deg=None,
     )
-    again = reconstruct(particles_of(trajectory, "some"), known)
+    again = reconstruct(cloud_of(trajectory, "some"), known)
     np.testing.assert_array_equal(again.positions, trajectory.positions)
     np.testing.assert_array_equal(again.friction, trajectory.friction)
     np.testing.assert_allclose(again.time, trajectory.time, rtol=1e-12)
@@ -69,7 +67,7 @@ def test_a_trajectory_of_talus(dimension: int, known_spacing: float | None) -> N
     np.testing.assert_allclose(mass.velocity or 0.0, truth.velocity, atol=1e-2)
 
 
-def of(particles: Particles, known: Known = KNOWN) -> Trajectory:
+def of(particles: Cloud, known: Known = KNOWN) -> Trajectory:
     return reconstruct(particles, known)
 
 
@@ -82,7 +80,11 @@ def test_the_box_is_moved_to_the_origin() -> None:
     assert again.positions.shape == (FRAMES, 600, 2)
     assert again.positions[0, :, 0].min() == np.float32(0.105)
     reconstructed = again.summary["reconstructed"]
-    assert (reconstructed["origin"], reconstructed["outside"], reconstructed["obstacle_points"]) == ([0.1, 0.1], 0, 300)
+    assert (reconstructed["origin"], reconstructed["outside"], reconstructed["obstacle_particles"]) == (
+        [0.1, 0.1],
+        0,
+        300,
+    )
     assert reconstructed["filled"] == pytest.approx(1.0)
     assert any("defaults" in each for each in reconstructed["assumed"])
 
@@ -117,7 +119,7 @@ def test_a_mass_leaves_room_for_a_baffle() -> None:
     # The sand's box from its outermost points, less what the baffle takes of it.
     assert sum(math.prod(mass.size) for mass in again.scene.masses) == pytest.approx(0.39 * 0.19 - 0.08 * 0.095)
     assert again.summary["reconstructed"]["filled"] == pytest.approx(len(clear) * 0.01**2 / 0.0665)
-    assert not any(meet(a, b) for a in boxes for b in boxes if a is not b)
+    assert not any(overlap(a, b) for a in boxes for b in boxes if a is not b)
 
 
 def test_what_is_left_of_a_box() -> None:
@@ -125,22 +127,22 @@ def test_what_is_left_of_a_box() -> None:
     solid = np.array([0.2, -1.0, 0.4]), np.array([0.6, 0.5, 2.0])
     parts = without(box, solid)
     assert sum(float(np.prod(high - low)) for low, high in parts) == pytest.approx(1.0 - 0.4 * 0.5 * 0.6)
-    assert not any(meet(part, solid) for part in parts)
-    assert not any(meet(a, b) for a in parts for b in parts if a is not b)
+    assert not any(overlap(part, solid) for part in parts)
+    assert not any(overlap(a, b) for a in parts for b in parts if a is not b)
 
 
 @pytest.mark.parametrize(("dimension", "side", "within"), [(2, 20, 0.02), (2, 60, 0.01), (3, 8, 0.03), (3, 20, 0.03)])
 def test_the_spacing_of_jittered_points(dimension: int, side: int, within: float) -> None:
     grid = np.stack(np.meshgrid(*[np.arange(side)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
     jitter = np.random.default_rng(0).uniform(-0.4, 0.4, grid.shape)
-    assert point_spacing(0.01 * (grid + jitter)) == pytest.approx(0.01, rel=within)
-    assert point_spacing(0.01 * grid) == pytest.approx(0.01, rel=within)
+    assert estimated_spacing(0.01 * (grid + jitter)) == pytest.approx(0.01, rel=within)
+    assert estimated_spacing(0.01 * grid) == pytest.approx(0.01, rel=within)
 
 
 @pytest.mark.parametrize(("dimension", "side"), [(2, 20), (2, 40), (3, 8), (3, 20)])
 def test_the_spacing_of_points_at_random(dimension: int, side: int) -> None:
     points = strewn(np.random.default_rng(0), (0.0,) * dimension, (0.01 * side,) * dimension, 0.01)
-    assert point_spacing(points) == pytest.approx(0.01, rel=0.06)
+    assert estimated_spacing(points) == pytest.approx(0.01, rel=0.06)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +175,7 @@ SAND = lattice((0.2, 0.1), (0.3, 0.2))
         (replace(cloud(SAND, SAND + 0.4), stationary=np.repeat([True, False], 600)), KNOWN, "to stay where they are"),
     ],
 )
-def test_what_cannot_be_reconstructed(particles: Particles, known: Known, expected: str) -> None:
+def test_what_cannot_be_reconstructed(particles: Cloud, known: Known, expected: str) -> None:
     with pytest.raises(InputError) as caught:
         of(particles, known)
     assert expected in str(caught.value)

@@ -3,12 +3,15 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.library import SCENES, read_scene
+from datasets.geometry.solid import Solid
+from datasets.library import SCENES, read_scene, write_scene
+from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Scene
+from datasets.scene import Baffle, Domain, Mass, Scene
 
 START = """
 [domain]
@@ -172,7 +175,7 @@ def test_json_that_is_no_scene() -> None:
         ("release = 0.001", r"masses\[0\].release: expected a positive whole number of frames of 0.0025 s, got 0.001"),
         ("release = 0.0", r"masses\[0\].release: expected a positive whole number of frames"),
         ("release = 1.0", r"masses\[0\].release: expected a time before the end at 1 s, got 1.0"),
-        ("release = 0.5\nvelocity = [1.0, 0.0]", r"masses\[0\].velocity: expected a mass at rest behind its gates"),
+        ("release = 0.5\nvelocity = [1.0, 0.0]", r"masses\[0\].velocity: expected a mass at rest behind its barriers"),
     ],
 )
 def test_a_start_that_cannot_be_is_refused(tmp_path: Path, keys: str, message: str) -> None:
@@ -188,3 +191,30 @@ def test_a_start_is_read_and_kept(tmp_path: Path) -> None:
     scene = read_scene(str(path))
     assert (scene.masses[0].k0, scene.masses[0].release) == (1.0, "settled")
     assert Scene.from_json(scene.to_json()) == scene
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(SCENES.glob("*.toml"))])
+def test_a_scene_that_is_written_reads_back_equal(tmp_path: Path, name: str) -> None:
+    scene = read_scene(name)
+    write_scene(scene, tmp_path / "again.toml")
+    assert read_scene(tmp_path / "again.toml") == scene
+
+
+def test_shapes_and_numpy_numbers_that_are_written_read_back_equal(tmp_path: Path) -> None:
+    triangle = ((0.0, 0.1), (0.3, 0.1), (0.0, 0.3))
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.5), cell=0.05),
+        material=Material(friction_deg=float(np.float64(30.0)), cohesion=np.float64(100.0)),
+        masses=(
+            Mass(kind="polygon", vertices=triangle, material=Material(friction_deg=0.0, cohesion=50.0)),
+            Mass(
+                kind="particles", positions=((0.5, 0.3), (0.6, 0.3)), velocities=((1.0, 0.0), (0.0, 0.0)), volume=1e-4
+            ),
+            Mass(lower=(0.7, 0.2), size=(0.1, 0.1), k0="elastic", release="settled"),
+        ),
+        baffles=(Baffle(lower=(0.9, 0.0), size=(0.05, 0.2), turned_deg=10.0),),
+        solids=(Solid(kind="terrain", points=((0.0, 0.05), (1.0, 0.0))),),
+        open_sides=("x+",),
+    )
+    write_scene(scene, tmp_path / "again.toml")
+    assert read_scene(tmp_path / "again.toml") == scene

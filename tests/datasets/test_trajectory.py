@@ -27,6 +27,26 @@ def test_round_trip(tmp_path: Path, trajectory: Trajectory) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["trajectory.npz"]
 
 
+def test_volumes_and_the_time_between_frames(tmp_path: Path, trajectory: Trajectory) -> None:
+    assert trajectory.frame_dt == trajectory.scene.frame_dt == 0.0025
+    whole = 0.04 * 0.02
+    np.testing.assert_allclose(trajectory.volumes, np.full(5, whole / 5))
+    own = dataclasses.replace(trajectory, positions=np.zeros((1, 32, 2), np.float32), time=np.zeros(1))
+    assert (own.volumes == own.scene.particle_volume).all()
+    weighted = dataclasses.replace(
+        trajectory, volume=np.array([1, 2, 3, 1, 1], np.float32) * 1e-4, time=np.array([0.0, 0.01, 0.02])
+    )
+    weighted.save(tmp_path / "trajectory.npz")
+    again = Trajectory.load(tmp_path / "trajectory.npz")
+    np.testing.assert_allclose(again.volumes, [1e-4, 2e-4, 3e-4, 1e-4, 1e-4], rtol=1e-6)
+    assert again.frame_dt == pytest.approx(0.01)
+    with pytest.raises(InputError, match="evenly spaced"):
+        _ = dataclasses.replace(trajectory, time=np.array([0.0, 0.0025, 0.01])).frame_dt
+    dataclasses.replace(weighted, volume=np.ones(4, np.float32)).save(tmp_path / "bad.npz")
+    with pytest.raises(InputError, match=r"volume: expected shape \(5,\)"):
+        Trajectory.load(tmp_path / "bad.npz")
+
+
 @pytest.mark.parametrize("cutoff", [None, 0.0, 5.0])
 def test_a_tension_cutoff_stays_absent_or_as_it_was(
     tmp_path: Path, trajectory: Trajectory, cutoff: float | None

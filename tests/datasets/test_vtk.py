@@ -198,11 +198,11 @@ def test_no_baffles(tmp_path: Path, trajectory: Trajectory) -> None:
 def test_the_reader_that_paraview_has(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
     reader = vtkXMLPolyDataReader()
-    reader.SetFileName(str(tmp_path / "points-0004.vtp"))
+    reader.SetFileName(str(tmp_path / "particles-0004.vtp"))
     reader.Update()
     values = reader.GetOutput().GetPointData().GetArray("displacement")
     np.testing.assert_array_equal(vtk_to_numpy(values), flow.positions[4] - flow.positions[0])
-    head = (tmp_path / "points-0004.vtp").read_bytes()
+    head = (tmp_path / "particles-0004.vtp").read_bytes()
     assert b"vtkZLibDataCompressor" in head
     assert b'<AppendedData encoding="raw">' in head
 
@@ -302,15 +302,15 @@ def test_solids_in_two_dimensions_are_lines(tmp_path: Path, flow: Trajectory) ->
 
 def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
-    (tmp_path / "points-of-interest.txt").write_text("mine")
+    (tmp_path / "particles-of-interest.txt").write_text("mine")
     write_vtk(flat(flow), tmp_path, every=2)
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         "baffles.vtp",
         "domain.vtp",
-        "points-0000.vtp",
-        "points-0002.vtp",
-        "points-0004.vtp",
-        "points-of-interest.txt",
+        "particles-0000.vtp",
+        "particles-0002.vtp",
+        "particles-0004.vtp",
+        "particles-of-interest.txt",
         "trajectory.pvd",
     ]
     assert list(read(tmp_path)) == [0.0, 0.02, 0.04]
@@ -358,7 +358,7 @@ def test_a_break_among_the_moves_leaves_no_series(
     move = Path.replace
 
     def broken(self: Path, target: Path) -> Path:
-        if target.name == "points-0003.vtp":
+        if target.name == "particles-0003.vtp":
             raise KeyboardInterrupt
         return move(self, target)
 
@@ -373,10 +373,10 @@ def test_a_break_among_the_moves_leaves_no_series(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
 def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
-    path = tmp_path / "points-0000.vtp"
+    path = tmp_path / "particles-0000.vtp"
     path.symlink_to("/dev/full")
-    with pytest.raises(WorkFailed, match=r"points-0000\.vtp could not be written"):
-        vtk._write(vtk.Meshes(flow).part("points", 0, 0), path)
+    with pytest.raises(WorkFailed, match=r"particles-0000\.vtp could not be written"):
+        vtk._write(vtk.Meshes(flow).part("particles", 0, 0), path)
 
 
 def test_who_writes_none_does_not_pay_for_it() -> None:

@@ -71,14 +71,14 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
     assert list(frames) == flow.time[kept].tolist()
     since = 0
     for frame, blocks in zip(kept, frames.values(), strict=True):
-        assert blocks.keys() == ["points", "baffles", "solids", "domain"]
-        for name in ("points", "baffles", "solids", "domain"):
+        assert blocks.keys() == ["particles", "baffles", "solids", "domain"]
+        for name in ("particles", "baffles", "solids", "domain"):
             wanted = meshes.part(name, frame, since)
             same(blocks[name], wanted)
             cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], wanted)]
             for found, known in zip(*cells, strict=True):
                 np.testing.assert_array_equal(found, known)
-        assert blocks["points"].point_data.active_vectors_name == "velocity"
+        assert blocks["particles"].point_data.active_vectors_name == "velocity"
         assert blocks["solids"].cell_data.active_vectors_name == "force"
         since = frame
 
@@ -86,17 +86,17 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
 def test_pyvista_reads_vtkhdf_as_it_is(tmp_path: Path, flow: Trajectory) -> None:
     write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
     blocks = pyvista.read(tmp_path / "trajectory.vtkhdf")
-    np.testing.assert_array_equal(blocks["points"].points[:, :2], flow.positions[0, :, :2])
+    np.testing.assert_array_equal(blocks["particles"].points[:, :2], flow.positions[0, :, :2])
 
 
 def test_vtkhdf_says_its_units_and_stores_once_what_stays(tmp_path: Path, flow: Trajectory) -> None:
     write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
     with h5py.File(tmp_path / "trajectory.vtkhdf") as file:
         root, points = file["VTKHDF"], flow.positions.shape[1]
-        assert root["points/PointData/velocity"].attrs["units"] == "m/s"
+        assert root["particles/PointData/velocity"].attrs["units"] == "m/s"
         assert root["solids/CellData/force"].attrs["units"] == ("N/m" if flow.scene.dimension == 2 else "N")
-        assert len(root["points/PointData/velocity"]) == 6 * points
-        assert len(root["points/PointData/material"]) == points
+        assert len(root["particles/PointData/velocity"]) == 6 * points
+        assert len(root["particles/PointData/material"]) == points
         assert len(root["baffles/Points"]) < 20
 
 
@@ -134,7 +134,7 @@ def test_xdmf_by_meshio(tmp_path: Path, flow: Trajectory, monkeypatch: pytest.Mo
             assert time == flow.time[frame]
             np.testing.assert_array_equal(points[:, : flow.scene.dimension], flow.positions[frame])
             np.testing.assert_array_equal(cells[0].data.ravel(), np.arange(len(points)))
-            wanted = meshes.arrays("points", frame, 0)
+            wanted = meshes.arrays("particles", frame, 0)
             assert arrays.keys() == wanted.keys()
             for name, values in wanted.items():
                 np.testing.assert_array_equal(arrays[name], values)
@@ -145,7 +145,7 @@ def test_xdmf_by_vtk(tmp_path: Path, flow: Trajectory) -> None:
     frames = frames_in(vtkXdmfReader(), tmp_path / "trajectory.xdmf")
     assert list(frames) == flow.time.tolist()
     for frame, points in enumerate(frames.values()):
-        wanted = Meshes(flow).part("points", frame, 0)
+        wanted = Meshes(flow).part("particles", frame, 0)
         np.testing.assert_array_equal(points.points, wanted.points)
         np.testing.assert_array_equal(points["displacement"], wanted["displacement"])
         assert points.n_cells == points.n_points
@@ -155,7 +155,7 @@ def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path, suffix=".vtu")
     assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == flow.time.tolist()
     meshes = Meshes(flow)
-    for part, kind in (("points", "point_data"), ("baffles", "cell_data"), ("solids", "cell_data")):
+    for part, kind in (("particles", "point_data"), ("baffles", "cell_data"), ("solids", "cell_data")):
         found, wanted = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
         np.testing.assert_array_equal(found.points, wanted.points)
         for name, values in getattr(wanted, kind).items():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed, run
+from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
@@ -43,6 +44,21 @@ TINY = Definition(
     split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index],
     draw=draw,
 )
+
+BLOCKS = """
+count = {count}
+split_period = 3
+[scene]
+duration = {{ choice = [0.005, 0.01] }}
+[scene.domain]
+size = [0.4, 0.2]
+cell = 0.05
+[scene.material]
+friction_deg = {{ uniform = [20.0, 40.0] }}
+[[scene.masses]]
+lower = [{{ uniform = [0.0, 0.2] }}, 0.0]
+size = [0.1, 0.1]
+"""
 
 FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]
 
@@ -87,6 +103,43 @@ def test_statistics_are_those_of_the_training_split(dataset: Path) -> None:
 def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> None:
     generate(TINY, tmp_path, seed=7, count=None, jobs=2)
     assert contents(tmp_path) == contents(dataset)
+
+
+def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
+    """The workers of a cluster on this machine, processes of their own that share the folder."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+    ):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler=cluster.scheduler_address)
+    assert contents(tmp_path) == contents(dataset)
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("mpm.generate.CONNECT", 0.5)
+    with pytest.raises(InputError, match="expected the address of a Dask scheduler"):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler="tcp://127.0.0.1:1")
+
+
+def test_a_definition_in_toml_is_simulated(tmp_path: Path) -> None:
+    (tmp_path / "blocks.toml").write_text(BLOCKS.format(count=4))
+    words = [str(tmp_path / "blocks.toml"), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    assert run(command, "generate", words) == 0
+    metadata = json.loads((tmp_path / "out" / "metadata.json").read_text())
+    assert (metadata["definition"], metadata["splits"]) == ("blocks", {"train": 2, "valid": 1, "test": 1})
+    flows = [Trajectory.load(path) for path in sorted((tmp_path / "out").rglob("*.npz"))]
+    assert [flow.scene for flow in flows] == [
+        entry.scene
+        for split in ("test", "train", "valid")
+        for entry in read_definition(words[0]).entries(seed=0)
+        if entry.split == split
+    ]
+    assert metadata["friction_deg"] == [
+        min(flow.scene.material.friction_deg for flow in flows),
+        max(flow.scene.material.friction_deg for flow in flows),
+    ]
+    assert metadata["sequence_length"] == max(flow.scene.frames for flow in flows)
 
 
 def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_path: Path) -> None:
@@ -139,6 +192,8 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
     ("arguments", "line"),
     [
         (["flow3d"], "one of flow2d, releases2d, layers2d, obstacle3d, channel3d"),
+        (["absent.toml"], "absent.toml: expected a TOML file"),
+        (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
         (["obstacle3d", "--count", "1001"], "1 to 1000"),
         (["flow2d", "--count", "386"], "1 to 385"),
         (["flow2d", "--count", "0"], "1 to 385"),
@@ -151,15 +206,16 @@ def test_wrong_input_is_one_line_and_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
 ) -> None:
     assert run(command, "generate", [*arguments, "--out", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert line in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
 def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+    (tmp_path / "blocks.toml").write_text(BLOCKS.format(count=1000))
     process = subprocess.Popen(
-        [sys.executable, "-m", "mpm.generate", "releases2d", "--out", str(tmp_path), "--jobs", "1"],
+        [sys.executable, "-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "1"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -173,9 +229,9 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, told = process.communicate(timeout=240.0)
+    _, error = process.communicate(timeout=240.0)
     assert process.returncode == 130
-    assert told.splitlines()[-1] == "talus: interrupted; what was finished is kept"
-    assert "Traceback" not in told
+    assert error.splitlines()[-1] == "talus: interrupted; what was finished is kept"
+    assert "Traceback" not in error
     for path in tmp_path.rglob("*.npz"):
         Trajectory.load(path)

@@ -47,7 +47,7 @@ def fastest(scene: Scene, precision: str) -> float:
     return float(np.linalg.norm(velocities, axis=2).max())
 
 
-def rows_of(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def node_strides(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over the rows of cells, from the floor up."""
     row = (initial_particles(scene).positions[:, 1] / CELL).astype(int)
     return np.bincount(row, values) / np.bincount(row)
@@ -98,17 +98,17 @@ def test_every_level_carries_what_lies_above(scene: Scene) -> None:
 def test_rows_have_the_geostatic_stress() -> None:
     # Without jitter row by row, but for the half cell at the floor, whose lowest nodes do not mirror the motion above.
     level = dataclasses.replace(BED_2D, jitter=0.0)
-    depth = rows_of(level, 0.4 - initial_particles(level).positions[:, 1])
+    depth = node_strides(level, 0.4 - initial_particles(level).positions[:, 1])
     weight = SAND.density * level.gravity * depth
     stress = stress_of(level)
-    vertical, lateral = rows_of(level, -stress[:, 1]) / weight, rows_of(level, -stress[:, 0]) / weight
+    vertical, lateral = node_strides(level, -stress[:, 1]) / weight, node_strides(level, -stress[:, 0]) / weight
     np.testing.assert_allclose(vertical[2:-1], 1.0, rtol=0.01)
     np.testing.assert_allclose(vertical, 1.0, rtol=0.1)
     np.testing.assert_allclose(lateral[1:], 0.5, rtol=0.01)
     # With jitter single particles scatter by a fifth and rows of a hundred by a fiftieth; their mean does not.
     depth = 0.4 - initial_particles(BED_2D).positions[:, 1]
     stress, weight = stress_of(BED_2D), SAND.density * BED_2D.gravity * depth
-    vertical = rows_of(BED_2D, -stress[:, 1]) / rows_of(BED_2D, weight)
+    vertical = node_strides(BED_2D, -stress[:, 1]) / node_strides(BED_2D, weight)
     assert np.abs(vertical[1:-1] - 1.0).max() < 0.06
     assert vertical[1:-1].mean() == pytest.approx(1.0, abs=0.01)
     assert 0.1 < np.std(stress[:, 1] / -weight) < 0.3
@@ -130,7 +130,7 @@ def test_an_elastic_bed_has_the_ratio_of_poisson() -> None:
     mass = dataclasses.replace(BED_2D.masses[0], k0="elastic")
     scene = with_masses(BED_2D, mass, jitter=0.0)
     stress = stress_of(scene)
-    rows = rows_of(scene, stress[:, 0]) / rows_of(scene, stress[:, 1])
+    rows = node_strides(scene, stress[:, 0]) / node_strides(scene, stress[:, 1])
     np.testing.assert_allclose(rows[2:-2], 0.3 / 0.7, rtol=0.01)
     below = initial_particles(scene).positions[:, 1] < 0.38  # single particles of the surface yield
     np.testing.assert_allclose(stress[below, 2], 0.3 * (stress[below, 0] + stress[below, 1]), atol=1e-6)

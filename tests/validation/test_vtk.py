@@ -14,23 +14,22 @@ from datasets.command_line import WorkFailed, run
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from validation.report import rendering, stage, view
-from validation.report.rendering import Colour, Picture, write_movie
-from validation.report.view import View
+from validation.report import rendering
+from validation.report.rendering import Colour, Picture, extent, write_movie
 from validation.vtk import command
 
 
 @pytest.fixture(autouse=True)
 def small_images(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The margins stay, so about 200 pixels are left for the flow."""
-    monkeypatch.setattr(view, "WIDEST", 580)
-    monkeypatch.setattr(view, "HIGHEST", 400)
+    """Letters and bars stay as large, what is drawn is small."""
+    monkeypatch.setattr(rendering, "WIDTH", 800)
+    monkeypatch.setattr(rendering, "HEIGHT", 600)
 
 
 @pytest.fixture(scope="module")
 def _opengl() -> None:
     try:
-        stage._window(64, 64).close()
+        rendering._window(64, 64).close()
     except WorkFailed as error:
         pytest.skip(str(error))
 
@@ -67,9 +66,17 @@ def slide(dimension: int) -> Trajectory:
     )
 
 
-def colour_at(image: np.ndarray, where: View, place: tuple[float, ...]) -> np.ndarray:
-    """Mean colour of a few pixels at a place [m], in 0..1."""
-    across, up = where.pixel(np.pad(np.array(place), (0, 3 - len(place)))).round().astype(int)
+def pixel(picture: Picture, place: tuple[float, ...]) -> np.ndarray:
+    """Column and row, from the lower left, of a point [m] in the image."""
+    coordinate = pyvista._vtk.vtkCoordinate()
+    coordinate.SetCoordinateSystemToWorld()
+    coordinate.SetValue(*place, *(0.0,) * (3 - len(place)))
+    return np.array(coordinate.GetComputedDisplayValue(picture.plotter.renderer))
+
+
+def colour_at(image: np.ndarray, picture: Picture, place: tuple[float, ...]) -> np.ndarray:
+    """Mean colour of a few pixels at a point [m], in 0..1."""
+    across, up = pixel(picture, place)
     row = image.shape[0] - 1 - up
     return image[row - 2 : row + 3, across - 2 : across + 3, :3].mean(axis=(0, 1)) / 255.0
 
@@ -91,88 +98,69 @@ def line(capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_picture_shows_what_is_where(dimension: int) -> None:
     flow = slide(dimension)
-    with Picture(flow, Colour.DISPLACEMENT) as picture:
-        where, image = picture.stage.view, picture.at(2)
-        largest = picture.values(2).max()
-    assert image.shape == (*where.size[::-1], 3)
-    # The baffle is grey where it faces the eye.
     depth = (0.3,)[: dimension - 2]
-    steel = colour_at(image, where, (0.75, 0.2, *depth))
-    assert np.ptp(steel) < 0.15
-    assert 0.2 < steel.mean() < 0.8
-    # Its edges are where they belong.
-    for beside, inside in (((0.68, 0.26), (0.72, 0.26)), ((0.72, 0.02), (0.72, -0.02))):
-        colours = [colour_at(image, where, (*place, *depth)).mean() for place in (beside, inside)]
-        assert max(colours) > min(colours) + 0.2
-    # The pane is bright behind the air above the baffle, and there is nothing at the border.
-    assert colour_at(image, where, (0.9, 0.25, 0.0)).min() > 0.85
-    assert (image[0] == 255).all()
-    # The points have their colour of the map, if darker where they are in the shade.
-    assert 0.25 < largest < 0.4
-    place = (0.5, 0.06, *depth)
-    nearest = np.argmin(np.linalg.norm(flow.positions[2] - place, axis=1))
-    shift = np.linalg.norm(flow.positions[2, nearest] - flow.positions[0, nearest])
-    expected = np.array(colormaps["viridis"](shift / 0.4)[:3])
-    assert np.dot(hue(colour_at(image, where, place)), hue(expected)) > 0.98
+    with Picture(flow, Colour.DISPLACEMENT) as picture:
+        image, largest = picture.at(2), picture.values(2).max()
+        assert image.shape == (*picture.plotter.window_size[::-1], 3)
+        assert image.shape[0] % 2 == image.shape[1] % 2 == 0
+        # All that moves is in the image, left of the colour bar.
+        for place in flow.positions.reshape(-1, dimension)[::50]:
+            across, up = pixel(picture, tuple(place))
+            assert 0 < across < 0.9 * image.shape[1]
+            assert 0 < up < 0.95 * image.shape[0]
+        # The baffle is grey where it faces the eye, and its edges are where they belong.
+        steel = colour_at(image, picture, (0.75, 0.26, *depth))
+        assert np.ptp(steel) < 0.15
+        assert 0.2 < steel.mean() < 0.8
+        for beside, within in (((0.68, 0.26), (0.72, 0.26)), ((0.75, 0.36), (0.75, 0.28))):
+            colours = [colour_at(image, picture, (*place, *depth)).mean() for place in (beside, within)]
+            assert max(colours) > min(colours) + 0.2
+        assert (image[0] == 255).all()
+        # The particles have their colour of the map, if darker where they are in the shade.
+        assert 0.25 < largest < 0.4
+        place = (0.5, 0.06, *depth)
+        nearest = np.argmin(np.linalg.norm(flow.positions[2] - place, axis=1))
+        shift = np.linalg.norm(flow.positions[2, nearest] - flow.positions[0, nearest])
+        expected = np.array(colormaps["viridis"](shift / 0.4)[:3])
+        if dimension == 2:
+            place = tuple(flow.positions[2, nearest])
+        assert np.dot(hue(colour_at(image, picture, place)), hue(expected)) > 0.95
 
 
 @opengl
-def test_frames_move_the_points_and_nothing_else() -> None:
+def test_frames_move_the_particles_and_nothing_else() -> None:
     flow = slide(2)
     with Picture(flow, Colour.VELOCITY) as picture:
         first, last, again = picture.at(0), picture.at(2), picture.at(0)
-        where = picture.stage.view
+        left, floor = pixel(picture, (0.1, 0.0))
+        right, _ = pixel(picture, (0.6, 0.0))
+        _, top = pixel(picture, (0.1, 0.36))
     np.testing.assert_array_equal(first, again)
     changed = np.nonzero((first != last).any(axis=2))
-    left, floor = where.pixel(np.array([0.1, 0.0, 0.0]))
-    right, _ = where.pixel(np.array([0.6, 0.0, 0.0]))
     rows = first.shape[0] - 1 - changed[0]
-    below = rows < where.size[1] - view.TOP
+    below = rows < top
     assert below.any()
     assert changed[1][below].min() > left - 15
     assert changed[1][below].max() < right + 15
     assert rows.min() > floor - 15
     # Above the flow only the time changes.
-    assert changed[1][~below].max() < view.LEFT + 200
+    assert changed[1][~below].max() < 0.4 * first.shape[1]
 
 
 @opengl
-def test_more_samples_make_the_same_picture_smoother() -> None:
-    with Picture(slide(2), Colour.MATERIAL) as coarse, Picture(slide(2), Colour.MATERIAL, sampling=2) as fine:
-        one, two = coarse.at(1).astype(float), fine.at(1).astype(float)
-    assert one.shape == two.shape
-    assert np.abs(one - two).mean() < 6.0
-
-
-@opengl
-def test_points_that_were_lost_do_not_stop_it() -> None:
+def test_particles_that_were_lost_do_not_stop_it() -> None:
     flow = slide(2)
     flow.positions[1:, :3] = np.nan
     flow.positions[2, 3] = 1.0e6
-    assert (View.of(flow).upper[:2] <= flow.scene.domain.size).all()
+    assert (extent(flow)[1][:2] <= flow.scene.domain.size).all()
     with Picture(flow, Colour.DISPLACEMENT) as picture:
         assert np.ptp(picture.at(2)) > 100
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_the_view_holds_all_that_moves(dimension: int) -> None:
-    flow = slide(dimension)
-    where = View.of(flow)
-    width, height = where.size
-    assert width % 2 == height % 2 == 0
-    assert width <= 580
-    assert height <= 400
-    for place in np.pad(flow.positions.reshape(-1, dimension), ((0, 0), (0, 3 - dimension)))[::50]:
-        across, up = where.pixel(place)
-        assert view.LEFT <= across <= width - view.RIGHT
-        assert view.BOTTOM <= up <= height - view.TOP
-        np.testing.assert_allclose(where.pixel(where.place((across, up), 0.1)), (across, up))
-
-
-@pytest.mark.parametrize(("lower", "upper"), [(0.0, 0.489), (0.0, 3.2e-7), (0.0, 81000.0)])
-def test_marks_are_round_and_span_all(lower: float, upper: float) -> None:
-    marks = stage.scale_marks(lower, upper, 5)
-    assert marks[0] <= lower
+@pytest.mark.parametrize("upper", [0.489, 3.2e-7, 81000.0])
+def test_marks_are_round_and_span_all(upper: float) -> None:
+    marks = rendering._marks(0.0, upper, 5)
+    assert marks[0] == 0.0
     assert upper <= marks[-1] < 2.0 * upper
     assert 3 <= len(marks) <= 8
     assert all(len(f"{mark:g}") <= 7 for mark in marks)
@@ -188,7 +176,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "t = 0.100 s" in capsys.readouterr().out
     assert pyvista.get_reader(out / "trajectory.pvd").time_values == [0.0, 0.1, 0.2]
     picture = imread(out / "picture.png")
-    assert picture.shape[:2] == View.of(slide(2)).size[::-1]
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100
     assert len(frames_of(out / "movie.mp4")) == 3
     assert sorted(file.name for file in out.glob("*") if "-" not in file.name) == [
@@ -231,7 +218,7 @@ def test_a_movie_by_any_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert len(movie) == 3
     with Picture(slide(2), Colour.VELOCITY) as picture:
         for frame, shown in enumerate(movie):
-            assert np.abs(shown.astype(float) - picture.at(frame)).mean() < 12.0
+            assert np.abs(shown.astype(float) - picture.at(frame)).mean() < 14.0
     assert np.abs(movie[0].astype(float) - movie[2]).mean() > 2.0
 
 
@@ -257,7 +244,7 @@ def test_no_opengl_is_one_line_after_the_series(
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr(stage.pyvista, "Plotter", Blind)
+    monkeypatch.setattr(rendering.pyvista, "Plotter", Blind)
     slide(2).save(tmp_path / "trajectory.npz")
     assert run(command, "vtk", [str(tmp_path), "--out", str(tmp_path / "out"), "--picture"]) == 1
     assert "OpenGL" in capsys.readouterr().err.splitlines()[-1]

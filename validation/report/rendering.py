@@ -1,10 +1,10 @@
-"""Pictures and movies of a trajectory, drawn off-screen: its points coloured by a field, the baffles, the time."""
+"""Pictures and movies of a trajectory by pyvista, off-screen: particles coloured by a field, the solids, the time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import av
 import numpy as np
@@ -12,6 +12,7 @@ import pyvista
 from matplotlib import colormaps
 from matplotlib.colors import ListedColormap
 from matplotlib.image import imsave
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -22,18 +23,15 @@ from datasets.files import replacing
 from datasets.geometry.margins import Box
 from datasets.geometry.planar import ring_of
 from datasets.geometry.surface import solids_of
-from datasets.maps.plan import volumes_of
+from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
-from validation.report.stage import INK, Stage, scale_marks
-from validation.report.view import View
 
 Image = NDArray[np.uint8]
-ColourBar = tuple[NDArray[np.float64], tuple[float, float], dict[float, str]]
-"""Colours, shape [K, 3]; the values that its ends stand for; what is written at which share of its height."""
+Floats = NDArray[np.floating]
 
 
 class Colour(StrEnum):
-    """What the colour of a point tells."""
+    """What the colour of a particle shows."""
 
     VELOCITY = "velocity"
     DISPLACEMENT = "displacement"
@@ -59,16 +57,22 @@ FIELDS = {
     Colour.DISPLACEMENT: Field(title="displacement [m]", colours="viridis"),
     Colour.PRESSURE: Field(title="pressure [kPa]", unit=1000.0, colours="plasma"),
     Colour.PLASTIC_STRAIN: Field(title="plastic strain [-]", colours="inferno"),
-    Colour.MATERIAL: Field(title="material", colours="Set2"),
+    Colour.MATERIAL: Field(title="friction angle", colours="Set2"),
 }
 RANGE_QUANTILE, RANGE_FRAMES = 0.995, 40
-"""A colour bar ends near this quantile of the points of so many frames: no single point decides."""
-POINT_SIZE = 1.25
-"""Diameter of a drawn point over the distance between points at the start."""
-STEEL, GROUND, FAINT = "#8d9aa8", "#b5aa98", "#77736a"
-"""Colours of the baffles, of other solids and of the masses' outlines."""
+"""A colour bar ends at this quantile of the particles of so many frames: no single particle decides."""
+DIAMETER = 1.25
+"""Of a drawn particle over the distance between particles at the start."""
+INK, STEEL, GROUND, FAINT = "#262626", "#8d9aa8", "#b5aa98", "#77736a"
+"""Colours of the letters, of the baffles, of other solids and of the masses' outlines."""
+EYE = {2: (0.0, 0.0, 1.0), 3: (0.45, 0.55, 1.0)}
+"""From the flow to the eye, per dimension: in 3D it runs to the right and a little nearer, seen from above."""
+WIDTH, HEIGHT = 1600, 1200
+"""An image is at most this large [px]."""
+MARGIN = (0.13, 0.24)
+"""Share of the image's width and height beside the flow, for scales, colour bar and time."""
 ENCODERS = (("libx264", ".mp4", "yuv420p"), ("mpeg4", ".mp4", "yuv420p"), ("gif", ".gif", "rgb8"))
-"""Codec, ending of the file and pixels of a movie; the first that is there is taken."""
+"""Codec, ending of the file and pixels of a movie; the first that is installed is used."""
 
 
 def require(trajectory: Trajectory, colour: Colour) -> None:
@@ -79,26 +83,43 @@ def require(trajectory: Trajectory, colour: Colour) -> None:
 
 
 class Picture:
-    """A trajectory on its stage; only the points and the time change with the frames. A context.
+    """A trajectory in a window off-screen; only the particles and the time change with the frames. A context.
 
-    sampling: pixels drawn per pixel of the image, along each axis; more is smoother and slower.
-    Raises InputError for a colour that was not recorded, WorkFailed where nothing can be drawn.
+    smooth: with anti-aliasing, which takes longer. Raises InputError for a colour that was not recorded, WorkFailed
+    where nothing can be drawn.
     """
 
-    def __init__(self, trajectory: Trajectory, colour: Colour, *, sampling: int = 1) -> None:
+    def __init__(self, trajectory: Trajectory, colour: Colour, *, smooth: bool = False) -> None:
         require(trajectory, colour)
         self.trajectory, self.meshes, self.colour = trajectory, Meshes(trajectory), colour
-        self.stage = Stage(View.of(trajectory), sampling=sampling)
-        self.stage.draw_panes(trajectory.scene)
-        self._draw_boxes()
-        self._draw_points()
-        self.clock = self.stage.write_above("")
+        lower, upper = extent(trajectory)
+        marks = _marks(0.0, float(np.max(upper - lower)), 10)
+        self.step = float(marks[1] - marks[0])
+        """Distance between two numbers of a scale [m]."""
+        self.lower, self.upper = (
+            self.step * np.floor(lower / self.step + 1e-6),
+            self.step * np.ceil(upper / self.step - 1e-6),
+        )
+        eye = np.array(EYE[trajectory.scene.dimension]) / np.linalg.norm(EYE[trajectory.scene.dimension])
+        right = np.cross((0.0, 1.0, 0.0), eye) / np.linalg.norm(np.cross((0.0, 1.0, 0.0), eye))
+        size = np.ptp(_corners(self.lower, self.upper) @ np.stack([right, np.cross(eye, right)]).T, axis=0)
+        free = np.array([1.0 - 2.0 * MARGIN[0], 1.0 - MARGIN[1]])
+        self.scale = float(np.min((WIDTH, HEIGHT) * free / size))
+        """Pixels per metre."""
+        width, height = (2 * np.round(size * self.scale / free / 2)).astype(int).tolist()
+        self.plotter = _window(max(width, WIDTH // 2), max(height, HEIGHT // 3))
+        self._look(eye, right)
+        if smooth:
+            self.plotter.enable_anti_aliasing("ssaa")
+        self._draw_solids()
+        self._draw_particles()
+        self._draw_scales()
 
     def __enter__(self) -> "Picture":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stage.plotter.close()
+        self.plotter.close()
 
     def at(self, frame: int) -> Image:
         """The image at `frame`, shape [height, width, 3]."""
@@ -106,10 +127,11 @@ class Picture:
         self.cloud.point_data["colour"] = self.values(frame)
         # The box is drawn level on a slope, too.
         slope = self.trajectory.scene.slope_deg
-        self.clock.input = f"t = {self.trajectory.time[frame]:.3f} s" + (f"   slope {slope:g}°" if slope else "")
-        return self.stage.image()
+        time = f"t = {self.trajectory.time[frame]:.3f} s" + (f"   slope {slope:g}°" if slope else "")
+        self.plotter.add_text(time, position=(0.03, 0.93), viewport=True, font_size=12, color=INK, name="time")
+        return np.asarray(self.plotter.screenshot(return_img=True), np.uint8)
 
-    def values(self, frame: int) -> NDArray[np.floating]:
+    def values(self, frame: int) -> Floats:
         """What the colours show at `frame`, in the unit of the colour bar, shape [N]."""
         values = self.meshes.fields(frame)[self.colour]
         if values.ndim == 2:
@@ -118,95 +140,176 @@ class Picture:
 
     @property
     def spacing(self) -> float:
-        """Distance between neighbouring points at the start [m]."""
-        return float(np.mean(volumes_of(self.trajectory)) ** (1.0 / self.trajectory.scene.dimension))
+        """Distance between neighbouring particles at the start [m]."""
+        return float(np.mean(self.trajectory.volumes) ** (1.0 / self.trajectory.scene.dimension))
 
-    def _draw_boxes(self) -> None:
-        """The baffles and other solids, and the outlines of the masses that were boxes at the start."""
-        for mass in [mass for mass in self.trajectory.scene.masses if mass.kind == "box"]:
-            self.stage.draw_lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
-        if self.trajectory.scene.baffles:
-            baffles = self.meshes.part("baffles", 0, 0)
-            self.stage.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
-            self.stage.draw_lines(baffles.extract_all_edges(), INK)
-        if "solids" in self.meshes.parts:
-            self._draw_solids()
+    def _look(self, eye: Floats, right: Floats) -> None:
+        """Parallel projection along `eye`, the flow a little left of the middle, where the colour bar is."""
+        camera, depth = self.plotter.camera, 2.0 * float(np.linalg.norm(self.upper - self.lower))
+        height = self.plotter.window_size[1] / self.scale
+        width = self.plotter.window_size[0] / self.scale
+        focus = 0.5 * (self.lower + self.upper) + 0.03 * width * right - 0.02 * height * np.cross(eye, right)
+        camera.focal_point, camera.position, camera.up = tuple(focus), tuple(focus + depth * eye), (0.0, 1.0, 0.0)
+        camera.parallel_projection, camera.parallel_scale = True, 0.5 * height
+        camera.clipping_range = (0.1 * depth, 2.0 * depth)
+
+    def _lines(self, mesh: Any, colour: str) -> None:
+        self.plotter.add_mesh(mesh, color=colour, line_width=1.5, lighting=False)
 
     def _draw_solids(self) -> None:
-        """The other solids, as far as the view goes: in 3D their free surface, in 2D their areas too."""
-        if self.trajectory.scene.dimension == 3:
-            self.stage.plotter.add_mesh(self._seen(self.meshes.solid_surface), color=GROUND, ambient=0.25)
-            return
-        for area in self._areas():
-            self.stage.plotter.add_mesh(self._seen(area), color=GROUND, lighting=False)
-        self.stage.draw_lines(self._seen(self.meshes.solid_surface), INK)
-
-    def _areas(self) -> list[pyvista.PolyData]:
-        """The areas of the other solids in 2D, behind the points."""
+        """Baffles, other solids and the outlines of the masses that were boxes at the start."""
         scene = self.trajectory.scene
+        for mass in [mass for mass in scene.masses if mass.kind == "box"]:
+            self._lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
+        if scene.baffles:
+            baffles = self.meshes.part("baffles", 0, 0)
+            self.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
+            self._lines(baffles.extract_all_edges(), INK)
+        if not scene.solids:
+            return
+        if scene.dimension == 3:
+            self.plotter.add_mesh(self._clipped(self.meshes.solid_surface), color=GROUND, ambient=0.25)
+            return
         solids, keys = solids_of(scene)
-        box_of_scene = Box(scene.domain.size, scene.domain.cell)
-        areas = []
         for solid, key in list(zip(solids, keys, strict=True))[len(scene.baffles) :]:
-            points = spatial(ring_of(solid, key, box_of_scene).points)
-            # Before the pane that is behind all, behind the points.
-            points[:, 2] = 0.01 * self.spacing
-            areas.append(pyvista.PolyData(points, [len(points), *range(len(points))]).triangulate())
-        return areas
+            ring = spatial(ring_of(solid, key, Box(scene.domain.size, scene.domain.cell)).points)
+            area = pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate()
+            self.plotter.add_mesh(self._clipped(area), color=GROUND, lighting=False)
+        self._lines(self._clipped(self.meshes.solid_surface), INK)
 
-    def _seen(self, mesh: pyvista.PolyData) -> pyvista.PolyData:
-        """The part of a surface that the view holds, of any depth in 2D."""
-        low, high = self.stage.view.lower.copy(), self.stage.view.upper.copy()
+    def _clipped(self, mesh: pyvista.PolyData) -> pyvista.PolyData:
+        """The part of a surface within the picture, of any depth in 2D."""
+        low, high = self.lower.copy(), self.upper.copy()
         if self.trajectory.scene.dimension == 2:
             low[2], high[2] = -1.0, 1.0
         clipped = mesh.clip_box(np.stack([low, high], axis=1).ravel().tolist(), invert=False)
         return clipped.extract_surface(algorithm=None)
 
-    def _draw_points(self) -> None:
-        """The points, which `at` moves and colours, and the colour bar."""
-        colours, limits, marks = self._materials() if self.colour is Colour.MATERIAL else self._range()
+    def _draw_particles(self) -> None:
+        """The particles, which `at` moves and colours, and the colour bar."""
         self.cloud = pyvista.PolyData(spatial(self.trajectory.positions[0]))
         self.cloud.point_data["colour"] = self.values(0)
-        size = max(2.0, POINT_SIZE * self.spacing * self.stage.view.scale)
-        self.stage.plotter.add_mesh(
+        field, named = FIELDS[self.colour], self.colour is Colour.MATERIAL
+        if named:
+            materials = self.meshes.materials
+            limits: tuple[float, float] = (-0.5, len(materials) - 0.5)
+            colours: Any = ListedColormap(colormaps[field.colours](np.arange(len(materials)) % 8)[:, :3])
+            names = {float(index): f"{index}: {each.friction_deg:g}°" for index, each in enumerate(materials)}
+        else:
+            marks = _marks(0.0, self._largest(), 5)
+            limits, colours, names = (0.0, float(marks[-1])), field.colours, None
+        self.plotter.add_mesh(
             self.cloud,
             scalars="colour",
             clim=limits,
-            cmap=ListedColormap(colours),
-            show_scalar_bar=False,
+            cmap=colours,
+            annotations=names,
             style="points",
             render_points_as_spheres=True,
-            point_size=size * self.stage.sampling,
+            point_size=max(2.0, DIAMETER * self.spacing * self.scale),
             # Shaded, but not so much that the colours could not be read.
             ambient=0.35,
             diffuse=0.75,
+            scalar_bar_args={
+                "title": field.title,
+                "vertical": True,
+                "position_x": 0.91,
+                "position_y": 0.2,
+                "height": 0.55,
+                "width": 0.05,
+                "n_labels": 0 if named else len(marks),
+                "fmt": "%g",
+                "color": INK,
+                "title_font_size": 20,
+                "label_font_size": 20,
+            },
         )
-        if self.trajectory.scene.dimension == 3:
-            # Shadows in the corners show the shape of the flow; the bias keeps them off the flat panes.
-            self.stage.plotter.enable_ssao(radius=4.0 * self.spacing, bias=0.8 * self.spacing, kernel_size=64)
-        self.stage.draw_colour_bar(FIELDS[self.colour].title, colours, marks)
 
-    def _range(self) -> ColourBar:
-        last = len(self.trajectory.time) - 1
-        frames = np.unique(np.linspace(0, last, RANGE_FRAMES).round().astype(int))
+    def _largest(self) -> float:
+        frames = np.unique(np.linspace(0, len(self.trajectory.time) - 1, RANGE_FRAMES).round().astype(int))
         values = np.array([self.values(frame) for frame in frames])
         known = values[np.isfinite(values)]
         top = float(np.quantile(known, RANGE_QUANTILE)) if len(known) else 0.0
-        ticks = scale_marks(0.0, top if top > 0.0 else 1.0, 5)
-        colours = colormaps[FIELDS[self.colour].colours](np.linspace(0.0, 1.0, 256))[:, :3]
-        return colours, (0.0, ticks[-1]), {tick / ticks[-1]: f"{tick:g}" for tick in ticks}
+        return top if top > 0.0 else 1.0
 
-    def _materials(self) -> ColourBar:
-        materials = self.meshes.materials
-        colours = colormaps[FIELDS[self.colour].colours](np.arange(len(materials)) % 8)[:, :3]
-        names = [f"{index}: φ {material.friction_deg:g}°" for index, material in enumerate(materials)]
-        marks = {(index + 0.5) / len(materials): name for index, name in enumerate(names)}
-        return colours, (-0.5, len(materials) - 0.5), marks
+    def _draw_scales(self) -> None:
+        """A grid behind the flow and scales [m] along its edges."""
+        flat, step = self.trajectory.scene.dimension == 2, self.step
+        lower, upper = self.lower.copy(), self.upper.copy()
+        if flat:
+            lower[2] = upper[2] = -self.spacing
+        counts = dict(
+            zip(("n_xlabels", "n_ylabels", "n_zlabels"), np.rint((upper - lower) / step).astype(int) + 1, strict=True)
+        )
+        self.plotter.show_bounds(
+            bounds=np.stack([lower, upper], axis=1).ravel().tolist(),
+            grid="front" if flat else "back",
+            location="outer",
+            ticks="outside",
+            show_zaxis=not flat,
+            xtitle="x [m]",
+            ytitle="y [m]",
+            ztitle="z [m]",
+            fmt=f"%.{max(0, -int(np.floor(np.log10(step) + 1e-9)))}f",
+            color=INK,
+            font_size=20,
+            bold=False,
+            use_2d=flat,
+            **counts,
+        )
+
+
+def extent(trajectory: Trajectory) -> tuple[Floats, Floats]:
+    """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
+
+    That is the flow, the masses, the baffles and the solids but for terrain, which is everywhere.
+    """
+    scene, positions = trajectory.scene, trajectory.positions
+    size = np.array(scene.domain.size)
+    boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
+    corners = [np.array(each.lower) for each in boxes] + [np.add(each.lower, each.size) for each in boxes]
+    for solid in scene.solids:
+        if solid.lower is not None and solid.size is not None:
+            corners += [np.array(solid.lower), np.add(solid.lower, solid.size)]
+        corners += [np.array(vertex) for vertex in solid.vertices or ()]
+    lower, upper = np.min(corners, axis=0).clip(0.0, size), np.max(corners, axis=0).clip(0.0, size)
+    # These pass over particles that a failed simulation has lost (NaN).
+    lower = np.fmin(lower, np.fmin.reduce(positions, axis=(0, 1)).clip(0.0, size))
+    upper = np.fmax(upper, np.fmax.reduce(positions, axis=(0, 1)).clip(0.0, size))
+    air = 0.06 * float(np.max(upper - lower))
+    lower[1] = 0.0
+    lower = np.where(lower < 3.0 * air, 0.0, lower - air)
+    upper = np.where(upper > size - 3.0 * air, size, upper + air)
+    return np.pad(lower, (0, 3 - len(lower))), np.pad(upper, (0, 3 - len(upper)))
+
+
+def _marks(lower: float, upper: float, count: int) -> Floats:
+    """About `count` round numbers, as far apart, from `lower` or before to `upper` or behind."""
+    return np.asarray(MaxNLocator(count, steps=(1, 2, 5, 10)).tick_values(lower, upper))
+
+
+def _corners(lower: Floats, upper: Floats) -> Floats:
+    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
+
+
+def _window(width: int, height: int) -> Any:
+    """A window of pyvista off-screen of even size; untyped, because the decorators of its methods hide their types."""
+    # What VTK tries before it finds a way to draw without a screen is of no interest.
+    with pyvista.vtk_verbosity("off"):
+        plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height])
+        window = plotter.render_window
+        window.Initialize()
+        # Without this VTK would draw into nothing and take the process with it.
+        if not window.IsCurrent():
+            plotter.close()
+            raise WorkFailed("expected OpenGL (EGL or OSMesa) to draw pictures with, this system has none")
+    plotter.set_background("white")
+    return plotter
 
 
 def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int) -> None:
     """Draw `frame` into a PNG. Raises InputError and WorkFailed."""
-    with Picture(trajectory, colour, sampling=2) as picture:
+    with Picture(trajectory, colour, smooth=True) as picture:
         image = picture.at(frame)
     with replacing(path) as part:
         imsave(part, image)
@@ -223,7 +326,7 @@ def write_movie(
     path = path.with_suffix(ending)
     with Picture(trajectory, colour) as picture, replacing(path) as part, av.open(str(part), "w") as file:
         stream = cast(av.VideoStream, file.add_stream(codec, rate=rate))
-        stream.width, stream.height = picture.stage.view.size
+        stream.width, stream.height = picture.plotter.window_size
         stream.pix_fmt = pixels
         for frame in tqdm(frames, desc="movie", unit="frame", disable=not progress):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture.at(frame), format="rgb24")))

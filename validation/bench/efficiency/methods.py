@@ -42,12 +42,19 @@ class SearchMethod:
     """With the optimiser and the steps of this row."""
     paper: float | None = None
     """The paper's seconds per iteration."""
+    gauss_newton: bool = False
+    """Minimise by Gauss-Newton, whatever the problem says: differences have the Jacobian of any observation."""
+
+    @property
+    def settings(self) -> OptimiserSettings:
+        """How it is minimised, and when that ends."""
+        settings = self.problem.optimiser
+        return dataclasses.replace(settings, method=Method.GAUSS_NEWTON) if self.gauss_newton else settings
 
     @property
     def optimiser(self) -> str:
         """What minimises."""
-        settings = self.problem.optimiser
-        return str(settings.sampler if self.gradient is GradientBy.NONE else settings.method)
+        return str(self.settings.sampler if self.gradient is GradientBy.NONE else self.settings.method)
 
 
 def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
@@ -57,7 +64,8 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     number: where the file names it, the others use L-BFGS-B, and the MPM's differences run both.
     """
     if problem.optimiser.method is Method.GAUSS_NEWTON:
-        problem = with_optimiser(problem, Method.LBFGSB)
+        settings = dataclasses.replace(problem.optimiser, method=Method.LBFGSB)
+        problem = dataclasses.replace(problem, optimiser=settings)
     is_paper = problem.name == PAPER_PROBLEM
     seconds = paper.seconds_per_iteration if is_paper else {}
     found = [_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns"))]
@@ -72,19 +80,14 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
         found.append(_row("", model, GradientBy.DIFFERENCES, wide, None))
     # With a single number and a single unknown L-BFGS-B's first step is Gauss-Newton's already.
     if len(problem.unknowns) > 1:
-        newton = with_optimiser(wide, Method.GAUSS_NEWTON)
-        found.append(_row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, newton, None))
+        newton = _row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, wide, None)
+        found.append(dataclasses.replace(newton, gauss_newton=True))
     return found + [_row("", model, GradientBy.NONE, problem, None) for model in ForwardModel]
 
 
 def _row(suffix: str, model: ForwardModel, gradient: GradientBy, problem: Problem, paper: float | None) -> SearchMethod:
     by = f"differences of {steps_text(problem)}" if gradient is GradientBy.DIFFERENCES else str(gradient)
     return SearchMethod(name=f"{by}, {model}{suffix}", model=model, gradient=gradient, problem=problem, paper=paper)
-
-
-def with_optimiser(problem: Problem, method: Method) -> Problem:
-    """`problem` minimised by another method."""
-    return dataclasses.replace(problem, optimiser=dataclasses.replace(problem.optimiser, method=method))
 
 
 def with_steps(problem: Problem, step: float | None) -> Problem:

@@ -182,9 +182,9 @@ def search_all(
 ) -> tuple[MethodResult, ...]:
     """Every method, one after the other, `limit` seconds each."""
     rows = []
-    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as bar:
-        for method in bar:
-            bar.set_postfix_str(method.name)
+    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as progress:
+        for method in progress:
+            progress.set_postfix_str(method.name)
             rows.append(search(method, models, limit, checks=checks))
     return tuple(rows)
 
@@ -200,7 +200,7 @@ def search(
     runs_each = 1 + 2 * len(problem.unknowns) if method.gradient is GradientBy.DIFFERENCES else 1
     best = thinned(improvements(stopwatch.iterates), checks)
     losses = models.checked([iterate.unknowns for iterate in best])
-    settings = problem.optimiser
+    settings = method.settings
     return MethodResult(
         method=method.name,
         optimiser=method.optimiser,
@@ -221,7 +221,7 @@ def search(
 
 def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str:
     """Run the search to its end; returns why it ended."""
-    problem, settings = method.problem, method.problem.optimiser
+    problem, settings = method.problem, method.settings
     gns = method.model is ForwardModel.GNS
     forward, target = (models.gns, models.gns_target) if gns else (models.mpm, models.target.values)
     components = models.components

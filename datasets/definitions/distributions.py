@@ -1,0 +1,191 @@
+"""A user's own definition: a scene in TOML in which any number may be a distribution (docs/formats.md).
+
+| table in place of a value | drawn |
+|---|---|
+| `{ uniform = [a, b] }` | between a and b; with `step`, a + k step |
+| `{ log_uniform = [a, b] }` | its logarithm uniform |
+| `{ normal = [mean, deviation] }` | Gaussian |
+| `{ integer = [a, b] }` | a whole number from a to b |
+| `{ choice = [...] }` | one of these, each as likely |
+| `{ variable = "name" }` | a number of `[variables]`, drawn once a scene; times `factor`, plus `offset` |
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.definitions.definition import Definition, Split
+from datasets.errors import InputError, OutOfRange
+from datasets.library import scene_from
+from datasets.records import Record, dotted, from_mapping, read_toml
+from datasets.scene import TOLERANCE, Scene
+
+Key = tuple[int | str, ...]
+Draws = dict[str, Any]
+
+TRIES = 1000
+"""Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
+NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
+OPTIONS = {
+    "uniform": {"step"},
+    "log_uniform": set[str](),
+    "normal": set[str](),
+    "integer": set[str](),
+    "choice": set[str](),
+    "variable": {"factor", "offset"},
+}
+"""Distributions and the keys that may stand beside them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DefinitionFile(Record):
+    """The keys of a definition in TOML."""
+
+    scene: dict[str, Any]
+    """A scene (`datasets.scene`), numbers of which may be distributions; masses and baffles may have a `count`."""
+    variables: dict[str, Any] = field(default_factory=dict)
+    """Values that more than one key of a scene depends on."""
+    count: int = 100
+    """Number of scenes in the whole dataset."""
+    split_period: int = 10
+    """Of so many scenes, the second is for validation and the third for the test."""
+    baffle_gap: float = 0.0
+    """Least distance of a baffle from other baffles and from masses along some axis [m]."""
+    connectivity_radius: float | None = None
+    """Radius [m] in `metadata.json` for readers of other formats; two cells of the first scene where absent."""
+
+    def __post_init__(self) -> None:
+        for key, minimum in (("count", 1), ("split_period", 3), ("baffle_gap", 0.0)):
+            if getattr(self, key) < minimum:
+                raise InputError(f"expected at least {minimum}, got {getattr(self, key)}", key=key)
+
+
+def definition_from_file(path: Path) -> Definition:
+    """The definition in the TOML file at `path`, named as the file is. Raises InputError."""
+    if not NAME.fullmatch(path.stem):
+        raise InputError(
+            "expected a file name of letters, digits, - and _, which names the trajectories", where=str(path)
+        )
+    try:
+        content = from_mapping(DefinitionFile, read_toml(path))
+
+        def draw(stream: np.random.Generator, _: int) -> Scene:
+            try:
+                return draw_scene(content, stream, path.parent)
+            except InputError as error:
+                raise error.at(str(path)) from None
+
+        first = draw(np.random.default_rng([0, 0]), 0)
+    except InputError as error:
+        raise error if error.where else error.at(str(path)) from None
+    held_out = {1: Split.VALID, 2: Split.TEST}
+    return Definition(
+        name=path.stem,
+        size=content.count,
+        connectivity_radius=content.connectivity_radius or 2.0 * first.domain.cell,
+        split=lambda index: held_out.get(index % content.split_period, Split.TRAIN),
+        draw=draw,
+    )
+
+
+def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
+    """A scene that can be simulated: a draw whose parts overlap, leave the box or are out of range is drawn again.
+
+    Raises InputError, that of the last draw, where none of `TRIES` can be.
+    """
+    for _ in range(TRIES):
+        variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
+        data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
+        data.setdefault("seed", int(stream.integers(2**31)))
+        try:
+            scene = scene_from(data, folder)
+            check_gaps(scene, content.baffle_gap)
+            return scene
+        except OutOfRange as error:
+            last: InputError = error
+        except InputError as error:
+            raise InputError(error.message, key=f"scene.{error.key}") from None
+    raise InputError(f"{last.message} (in each of {TRIES} draws)", key=f"scene.{last.key}" if last.key else "scene")
+
+
+def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -> Any:
+    """`value` with every distribution in it replaced by a draw. Raises InputError."""
+    if isinstance(value, Mapping):
+        kinds = OPTIONS.keys() & value.keys()
+        if kinds:
+            return draw_value(value, min(kinds), stream, variables, key)
+        return {name: drawn(each, stream, variables, (*key, name)) for name, each in value.items() if name != "count"}
+    if isinstance(value, list):
+        items = []
+        for number, each in enumerate(value):
+            where = (*key, number)
+            repeats = (
+                drawn(each.get("count", 1), stream, variables, (*where, "count")) if isinstance(each, Mapping) else 1
+            )
+            if not isinstance(repeats, int) or repeats < 0:
+                raise InputError(
+                    f"expected a whole number of at least 0, got {repeats!r}", key=dotted((*where, "count"))
+                )
+            items += [drawn(each, stream, variables, where) for _ in range(repeats)]
+        return items
+    return value
+
+
+def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator, variables: Draws, key: Key) -> Any:
+    """A draw from one distribution. Raises InputError."""
+
+    def require(ok: bool, expected: str, got: object = value) -> None:
+        if not ok:
+            raise InputError(f"expected {expected}, got {got}", key=dotted((*key, kind)))
+
+    given = value[kind]
+    extra = value.keys() - OPTIONS[kind] - {kind}
+    require(not extra, f"no other key beside it than {sorted(OPTIONS[kind]) or 'it'}", ", ".join(sorted(extra)))
+    if kind == "choice":
+        require(isinstance(given, list) and len(given) > 0, "a list of values")
+        return drawn(given[int(stream.integers(len(given)))], stream, variables, key)
+    if kind == "variable":
+        require(given in variables, f"one of the variables {sorted(variables)}", repr(given))
+        if not OPTIONS[kind] & value.keys():
+            return variables[given]
+        return rounded(variables[given] * value.get("factor", 1.0) + value.get("offset", 0.0))
+    numbers = isinstance(given, list) and len(given) == 2 and all(type(each) in (int, float) for each in given)
+    require(numbers, "two numbers")
+    low, high = given
+    require(kind == "normal" or low <= high, "the smaller number first")
+    require(kind != "log_uniform" or low > 0, "positive numbers")
+    require(kind != "integer" or all(type(each) is int for each in given), "two whole numbers")
+    if kind == "integer":
+        return int(stream.integers(low, high, endpoint=True))
+    if "step" in value:
+        require(type(value["step"]) in (int, float) and value["step"] > 0.0, "a positive step")
+        return rounded(
+            low + value["step"] * int(stream.integers(int((high - low) / value["step"] + 1e-9), endpoint=True))
+        )
+    draws: dict[str, Callable[[], float]] = {
+        "uniform": lambda: stream.uniform(low, high),
+        "log_uniform": lambda: np.exp(stream.uniform(*np.log(given))),
+        "normal": lambda: stream.normal(low, high),
+    }
+    return float(draws[kind]())
+
+
+def rounded(value: float) -> float:
+    """A length of a lattice without the last bits that a product adds: whole cells stay whole."""
+    return round(float(value), 12)
+
+
+def check_gaps(scene: Scene, gap: float) -> None:
+    """Raise InputError where a baffle is nearer than `gap` [m] to another or to a mass, along every axis."""
+    boxes = [(f"masses[{number}]", mass) for number, mass in enumerate(scene.masses)]
+    boxes += [(f"baffles[{number}]", baffle) for number, baffle in enumerate(scene.baffles)]  # type: ignore[misc]
+    for (_, a), (name, b) in combinations(boxes, 2):
+        low, size, other, other_size = (np.array(each) for each in (a.lower, a.size, b.lower, b.size))
+        distance = float(np.maximum(low - other - other_size, other - low - size).max())
+        if name.startswith("baffles") and distance < gap - TOLERANCE:
+            raise OutOfRange(f"expected a gap of at least {gap:g} m, got {distance:.3g}", key=name)

@@ -1,0 +1,112 @@
+"""A definition in TOML: the one on the page draws what it says, the same for the same seed, and mistakes are one line."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.definitions import read_definition
+from datasets.definitions.definition import Definition, Split
+from datasets.errors import InputError
+from datasets.scene import overlaps
+
+PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+(EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
+
+SMALL = """
+[scene]
+duration = 0.01
+[scene.domain]
+size = [0.4, 0.2]
+cell = 0.02
+[scene.material]
+friction_deg = {friction}
+[[scene.masses]]
+lower = [{lower}, 0.0]
+size = [0.1, 0.1]
+"""
+
+
+def definition(folder: Path, text: str = EXAMPLE, name: str = "steps.toml") -> Definition:
+    (folder / name).write_text(text)
+    return read_definition(str(folder / name))
+
+
+def test_the_definition_on_the_page(tmp_path: Path) -> None:
+    steps = definition(tmp_path)
+    entries = steps.entries(seed=0)
+    assert len(entries) == 200
+    assert [sum(entry.split is split for entry in entries) for split in Split] == [160, 20, 20]
+    scenes = [entry.scene for entry in entries]
+    assert {scene.domain.size for scene in scenes} == {(1.0, 0.5), (1.5, 0.5)}
+    assert {scene.domain.cell for scene in scenes} == {0.02, 0.025}
+    assert {scene.duration for scene in scenes} == {0.5, 0.75}
+    assert {len(scene.masses) for scene in scenes} == {1, 2}
+    assert {len(scene.baffles) for scene in scenes} == {0, 1, 2}
+    assert len({scene.seed for scene in scenes}) == 200
+    angles = np.array([scene.material.friction_deg for scene in scenes])
+    assert 20.0 <= angles.min() < 21.5
+    assert 38.5 < angles.max() <= 40.0
+    logs = np.log([scene.material.cohesion for scene in scenes])
+    assert np.median(logs) == pytest.approx(np.log(300.0), abs=0.6)
+    for scene in scenes:
+        assert scene.material.tension_cutoff == pytest.approx(0.5 * scene.material.cohesion)
+        assert len({mass.size[1] for mass in scene.masses}) == 1
+        assert all(0.0999 < mass.size[1] < 0.3001 for mass in scene.masses)
+        lengths = np.array([[mass.lower[0], mass.size[0]] for mass in scene.masses]) / 0.02
+        np.testing.assert_allclose(lengths, lengths.round(), atol=1e-9)
+        boxes = (*scene.masses, *scene.baffles)
+        assert not overlaps(boxes).any()
+        for baffle in scene.baffles:
+            others = [box for box in boxes if box is not baffle]
+            gaps = [max(b.lower[0] - a.lower[0] - a.size[0] for a, b in ((baffle, o), (o, baffle))) for o in others]
+            assert all(gap > 0.0399 for gap in gaps) or any(o.lower[1] > 0.0 for o in others)
+
+
+def test_the_seed_and_the_index_decide(tmp_path: Path) -> None:
+    steps = definition(tmp_path)
+    assert steps.entries(seed=3, count=4) == steps.entries(seed=3, count=9)[:4]
+    assert steps.entries(seed=3, count=4) != steps.entries(seed=4, count=4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("{friction}", "{ uniform = [1.0] }", "scene.material.friction_deg.uniform: expected two numbers"),
+        ("{friction}", "{ uniform = [40, 20] }", "smaller number first"),
+        ("{friction}", "{ log_uniform = [0.0, 20.0] }", "positive"),
+        ("{friction}", "{ integer = [1.5, 20] }", "whole numbers"),
+        ("{friction}", "{ choice = [] }", "a list of values"),
+        ("{friction}", "{ variable = 'phi' }", "one of the variables []"),
+        ("{friction}", "{ normal = [30, 2], step = 1 }", "no other key beside it than it, got step"),
+        ("{friction}", "{ uniform = [20, 30], step = -1 }", "a positive step"),
+        (
+            "{friction}",
+            "30.0\ncohesoin = 1.0",
+            "scene.material.cohesoin: expected a known key, did you mean 'cohesion'",
+        ),
+        ("{friction}", "{ uniform = [91, 95] }", "(in each of 1000 draws)"),
+        ("{lower}", "{ uniform = [0.35, 0.4] }", "scene.masses[0]: expected a box inside the domain"),
+        ("size = [0.1, 0.1]", "size = [0.1, 0.1]\ncount = 1.5", "scene.masses[0].count: expected a whole number"),
+        ("size = [0.1, 0.1]", "size = [0.1, 0.1]\ncount = 2", "scene.masses[1]: expected a box clear of masses[0]"),
+        ("[scene]", "count = 0\n[scene]", "count: expected at least 1"),
+        ("[scene]", "cuont = 3\n[scene]", "cuont: expected a known key, did you mean 'count'"),
+    ],
+)
+def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    text = SMALL.replace(old, new).replace("{friction}", "30.0").replace("{lower}", "0.1")
+    with pytest.raises(InputError) as caught:
+        definition(tmp_path, text)
+    assert str(caught.value).startswith(f"{tmp_path / 'steps.toml'}: ")
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is none"):
+        read_definition(str(tmp_path / "absent.toml"))
+    with pytest.raises(InputError, match="names the trajectories"):
+        definition(tmp_path, SMALL, "my set.toml")
+    with pytest.raises(InputError, match="one of flow2d"):
+        read_definition("flow3d")
