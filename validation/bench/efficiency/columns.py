@@ -18,9 +18,10 @@ from gns.initial import Start
 from gns.model import checkpoint
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.gradient import automatic
-from inverse.observations import deposit as observations
-from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, TargetSettings, Unknown
+from inverse.jacobian import automatic
+from inverse.observations import build
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
@@ -108,8 +109,8 @@ def friction_problem(scene: Scene) -> Problem:
         name="column",
         folder=Path(),
         scene=scene,
-        unknowns=(Unknown(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-        observation=ObservationSettings(kind=Observable.FRONT),
+        parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
+        observation=ObservationSettings(kind="front"),
         target=TargetSettings(value=0.5),
         optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
@@ -121,7 +122,7 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
     scene = column(task.scale)
     problem = friction_problem(scene)
     short = friction_problem(dataclasses.replace(column(1.0), duration=WARM_UP_S))
-    observation = observations.build(problem.observation, scene)
+    observation = build(problem.observation, scene)
     start, particles = problem.initial, particle_count(scene)
     if task.work is Work.MPM:
         mpm = MpmForward(problem, observation, simulate_many)

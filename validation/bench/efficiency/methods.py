@@ -4,8 +4,8 @@ import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 
-from inverse.parameters.parameters import kind
-from inverse.problem import Method, OptimiserSettings, Problem, Unknown
+from inverse.problem import Problem
+from inverse.settings import Method, OptimiserSettings, Parameter
 from validation.bench.columns.paper import Paper
 
 PAPER_STEP_DEG = 0.05
@@ -79,7 +79,7 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
             found.append(_row("", model, GradientBy.DIFFERENCES, fine, seconds.get(key)))
         found.append(_row("", model, GradientBy.DIFFERENCES, wide, None))
     # With a single number and a single unknown L-BFGS-B's first step is Gauss-Newton's already.
-    if len(problem.unknowns) > 1:
+    if len(problem.parameters) > 1:
         newton = _row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, wide, None)
         found.append(dataclasses.replace(newton, gauss_newton=True))
     return found + [_row("", model, GradientBy.NONE, problem, None) for model in ForwardModel]
@@ -96,14 +96,14 @@ def with_steps(problem: Problem, step: float | None) -> Problem:
     So no difference leaves them.
     """
 
-    def with_step(unknown: Unknown) -> Unknown:
-        h = STEPS[kind(unknown.name).unit] if step is None else step
-        return dataclasses.replace(unknown, step=h, lower=unknown.lower + h, upper=unknown.upper - h)
+    def with_step(each: Parameter) -> Parameter:
+        h = STEPS[each.kind.unit] if step is None else step
+        return dataclasses.replace(each, step=h, lower=each.lower + h, upper=each.upper - h)
 
-    return dataclasses.replace(problem, unknowns=tuple(with_step(unknown) for unknown in problem.unknowns))
+    return dataclasses.replace(problem, parameters=tuple(map(with_step, problem.parameters)))
 
 
 def steps_text(problem: Problem) -> str:
     """The steps with their units, each once."""
-    steps = {f"{h:g} {kind(name).unit}": None for name, h in zip(problem.names, problem.steps, strict=True)}
+    steps = {f"{h:g} {kind.unit}": None for kind, h in zip(problem.kinds, problem.steps, strict=True)}
     return " and ".join(steps)
