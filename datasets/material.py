@@ -14,7 +14,7 @@ b = sqrt(2 T H / gamma), so
     gamma H = 2 c t + t sqrt(2 T gamma H) - t^2 T,
 
 7.2 % above 2 c t for phi = 30 (T / c = 0.001: 4.2 %, 0.01: 13 %). No bound: the crack bears no shear in it.
-The MPM fails at 0.95 to 1.06 of 2 c t in cells of 20 and 10 mm (`validation.bench.stability`).
+The MPM fails at 0.95 to 1.06 of 2 c t in cells of 20 and 10 mm (`validation.bench stability`).
 
 `friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is the undrained shear strength s_u;
 `strength_gradient` [Pa/m] lets it grow with depth, c(z) = cohesion + strength_gradient z, as it does in normally

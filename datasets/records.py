@@ -17,7 +17,12 @@ from datasets.errors import InputError, OutOfRange
 T = TypeVar("T")
 
 
-RENAMED = {"points_per_axis": "particles_per_axis"}
+RENAMED = {
+    "points_per_axis": "particles_per_axis",
+    "hidden": "twin",
+    "least": "minimise",
+    "several_within": "joint_within",
+}
 """Keys of older files, at any depth, and what they are called now."""
 
 

@@ -1,4 +1,4 @@
-"""The checks of a problem: a combination that cannot be solved is one line that says what is missing."""
+"""The checks of a problem: a combination that has no answer is one line that says what is missing."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
 from gns.initial import Start
-from inverse.parameters.parameters import kind, swept, with_unknowns
+from inverse.observations import KINDS, build
+from inverse.parameters import Vector, with_kinds
+from inverse.parameters.baffles import swept
 from inverse.settings import (
-    ONE_NUMBER,
-    Heights,
-    LengthUnit,
+    MEASURED,
     LoopSettings,
     Method,
-    Observable,
     ObservationSettings,
     OptimiserSettings,
+    Parameter,
     TargetSettings,
-    Unknown,
+    noise_of,
 )
 
 
@@ -27,47 +27,31 @@ def require(ok: bool, key: str, expected: str, got: object) -> None:
         raise InputError(f"expected {expected}, got {got}", key=key)
 
 
-def check_unknowns(scene: Scene, unknowns: Sequence[Unknown]) -> None:
-    """Raise InputError for unknowns that the scene has not, or with bounds at which it could not be simulated."""
-    require(len(unknowns) > 0, "unknowns", "at least one unknown", "none")
-    names = [unknown.name for unknown in unknowns]
-    for index, unknown in enumerate(unknowns):
+def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
+    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated."""
+    require(len(parameters) > 0, "unknowns", "at least one unknown", "none")
+    names = [each.name for each in parameters]
+    for index, each in enumerate(parameters):
         key = f"unknowns[{index}]"
         try:
-            kind(unknown.name).check(scene)
+            each.kind.check(scene)
         except InputError as error:
             raise InputError(error.message, key=f"{key}.name") from None
-        require(names.count(unknown.name) == 1, f"{key}.name", "each unknown once", f"{unknown.name!r} twice")
-        require(unknown.lower < unknown.upper, f"{key}.upper", f"a value above {unknown.lower:g}", unknown.upper)
-        require(
-            unknown.lower <= unknown.initial <= unknown.upper,
-            f"{key}.initial",
-            f"a value in [{unknown.lower:g}, {unknown.upper:g}]",
-            unknown.initial,
-        )
+        require(names.count(each.name) == 1, f"{key}.name", "each unknown once", f"{each.name!r} twice")
+        require(each.lower < each.upper, f"{key}.upper", f"a value above {each.lower:g}", each.upper)
+        inside = each.lower <= each.initial <= each.upper
+        require(inside, f"{key}.initial", f"a value in [{each.lower:g}, {each.upper:g}]", each.initial)
         for name in ("step", "learning_rate"):
-            value = getattr(unknown, name)
+            value = getattr(each, name)
             require(value is None or value > 0.0, f"{key}.{name}", "a positive number", value)
-    initial = [unknown.initial for unknown in unknowns]
-    _possible(scene, names, initial, "unknowns")
-    for index, unknown in enumerate(unknowns):
+    initial = [each.initial for each in parameters]
+    _check_scene(scene, parameters, initial, "unknowns")
+    for index, each in enumerate(parameters):
         for bound in ("lower", "upper"):
-            values = [*initial[:index], getattr(unknown, bound), *initial[index + 1 :]]
-            _possible(scene, names, values, f"unknowns[{index}].{bound}")
-    _check_swept(scene, unknowns)
-
-
-def _possible(scene: Scene, names: Sequence[str], values: Sequence[float], key: str) -> None:
-    """Raise InputError under `key` unless `scene` can be simulated with these values."""
-    try:
-        with_unknowns(scene, names, values)
-    except InputError as error:
-        raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None
-
-
-def _check_swept(scene: Scene, unknowns: Sequence[Unknown]) -> None:
-    """Baffles are boxes that move independently along the axes: all places are clear if the box of all places is."""
-    boxes = swept(scene, [unknown.name for unknown in unknowns], [(each.lower, each.upper) for each in unknowns])
+            values = [*initial[:index], getattr(each, bound), *initial[index + 1 :]]
+            _check_scene(scene, parameters, values, f"unknowns[{index}].{bound}")
+    # Baffles are boxes that move independently along the axes: all positions are clear if the box of them all is.
+    boxes = swept(scene, [each.kind for each in parameters], [(each.lower, each.upper) for each in parameters])
     baffles: list[Baffle] = [boxes.get(index, baffle) for index, baffle in enumerate(scene.baffles)]
     try:
         dataclasses.replace(scene, baffles=tuple(baffles))
@@ -76,100 +60,113 @@ def _check_swept(scene: Scene, unknowns: Sequence[Unknown]) -> None:
         raise InputError(message, key="unknowns") from None
 
 
-def check_observation(scene: Scene, observation: ObservationSettings) -> None:
-    """Raise InputError for an observation that cannot be made of a deposit of `scene`."""
-    length = scene.domain.size[0]
-    spacing, line, width = observation.spacing, observation.line, observation.width
-    if observation.kind is Observable.SEVERAL:
-        return  # Each is checked where it is read (`inverse.observations.measurements`).
-    require(0.0 < spacing <= length / 2, "observation.spacing", f"a length in (0, {length / 2:g}] m", spacing)
-    if observation.kind is Observable.PASSED:
-        require(line is not None, "observation.line", "the x [m] of a line that the flow may pass", "none")
-        require(0.0 < (line or 0.0) < length, "observation.line", f"a length in (0, {length:g}) m", line)
-        require(width is None or 0.0 < width <= length, "observation.width", f"a length in (0, {length:g}] m", width)
-        return
-    for key in ("line", "width"):
-        got = getattr(observation, key)
-        require(got is None, f"observation.{key}", f"it with kind passed alone, not with {observation.kind}", got)
+def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float] | Vector, key: str) -> None:
+    """Raise InputError under `key` unless `scene` can be simulated with these values."""
+    try:
+        with_kinds(scene, [each.kind for each in parameters], values)
+    except InputError as error:
+        raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None
 
 
-def check_target(scene: Scene, names: Sequence[str], observation: ObservationSettings, target: TargetSettings) -> None:
+def check_options(settings: ObservationSettings, prefix: str) -> None:
+    """Raise InputError for a kind that is not there, or for keys that its observation does not use."""
+    if settings.kind not in KINDS:
+        raise InputError(f"expected one of {', '.join(KINDS)}, got {settings.kind!r}", key=f"{prefix}.kind")
+    kind = KINDS[settings.kind]
+    used = ("kind", "name", "noise", *kind.sources, *kind.options)
+    for field in dataclasses.fields(settings):
+        if field.name not in used and getattr(settings, field.name) != field.default:
+            users = [name for name, each in KINDS.items() if field.name in (*each.sources, *each.options)]
+            message = f"expected it with kind {' or '.join(users)} alone, not with {settings.kind}"
+            raise InputError(message, key=f"{prefix}.{field.name}")
+
+
+def check_observation(scene: Scene, settings: ObservationSettings) -> None:
+    """Raise InputError for a problem's only observation that cannot be made of a flow of `scene`."""
+    check_options(settings, "observation")
+    if not KINDS[settings.kind].alone:
+        alone = ", ".join(name for name, kind in KINDS.items() if kind.alone)
+        raise InputError(f"expected one of {alone}; others stand in [[observations]]", key="observation.kind")
+    for key in ("name", *MEASURED):
+        usual = next(field.default for field in dataclasses.fields(settings) if field.name == key)
+        require(getattr(settings, key) == usual, f"observation.{key}", "it in [target]", getattr(settings, key))
+    try:
+        build(settings, scene)
+    except InputError as error:
+        raise InputError(error.message, key=f"observation.{error.key}") from None
+
+
+def check_observations(settings: Sequence[ObservationSettings], target: TargetSettings) -> None:
+    """Raise InputError for observations that cannot be joined, or a target beside them that is no simulated flow."""
+    for index, each in enumerate(settings):
+        check_options(each, f"observations[{index}]")
+        if not KINDS[each.kind].jointly:
+            joined = ", ".join(name for name, kind in KINDS.items() if kind.jointly)
+            raise InputError(f"expected one of {joined}, got {each.kind!r}", key=f"observations[{index}].kind")
+    allowed = ("twin", "seed", "truth", "trajectory")
+    for field in dataclasses.fields(target):
+        usual = field.default if field.default is not dataclasses.MISSING else {}
+        if field.name not in allowed and getattr(target, field.name) != usual:
+            message = f"expected {', '.join(allowed)} beside multiple observations, which bring the rest themselves"
+            raise InputError(message, key=f"target.{field.name}")
+    if target.twin and target.trajectory is not None:
+        raise InputError("expected twin = true or a trajectory, got both", key="target")
+
+
+def check_target(scene: Scene, observation: ObservationSettings, target: TargetSettings) -> None:
     """Raise InputError for a target that is none of this observation."""
+    kind = KINDS[observation.kind]
     sources = ("value", "values", "trajectory", "csv")
     given = [name for name in sources if getattr(target, name) is not None]
-    given += [name for name in ("hidden", "least") if getattr(target, name)]
+    given += [name for name in ("twin", "minimise") if getattr(target, name)]
     if len(given) != 1:
         got = " and ".join(given) or "none"
-        message = f"expected exactly one of {', '.join(sources)}, hidden = true and least = true, got {got}"
+        message = f"expected exactly one of {', '.join(sources)}, twin = true and minimise = true, got {got}"
         raise InputError(message, key="target")
-    observed = observation.kind
-    own = {
-        **dict.fromkeys(ONE_NUMBER, "value"),
-        Observable.TOE: "values",
-        Observable.PROFILE: "csv",
-    }.get(observed, "")
-    if given[0] in ("value", "values", "csv") and given[0] != own:
-        others = " or ".join((*([own] if own else []), "trajectory", "hidden = true"))
-        raise InputError(f"expected {others} for a target of kind {observed}", key=f"target.{given[0]}")
-    if target.least and observed not in ONE_NUMBER:
-        raise InputError(f"expected it with {', '.join(ONE_NUMBER)}, not with {observed}", key="target.least")
-    if target.value is not None:
-        if observed is Observable.PASSED:
-            require(0.0 <= target.value <= 1.0, "target.value", "a share in [0, 1]", target.value)
-        else:
-            length = scene.domain.size[0]
-            require(0.0 < target.value <= length, "target.value", f"a length in (0, {length:g}] m", target.value)
-    if target.values is not None:
-        inside = len(target.values) == scene.dimension and all(
-            0.0 <= value <= size for value, size in zip(target.values, scene.domain.size, strict=True)
-        )
-        expected = f"{scene.dimension} coordinates [m] in the domain {list(scene.domain.size)}"
-        require(inside, "target.values", expected, list(target.values))
-    require(target.noise >= 0.0, "target.noise", "a standard deviation of at least 0", target.noise)
-    require(0.0 <= target.noise_share < 1.0, "target.noise_share", "a share in [0, 1)", target.noise_share)
-    if target.noise_share > 0.0 and target.value is None and target.csv is None:
+    (source,) = given
+    if source in ("value", "values", "csv") and source not in kind.sources:
+        others = " or ".join((*kind.sources, "trajectory", "twin = true"))
+        raise InputError(f"expected {others} for a target of kind {observation.kind}", key=f"target.{source}")
+    if target.minimise and not kind.scalar:
+        scalar = ", ".join(name for name, each in KINDS.items() if each.scalar)
+        raise InputError(f"expected it with {scalar}, not with {observation.kind}", key="target.minimise")
+    try:
+        share, _ = noise_of(target.noise)
+        stated = {name: getattr(target, name) for name in ("value", "values")}
+        build(observation, scene).stated(dataclasses.replace(observation, **stated), scene)
+    except InputError as error:
+        raise InputError(error.message, key=f"target.{error.key}") from None
+    if share > 0.0 and source not in ("value", "csv"):
         raise InputError("expected a percentage beside value or csv alone, else a length", key="target.noise")
     if target.csv is None:
-        for key, usual in (("unit", LengthUnit.METRE), ("datum", 0.0), ("heights", Heights.EQUIVALENT)):
-            got = getattr(target, key)
-            require(got == usual, f"target.{key}", "it beside a csv alone", got)
-    if target.hidden:
-        _check_hidden(scene, names, target)
-    elif target.truth:
-        raise InputError("expected hidden = true beside a truth", key="target.truth")
+        for key in ("unit", "datum", "heights"):
+            usual = next(field.default for field in dataclasses.fields(target) if field.name == key)
+            require(getattr(target, key) == usual, f"target.{key}", "it beside a csv alone", getattr(target, key))
 
 
-def check_several(scene: Scene, names: Sequence[str], observation: ObservationSettings, target: TargetSettings) -> None:
-    """Raise InputError for a target beside several observations that is neither hidden nor a trajectory."""
-    require(observation.kind is Observable.SEVERAL, "observation.kind", "several", observation.kind)
-    allowed = ("hidden", "seed", "truth", "trajectory")
-    for part in dataclasses.fields(target):
-        usual = part.default if part.default is not dataclasses.MISSING else {}
-        if part.name not in allowed and getattr(target, part.name) != usual:
-            message = f"expected {', '.join(allowed)} beside several observations, which bring the rest themselves"
-            raise InputError(message, key=f"target.{part.name}")
-    if target.hidden and target.trajectory is not None:
-        raise InputError("expected hidden = true or a trajectory, got both", key="target")
-    if target.hidden:
-        _check_hidden(scene, names, target)
-    elif target.truth:
-        raise InputError("expected hidden = true beside a truth", key="target.truth")
-
-
-def _check_hidden(scene: Scene, names: Sequence[str], target: TargetSettings) -> None:
+def check_twin(scene: Scene, parameters: Sequence[Parameter], target: TargetSettings) -> None:
+    """Raise InputError for a twin whose scene is not another one than the inversion's, or cannot be simulated."""
+    if not target.twin:
+        require(not target.truth, "target.truth", "twin = true beside a truth", "none")
+        return
     if target.seed < 0 or target.seed == scene.seed:
         raise InputError(f"expected a seed of at least 0 and other than the scene's {scene.seed}", key="target.seed")
+    known = {each.name: each for each in parameters}
     for name in target.truth:
-        if name not in names:
-            raise InputError(f"expected one of the unknowns {', '.join(names)}", key=f"target.truth.{name}")
-    _possible(scene, list(target.truth), list(target.truth.values()), "target.truth")
+        if name not in known:
+            raise InputError(f"expected one of the unknowns {', '.join(known)}", key=f"target.truth.{name}")
+    true = [known[name] for name in target.truth]
+    _check_scene(scene, true, list(target.truth.values()), "target.truth")
 
 
 def check_search(
-    unknowns: Sequence[Unknown], observation: ObservationSettings, optimiser: OptimiserSettings, loop: LoopSettings
+    parameters: Sequence[Parameter],
+    observation: ObservationSettings,
+    optimiser: OptimiserSettings,
+    loop: LoopSettings,
 ) -> None:
     """Raise InputError for a search that cannot be made."""
-    for key, number, least in (
+    for key, number, minimum in (
         ("optimiser.max_iterations", optimiser.max_iterations, 1),
         ("optimiser.max_trials", optimiser.max_trials, 1),
         ("optimiser.seed", optimiser.seed, 0),
@@ -177,8 +174,8 @@ def check_search(
         ("loop.mpm_runs", loop.mpm_runs, 1),
         ("loop.seeds", loop.seeds, 2),
     ):
-        require(number >= least, key, f"an integer of at least {least}", number)
-    for key, value, most in (
+        require(number >= minimum, key, f"an integer of at least {minimum}", number)
+    for key, value, maximum in (
         ("optimiser.stop_below", optimiser.stop_below, 1.0),
         ("optimiser.learning_rate", optimiser.learning_rate, 1e9),
         ("loop.confirm_within", loop.confirm_within, 1.0),
@@ -187,20 +184,20 @@ def check_search(
         ("loop.toe_within", loop.toe_within, 100.0),
         ("loop.deposit_within", loop.deposit_within, 100.0),
         ("loop.passed_within", loop.passed_within, 1.0),
-        ("loop.several_within", loop.several_within, 100.0),
+        ("loop.joint_within", loop.joint_within, 100.0),
         ("loop.trust", loop.trust, 1.0),
     ):
-        require(value is None or 0.0 < value <= most, key, f"a number in (0, {most:g}]", value)
-    if optimiser.start is Start.FROM_MPM_FRAMES:
-        for unknown in unknowns:
-            if kind(unknown.name).moves_the_start:
-                message = f"expected rest, the MPM's first frames depend on {unknown.name}"
-                raise InputError(message, key="optimiser.start")
-    if observation.kind is Observable.DEPOSIT:
-        for unknown in unknowns:
-            if kind(unknown.name).changes_volume:
-                message = f"expected another kind than deposit: with {unknown.name} the number of particles changes"
-                raise InputError(message, key="observation.kind")
-    if optimiser.method is Method.GAUSS_NEWTON and observation.kind is Observable.DEPOSIT:
+        require(value is None or 0.0 < value <= maximum, key, f"a number in (0, {maximum:g}]", value)
+    every_particle = KINDS[observation.kind].every_particle
+    for each in parameters:
+        if optimiser.start is Start.FROM_MPM_FRAMES and each.kind.changes_start:
+            message = f"expected rest, the MPM's first frames depend on {each.name}"
+            raise InputError(message, key="optimiser.start")
+        if every_particle and each.kind.changes_volume:
+            message = f"expected another kind than {observation.kind}: with {each.name} the number of particles changes"
+            raise InputError(message, key="observation.kind")
+    if every_particle and optimiser.method is Method.GAUSS_NEWTON:
         others = " or ".join(method for method in Method if method is not Method.GAUSS_NEWTON)
-        raise InputError(f"expected {others}: a deposit is too many numbers for their Jacobian", key="optimiser.method")
+        raise InputError(
+            f"expected {others}: a {observation.kind} is too many numbers for their Jacobian", key="optimiser.method"
+        )

@@ -1,39 +1,143 @@
-"""One inversion by one forward: minimise, then say what it came to."""
+"""One inversion by one forward model: minimise the misfit, then report what was found."""
 
+import os
+import sys
 import time
 from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
 
-import numpy as np
-
+from datasets.errors import InputError
+from gns import card
+from gns.inference import shipped
+from gns.model import checkpoint
+from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation
-from inverse.gradient import Evaluate
-from inverse.observations.target import Target
-from inverse.optimise import Bounds, best, minimise
+from inverse.forward.mpm import MpmForward
+from inverse.jacobian import automatic, central
+from inverse.observations import Target
+from inverse.observations.reading import read_target
+from inverse.optimise import Bounds, best, explore, minimise
 from inverse.problem import Problem
+from inverse.report import markdown as report
 from inverse.result import Result, Round, Verdict
+from inverse.settings import Method, Surrogate
+from mpm import simulate, simulate_many
 
 
-def invert(problem: Problem, target: Target, evaluate: Evaluate) -> Result:
-    """Minimise what `evaluate` says from the problem's start; the verdict is left to the MPM."""
-    began = time.perf_counter()
-    lower, upper = np.array(problem.bounds).T
-    rates = [unknown.learning_rate for unknown in problem.unknowns]
-    bounds = Bounds(lower=lower, upper=upper)
-    records = minimise(evaluate, problem.initial, bounds, problem.optimiser, rates=rates)
-    return unconfirmed(problem, target, records, time.perf_counter() - began)
+class Gradient(StrEnum):
+    """Where the gradient comes from."""
+
+    AD = "ad"
+    """Reverse-mode automatic differentiation through the whole rollout."""
+    FD = "fd"
+    """Central differences."""
+    NONE = "none"
+    """None at all: the optimiser's `sampler` proposes, `max_trials` is the budget."""
 
 
-def unconfirmed(problem: Problem, target: Target, records: Sequence[Evaluation], seconds: float) -> Result:
-    """What `records` of one forward came to in `seconds` [s].
+class ForwardModel(StrEnum):
+    """What predicts the observation."""
 
-    The prediction of a forward that is the MPM itself counts as the surrogate's here: nobody has checked it.
+    GNS = "gns"
+    MPM = "mpm"
+
+
+def invert(
+    problem: Problem,
+    *,
+    forward: ForwardModel | None = None,
+    gradient: Gradient | None = None,
+    model: Path | None = None,
+    memory_gib: float = MEMORY_GIB,
+    out: Path | None = None,
+) -> Result:
+    """Find the parameters of `problem` by one forward model; the verdict is left to the MPM (`validation.solve`).
+
+    >>> from inverse import invert, read_problem
+    >>> result = invert(read_problem("friction-tall-42"))
+    >>> result.unknowns
+    {'friction_deg': 41.59...}
+
+    forward: the surrogate where absent, unless the problem asks for none; gradient: automatic differentiation of the
+    surrogate, central differences of the MPM where absent; model: weights, those that ship where absent; memory_gib:
+    activations that the backward pass may find ready; out: folder for `result.json`, `report.md` and pictures.
+    Raises InputError for a combination that there is none of.
     """
-    found = best(list(records))
+    if forward is None:
+        forward = ForwardModel.MPM if problem.surrogate is Surrogate.NONE else ForwardModel.GNS
+    if forward is ForwardModel.MPM and gradient is Gradient.AD:
+        raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
+    if memory_gib < 0.0:
+        raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
+    target = read_target(problem, simulate)
+    chosen: GnsForward | MpmForward
+    if forward is ForwardModel.MPM:
+        chosen, mpm_seconds = MpmForward(problem, target.observation, simulate_many), 0.0
+    else:
+        chosen, mpm_seconds = surrogate(problem, target, model, memory_gib)
+    began = time.perf_counter()
+    records = search(problem, target, chosen, gradient)
+    seconds = time.perf_counter() - began
+    result = unconfirmed(
+        problem, target, records, seconds, mpm_seconds=seconds if forward is ForwardModel.MPM else mpm_seconds
+    )
+    if out is not None:
+        result.write(out)
+        report.write(result, chosen.deposit, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
+    return result
+
+
+def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> tuple[GnsForward, float]:
+    """The learned surrogate of `problem`, and the seconds that its first frames took the MPM. Raises InputError."""
+    unsupported = [each.name for each in problem.parameters if not each.kind.differentiable]
+    if unsupported or not target.observation.differentiable:
+        what = ", ".join(unsupported) or "forces"
+        raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
+    weights, scene = model or shipped(problem.scene.dimension), problem.scene_at(problem.initial)
+    if warning := card.warning(weights, scene):
+        print(warning, file=sys.stderr)
+    source = GnsSource(checkpoint.load(weights).simulator, problem, target.observation, memory_gib)
+    frames = source.first_frames(scene)
+    began = time.perf_counter()
+    beginning = None if frames is None else simulate(frames)
+    seconds = time.perf_counter() - began
+    return source.start(beginning), seconds
+
+
+def search(
+    problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
+) -> list[Evaluation]:
+    """Every evaluation of `forward` on the way to the minimum of its misfit."""
+    differentiable = isinstance(forward, GnsForward)
+    gradient = gradient or (Gradient.AD if differentiable else Gradient.FD)
+    values, components = forward.select(target.values), target.observation.components
+    if gradient is Gradient.NONE:
+        # The MPM runs a scene per core, and as many are proposed at a time.
+        at_once = 1 if differentiable else os.cpu_count() or 1
+        return explore(forward, values, problem, components=components, at_once=at_once)
+    jacobian = problem.optimiser.method is Method.GAUSS_NEWTON
+    if gradient is Gradient.AD and isinstance(forward, GnsForward):
+        evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)
+    else:
+        evaluate = central(forward, values, problem.steps, components=components, with_jacobian=jacobian)
+    rates = [each.learning_rate for each in problem.parameters]
+    return minimise(evaluate, problem.initial, Bounds.of(problem), problem.optimiser, rates=rates)
+
+
+def unconfirmed(
+    problem: Problem, target: Target, records: Sequence[Evaluation], seconds: float, *, mpm_seconds: float = 0.0
+) -> Result:
+    """The result of `records` of one forward model, `seconds` [s] in all, of which `mpm_seconds` in the MPM.
+
+    The prediction of a forward model that is the MPM itself counts as the surrogate's here: nobody has checked it.
+    """
+    found = best(records)
     return Result(
         problem=problem,
         target=target,
         verdict=Verdict.UNCONFIRMED,
-        answer=found.unknowns,
+        answer=found.parameters,
         certainty=None,
         surrogate=found.observation,
         mpm=None,
@@ -41,5 +145,6 @@ def unconfirmed(problem: Problem, target: Target, records: Sequence[Evaluation],
         loss_surrogate=found.loss,
         loss_mpm=None,
         rounds=[Round(number=0, evaluations=records)],
+        mpm_seconds=mpm_seconds,
         total_seconds=seconds,
     )

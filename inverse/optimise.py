@@ -1,38 +1,53 @@
-"""Minimising the loss inside bounds: the paper's gradient descent and Adam, L-BFGS-B, Gauss-Newton.
+"""Minimising the misfit inside bounds: the paper's gradient descent and Adam, L-BFGS-B, Gauss-Newton; and Optuna.
 
-Every evaluation is kept.
+Every evaluation is kept. A method is a function of `evaluate`, the start and the bounds, and reads like its equation.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
+import optuna
 import scipy.optimize
 import torch
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.samplers import BaseSampler, CmaEsSampler, TPESampler
+from optuna.trial import TrialState
 from tqdm import tqdm
 
-from inverse.forward.interface import Evaluation
-from inverse.gradient import Evaluate
-from inverse.parameters.parameters import Vector
-from inverse.problem import Method, OptimiserSettings
+from datasets.errors import InputError
+from inverse.forward.interface import Evaluation, Forward
+from inverse.jacobian import Evaluate
+from inverse.observations import Values
+from inverse.parameters import Vector
+from inverse.problem import Problem
+from inverse.settings import Method, OptimiserSettings, Sampler
 
 RESOLUTION = 5.0e-4
-"""A step shorter than this fraction of every unknown's range is not worth a simulation."""
+"""A step shorter than this fraction of every parameter's range ends the search."""
 LONGEST_FIRST_STEP = 0.5
-"""Of L-BFGS-B, as a fraction of the range: one gradient at the start says little of what lies far off."""
+"""Of L-BFGS-B, as a fraction of the range: one gradient at the start says little of the rest of the range."""
 DESCENT_RATE = 500.0
 """Learning rate of gradient descent where none is given: the paper's [deg^2/m^2]."""
 ADAM_SHARE = 0.02
-"""Learning rate of Adam where none is given, as a fraction of an unknown's range."""
+"""Learning rate of Adam where none is given, as a fraction of a parameter's range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """The box in which the unknowns lie."""
+    """The box of the prior bounds."""
 
     lower: Vector
     upper: Vector
+
+    @classmethod
+    def of(cls, problem: Problem) -> "Bounds":
+        """Those of `problem`."""
+        lower, upper = np.array(problem.bounds).T
+        return cls(lower=lower, upper=upper)
 
     @property
     def range(self) -> Vector:
@@ -44,43 +59,43 @@ class Bounds:
         """Centre of the box, shape [U]."""
         return 0.5 * (self.lower + self.upper)
 
-    def clip(self, unknowns: Vector) -> Vector:
+    def clip(self, parameters: Vector) -> Vector:
         """The nearest point of the box."""
-        return np.clip(unknowns, self.lower, self.upper)
+        return np.clip(parameters, self.lower, self.upper)
 
-    def around(self, centre: Vector, reach: Vector) -> "Bounds":
-        """The part of the box within `reach` of `centre`."""
-        return Bounds(lower=np.maximum(self.lower, centre - reach), upper=np.minimum(self.upper, centre + reach))
+    def around(self, centre: Vector, radius: Vector) -> "Bounds":
+        """The part of the box within the trust `radius` [U] of `centre`."""
+        return Bounds(lower=np.maximum(self.lower, centre - radius), upper=np.minimum(self.upper, centre + radius))
 
 
-class _Enough(Exception):
+class _Finished(Exception):
     """The search is over."""
 
 
 class _Recorder:
-    """Evaluates, keeps every evaluation and says when it is enough."""
+    """Evaluates, keeps every evaluation and ends the search."""
 
     def __init__(self, evaluate: Evaluate, settings: OptimiserSettings, bounds: Bounds, progress: str) -> None:
         self.evaluate, self.settings, self.bounds = evaluate, settings, bounds
         self.records: list[Evaluation] = []
         self.bar = tqdm(total=settings.max_iterations, desc=progress, unit="it", leave=False, disable=None)
 
-    def __call__(self, unknowns: Vector) -> Evaluation:
+    def __call__(self, parameters: Vector) -> Evaluation:
         # Adam runs its course: it turns where it overshoots, and its steps grow short there.
         near = (0.0 if self.settings.method is Method.ADAM else RESOLUTION) * self.bounds.range
         for record in self.records:
-            if np.all(np.abs(record.unknowns - unknowns) <= 1e-12 * self.bounds.range):
+            if np.all(np.abs(record.parameters - parameters) <= 1e-12 * self.bounds.range):
                 return record
-            if np.all(np.abs(record.unknowns - unknowns) < near):
-                raise _Enough
+            if np.all(np.abs(record.parameters - parameters) < near):
+                raise _Finished
         if len(self.records) >= self.settings.max_iterations:
-            raise _Enough
-        record = self.evaluate(unknowns)
+            raise _Finished
+        record = self.evaluate(parameters)
         self.records.append(record)
-        self.bar.set_postfix_str(f"loss {record.loss:.2e} at {np.array2string(unknowns, precision=2)}")
+        self.bar.set_postfix_str(f"loss {record.loss:.2e} at {np.array2string(parameters, precision=2)}")
         self.bar.update()
         if record.loss < self.settings.stop_below or not np.isfinite(record.loss):
-            raise _Enough
+            raise _Finished
         return record
 
 
@@ -92,36 +107,37 @@ def minimise(
     progress: str = "inversion",
     rates: Sequence[float | None] | None = None,
 ) -> list[Evaluation]:
-    """Every evaluation from `start` to the end, in order; the answer is the one of least loss (`best`).
+    """Every evaluation from `start` to the end, in order; the answer is the one of minimum loss (`best`).
 
     It ends below `stop_below`, after `max_iterations` evaluations, or when the method itself finds a minimum.
-    rates: learning rate of each unknown that has its own. Gauss-Newton wants evaluations with their Jacobian.
+    rates: learning rate of each parameter that has its own. Gauss-Newton requires evaluations with their Jacobian.
     """
     recorder = _Recorder(evaluate, settings, bounds, progress)
+    start = bounds.clip(start)
     try:
         match settings.method:
             case Method.GRADIENT_DESCENT:
-                _gradient_descent(recorder, bounds.clip(start), bounds, _rates(settings, bounds, rates))
+                _gradient_descent(recorder, start, bounds, _rates(settings, bounds, rates))
             case Method.ADAM:
-                _adam(recorder, bounds.clip(start), bounds, _rates(settings, bounds, rates))
+                _adam(recorder, start, bounds, _rates(settings, bounds, rates), settings.max_iterations)
             case Method.LBFGSB:
-                _lbfgsb(recorder, bounds.clip(start), bounds)
+                _lbfgsb(recorder, start, bounds)
             case Method.GAUSS_NEWTON:
-                _gauss_newton(recorder, bounds.clip(start), bounds)
-    except _Enough:
+                _gauss_newton(recorder, start, bounds)
+    except _Finished:
         pass
     finally:
         recorder.bar.close()
     return recorder.records
 
 
-def best(records: list[Evaluation]) -> Evaluation:
-    """The evaluation of least loss."""
+def best(records: Sequence[Evaluation]) -> Evaluation:
+    """The evaluation of minimum loss."""
     return min(records, key=lambda record: record.loss if np.isfinite(record.loss) else np.inf)
 
 
 def _rates(settings: OptimiserSettings, bounds: Bounds, own: Sequence[float | None] | None) -> Vector:
-    """Learning rate of each unknown, shape [U]."""
+    """Learning rate of each parameter, shape [U]."""
     if settings.learning_rate is not None:
         shared = np.full_like(bounds.range, settings.learning_rate)
     elif settings.method is Method.ADAM:
@@ -131,20 +147,20 @@ def _rates(settings: OptimiserSettings, bounds: Bounds, own: Sequence[float | No
     return np.array([rate or other for rate, other in zip(own or [None] * len(shared), shared, strict=True)])
 
 
-def _gradient_descent(recorder: _Recorder, start: Vector, bounds: Bounds, rates: Vector) -> None:
+def _gradient_descent(evaluate: Evaluate, start: Vector, bounds: Bounds, rates: Vector) -> None:
     """u <- u - rate * d(loss)/du, projected onto the bounds (the paper, section "Inverse problem")."""
-    before, unknowns = None, start
-    while before is None or np.any(unknowns != before):
-        before, unknowns = unknowns, bounds.clip(unknowns - rates * recorder(unknowns).slope)
+    before, u = None, start
+    while before is None or np.any(u != before):
+        before, u = u, bounds.clip(u - rates * evaluate(u).slope)
 
 
-def _adam(recorder: _Recorder, start: Vector, bounds: Bounds, rates: Vector) -> None:
+def _adam(evaluate: Evaluate, start: Vector, bounds: Bounds, rates: Vector, steps: int) -> None:
     """Adam (Kingma & Ba 2015) as torch has it, projected onto the bounds after each step; a step per evaluation."""
     values = [torch.tensor(value, dtype=torch.float64) for value in start]
     groups = [{"params": [value], "lr": float(rate)} for value, rate in zip(values, rates, strict=True)]
     adam = torch.optim.Adam(groups)
-    for _ in range(recorder.settings.max_iterations):
-        record = recorder(np.array([value.item() for value in values]))
+    for _ in range(steps):
+        record = evaluate(np.array([value.item() for value in values]))
         for value, slope in zip(values, record.slope, strict=True):
             value.grad = torch.tensor(slope, dtype=torch.float64)
         adam.step()
@@ -152,14 +168,14 @@ def _adam(recorder: _Recorder, start: Vector, bounds: Bounds, rates: Vector) -> 
             value.clamp_(float(lower), float(upper))
 
 
-def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds) -> None:
+def _lbfgsb(evaluate: Evaluate, start: Vector, bounds: Bounds) -> None:
     """L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) in variables scaled so that its first step is a sensible one.
 
-    Its first model has curvature one: the first trial goes as far as the gradient is long. Loss and unknowns are
-    scaled so that this is 2 f / |f'|, which for a single observation that can be met is the Gauss-Newton step.
+    Its first model has curvature one: the first trial goes as far as the gradient is long. Loss and parameters
+    are scaled so that this is 2 f / |f'|, which for a single number that can be fitted is the Gauss-Newton step.
     """
-    first = recorder(start)
-    # Steepest descent in fractions of the range, so that unknowns of different units count alike.
+    first = evaluate(start)
+    # Steepest descent in fractions of the range, so that parameters of different units count alike.
     slope = first.slope * bounds.range
     steepness = float(np.linalg.norm(slope))
     if steepness == 0.0:
@@ -168,7 +184,7 @@ def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds) -> None:
     unit, scale = bounds.range * length, steepness * length
 
     def scaled(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        record = recorder(bounds.clip(start + x * unit))
+        record = evaluate(bounds.clip(start + x * unit))
         return record.loss / scale, record.slope * unit / scale
 
     scipy.optimize.minimize(
@@ -181,19 +197,73 @@ def _lbfgsb(recorder: _Recorder, start: Vector, bounds: Bounds) -> None:
     )
 
 
-def _gauss_newton(recorder: _Recorder, start: Vector, bounds: Bounds) -> None:
+def _gauss_newton(evaluate: Evaluate, start: Vector, bounds: Bounds) -> None:
     """Least squares by the Jacobian: SciPy's trust region reflective method (Branch, Coleman & Li 1999)."""
 
-    def residual(unknowns: Vector) -> Vector:
-        found = recorder(bounds.clip(unknowns)).residual
-        assert found is not None
-        return found
-
-    def slopes(unknowns: Vector) -> NDArray[np.float64]:
-        found = recorder(bounds.clip(unknowns)).jacobian
-        assert found is not None
-        return found
+    def part(name: str) -> Callable[[Vector], NDArray[np.float64]]:
+        return lambda parameters: np.asarray(getattr(evaluate(bounds.clip(parameters)), name))
 
     scipy.optimize.least_squares(
-        residual, start, slopes, bounds=(bounds.lower, bounds.upper), x_scale=bounds.range, method="trf"
+        part("residual"),
+        start,
+        part("jacobian"),
+        bounds=(bounds.lower, bounds.upper),
+        x_scale=bounds.range,
+        method="trf",
     )
+
+
+def explore(
+    forward: Forward, target: Values, problem: Problem, *, components: int = 1, at_once: int = 1
+) -> list[Evaluation]:
+    """The baseline without gradients: Optuna proposes, the forward model predicts. Every prediction, in order.
+
+    It begins at the problem's start and ends below `stop_below` or after `max_trials` predictions, `at_once` of which
+    are asked for together. components: see `Observation`.
+    """
+    settings, names = problem.optimiser, problem.names
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(sampler=_sampler(settings, at_once, problem.named(problem.initial)))
+    study.enqueue_trial(problem.named(problem.initial))
+    ranges: dict[str, BaseDistribution] = {
+        name: FloatDistribution(*bounds) for name, bounds in zip(names, problem.bounds, strict=True)
+    }
+    records: list[Evaluation] = []
+    with tqdm(total=settings.max_trials, desc=settings.sampler, unit="run", leave=False, disable=None) as bar:
+        while len(records) < settings.max_trials:
+            count = min(at_once, settings.max_trials - len(records))
+            trials = [study.ask(ranges) for _ in range(count)]
+            points = [np.array([trial.params[name] for name in names]) for trial in trials]
+            start = time.perf_counter()
+            observations = forward.observe(points)
+            seconds = (time.perf_counter() - start) / count
+            for trial, point, observation in zip(trials, points, observations, strict=True):
+                loss = components * float(np.mean((observation - target) ** 2))
+                finite = bool(np.isfinite(loss))
+                study.tell(trial, loss if finite else None, state=None if finite else TrialState.FAIL)
+                records.append(
+                    Evaluation(
+                        parameters=point,
+                        observation=observation,
+                        loss=loss,
+                        gradient=None,
+                        forward_s=seconds,
+                        backward_s=0.0,
+                    )
+                )
+            bar.update(count)
+            minimum = best(records).loss
+            bar.set_postfix_str(f"loss {minimum:.2e}")
+            if minimum < settings.stop_below:
+                break
+    return records
+
+
+def _sampler(settings: OptimiserSettings, at_once: int, initial: dict[str, float]) -> BaseSampler:
+    """What proposes the next points. Raises InputError."""
+    if settings.sampler is Sampler.TPE:
+        # Points that are asked for together must not be the same one.
+        return TPESampler(seed=settings.seed, constant_liar=at_once > 1)
+    if find_spec("cmaes") is None:
+        raise InputError("expected tpe, cma-es requires the package cmaes", key="optimiser.sampler")
+    return CmaEsSampler(seed=settings.seed, x0=initial)

@@ -1,55 +1,31 @@
-"""Problem: what is unknown, what was observed and how hard to look for it. Read from TOML, strictly."""
+"""Problem: what is unknown, what was observed and how hard to look for it. Read from TOML or built in Python."""
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry.ground import elevation
-from datasets.geometry.margins import Box
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
-from datasets.records import Record, fraction, from_mapping, read_toml
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from gns.initial import Start
 from inverse import checks
-from inverse.parameters.initial_state import untouched
-from inverse.parameters.parameters import Vector, kind, swept
+from inverse.observations import KINDS, Observation
+from inverse.parameters import Kind, Vector, with_kinds, with_parameters
+from inverse.parameters.baffles import clear_of_start, swept
 from inverse.settings import (
     LoopSettings,
-    MeasurementSettings,
-    Method,
-    Observable,
     ObservationSettings,
     OptimiserSettings,
-    Sampler,
+    Parameter,
     Surrogate,
     TargetSettings,
-    Unknown,
 )
-
-__all__ = [
-    "LoopSettings",
-    "MeasurementSettings",
-    "Method",
-    "Observable",
-    "ObservationSettings",
-    "OptimiserSettings",
-    "Problem",
-    "Sampler",
-    "Start",
-    "Surrogate",
-    "TargetSettings",
-    "Unknown",
-    "read_problem",
-]
 
 PROBLEMS = Path(__file__).parent / "problems"
 
@@ -59,9 +35,9 @@ class _File(Record):
     """A problem as it stands in its file."""
 
     scene: str
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[Parameter, ...]
     observation: ObservationSettings | None = None
-    observations: tuple[MeasurementSettings, ...] = ()
+    observations: tuple[ObservationSettings, ...] = ()
     target: TargetSettings | None = None
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
@@ -70,121 +46,152 @@ class _File(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """An inverse problem, checked."""
+    """An inverse problem, checked. Raises InputError, which names the key, for one that has no answer.
+
+    >>> Problem(
+    ...     name="my column",
+    ...     scene=read_scene("column-tall-42"),
+    ...     parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
+    ...     observation=ObservationSettings(kind="front"),
+    ...     target=TargetSettings(value=0.55, noise=0.005),
+    ... )
+    """
 
     name: str
     """Stem of its file."""
-    folder: Path
+    folder: Path = Path()
     """Relative paths in it start here."""
     scene: Scene
-    """The flow; its own values of the unknowns are never shown to the inversion."""
-    unknowns: tuple[Unknown, ...]
-    """What to find, in the order of every vector of unknowns."""
-    observation: ObservationSettings
-    target: TargetSettings
+    """The flow; its own values of the parameters are not used by the inversion."""
+    parameters: tuple[Parameter, ...]
+    """What to find (`[[unknowns]]`), in the order of every vector of parameters."""
+    observation: ObservationSettings = field(default_factory=lambda: ObservationSettings(kind="joint"))
+    """What was observed, where it is one thing."""
+    target: TargetSettings = field(default_factory=TargetSettings)
+    """What came out."""
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
     surrogate: Surrogate = Surrogate.AUTO
-    observations: tuple[MeasurementSettings, ...] = ()
-    """Where `observation` is several: what they are."""
+    observations: tuple[ObservationSettings, ...] = ()
+    """In place of `observation`: multiple ones, compared together."""
 
     def __post_init__(self) -> None:
-        checks.check_unknowns(self.scene, self.unknowns)
-        checks.check_observation(self.scene, self.observation)
+        checks.check_parameters(self.scene, self.parameters)
         if self.observations:
-            checks.check_several(self.scene, self.names, self.observation, self.target)
+            checks.check_observations(self.observations, self.target)
         else:
-            checks.check_target(self.scene, self.names, self.observation, self.target)
-        checks.check_search(self.unknowns, self.observation, self.optimiser, self.loop)
+            checks.check_observation(self.scene, self.observation)
+            checks.check_target(self.scene, self.observation, self.target)
+        checks.check_twin(self.scene, self.parameters, self.target)
+        checks.check_search(self.parameters, self.observation, self.optimiser, self.loop)
+
+    @property
+    def observed(self) -> type[Observation]:
+        """The class of what was observed."""
+        return KINDS[self.observation.kind]
 
     @property
     def names(self) -> list[str]:
-        """The unknowns, by name."""
-        return [unknown.name for unknown in self.unknowns]
+        """The names of the parameters."""
+        return [each.name for each in self.parameters]
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """What the parameters are."""
+        return [each.kind for each in self.parameters]
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """(lower, upper) of each unknown."""
-        return [(unknown.lower, unknown.upper) for unknown in self.unknowns]
+        """(lower, upper) of each parameter."""
+        return [(each.lower, each.upper) for each in self.parameters]
 
     @property
     def initial(self) -> Vector:
         """Where the search starts, shape [U]."""
-        return np.array([unknown.initial for unknown in self.unknowns])
+        return np.array([each.initial for each in self.parameters])
 
     @property
     def steps(self) -> Vector:
-        """Step of a finite difference in each unknown, shape [U]."""
-        return np.array([unknown.step or kind(unknown.name).step for unknown in self.unknowns])
+        """Step of a finite difference in each parameter, shape [U]."""
+        return np.array([each.step or each.kind.step for each in self.parameters])
+
+    def scene_at(self, values: Vector, seed: int | None = None) -> Scene:
+        """The scene at parameters `values` [U], with another jitter `seed` if so asked. Raises InputError."""
+        scene = with_kinds(self.scene, self.kinds, values)
+        return scene if seed is None else dataclasses.replace(scene, seed=seed)
+
+    def named(self, values: Vector) -> dict[str, float]:
+        """The entries of a vector of parameters [U] by name."""
+        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+
+    def text(self, name: str, value: float) -> str:
+        """A value of the parameter `name` with its unit."""
+        return next(each.kind for each in self.parameters if each.name == name).text(value)
 
     @property
-    def released(self) -> float:
-        """Volume of the scene's masses over its width [m^2]; in 2D their area."""
+    def twin_scene(self) -> Scene:
+        """The scene of a twin experiment: the true parameters and a jitter of its own."""
+        truth = self.target.truth
+        scene = with_parameters(self.scene, list(truth), list(truth.values()))
+        return dataclasses.replace(scene, seed=self.target.seed)
+
+    @property
+    def released(self) -> float | None:
+        """Volume of the masses over the width [m^2], in 2D their area; None where that is itself a parameter."""
+        if any(kind.changes_volume for kind in self.kinds):
+            return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
-
-    def ground(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Elevation of the highest terrain, or of the floor, at `x` [m], both of shape [R]. Raises InputError in 3D."""
-        if self.scene.dimension != 2:
-            raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
-        box = Box(size=self.scene.domain.size, cell=self.scene.domain.cell)
-        return elevation(self.scene.solids, box, x[:, None])
-
-    @property
-    def changes_volume(self) -> bool:
-        """Whether how much is released is itself unknown."""
-        return any(kind(name).changes_volume for name in self.names)
 
     @cached_property
     def start(self) -> Start:
-        """Where the surrogate begins: after the MPM's first frames, which it knows best how to go on from.
+        """Where the surrogate begins: after the MPM's first frames, from which its error is smallest.
 
-        Unless those depend on the unknowns: on a velocity, or on a baffle that the flow may reach so soon.
+        Unless those depend on the parameters: on a velocity, or on a baffle that the flow may get to so soon.
         """
         if self.optimiser.start is not None:
             return self.optimiser.start
-        boxes = swept(self.scene, self.names, self.bounds).values()
-        moved = any(kind(name).moves_the_start for name in self.names)
-        return Start.FROM_REST if moved or not untouched(self.scene, boxes) else Start.FROM_MPM_FRAMES
+        boxes = swept(self.scene, self.kinds, self.bounds).values()
+        changed = any(kind.changes_start for kind in self.kinds)
+        return Start.FROM_REST if changed or not clear_of_start(self.scene, boxes) else Start.FROM_MPM_FRAMES
 
 
 def read_problem(name: str) -> Problem:
-    """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
+    """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key.
+
+    >>> problem = read_problem("friction-tall-42")
+    """
     path = find(name, PROBLEMS, "problem")
     try:
-        file = from_mapping(_File, with_noise_share(read_toml(path)))
+        file = from_mapping(_File, read_toml(path))
+        observation, target = _observed(file)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
-        parts: dict[str, Any] = {part.name: getattr(file, part.name) for part in dataclasses.fields(file)}
-        observed = one_or_several(file)
-        return Problem(name=path.stem, folder=path.parent, **(parts | observed | {"scene": scene}))
+        return Problem(
+            name=path.stem,
+            folder=path.parent,
+            scene=scene,
+            parameters=file.unknowns,
+            observation=observation,
+            observations=file.observations,
+            target=target,
+            optimiser=file.optimiser,
+            loop=file.loop,
+            surrogate=file.surrogate,
+        )
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
 
 
-def one_or_several(file: _File) -> dict[str, Any]:
-    """Observation and target of a file that has one of both, or several observations. Raises InputError."""
+def _observed(file: _File) -> tuple[ObservationSettings, TargetSettings]:
+    """Observation and target of a file that has one of both, or multiple observations. Raises InputError."""
     if file.observations:
         if file.observation is not None:
-            raise InputError("expected one [observation] or several [[observations]], got both", key="observation")
-        target = file.target or TargetSettings()
-        return {"observation": ObservationSettings(kind=Observable.SEVERAL), "target": target}
+            raise InputError("expected one [observation] or multiple [[observations]], got both", key="observation")
+        return ObservationSettings(kind="joint"), file.target or TargetSettings()
     for key in ("observation", "target"):
         if getattr(file, key) is None:
             raise InputError("expected a value, the key is missing", key=key)
     assert file.observation is not None
-    if file.observation.kind is Observable.SEVERAL:
-        raise InputError("expected [[observations]] for several", key="observation.kind")
-    return {"observation": file.observation, "target": file.target}
-
-
-def with_noise_share(data: Mapping[str, Any]) -> dict[str, Any]:
-    """`data` of a file, its `target.noise` as the share that a percentage such as "3%" means. Raises InputError."""
-    target = data.get("target")
-    if not isinstance(target, dict) or not isinstance(target.get("noise"), str):
-        return dict(data)
-    text = target["noise"].strip()
-    share = fraction(text) if text.endswith("%") else math.nan
-    if not 0.0 < share < 1.0:
-        raise InputError(f"expected a number or a percentage such as 3%, got {text!r}", key="target.noise")
-    return {**data, "target": {**target, "noise": 0.0, "noise_share": share}}
+    assert file.target is not None
+    return file.observation, file.target

@@ -1,4 +1,4 @@
-"""`result.json`: what an inversion found, what it is worth and what it cost."""
+"""`result.json`: what an inversion found, how certain it is and what it cost."""
 
 import math
 import resource
@@ -10,12 +10,11 @@ from typing import Any
 
 from datasets.files import write_json
 from inverse.forward.interface import Evaluation
-from inverse.observations.deposit import Values
-from inverse.observations.target import Target
-from inverse.parameters.parameters import Vector
+from inverse.observations import Target, Values
+from inverse.parameters import Vector
 from inverse.problem import Problem
 
-MOST_NUMBERS = 100
+MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
 
 
@@ -25,7 +24,7 @@ class Verdict(StrEnum):
     CONFIRMED = "confirmed"
     UNCONFIRMED = "unconfirmed"
     NOT_IDENTIFIABLE = "not-identifiable"
-    """It fits, but the observation does not tell every unknown: other values within the bounds fit as well."""
+    """It fits, but other parameters within the bounds fit as well."""
     UNREACHABLE = "unreachable"
 
 
@@ -33,7 +32,7 @@ class Purpose(StrEnum):
     """Why an MPM run was made."""
 
     CHECK = "check"
-    """At unknowns that the (corrected) surrogate proposed; counts against the loop's budget."""
+    """At parameters that the (corrected) surrogate proposed; counts against the loop's budget."""
     ENSEMBLE = "ensemble"
     """With another jitter seed, for the certainty."""
 
@@ -70,38 +69,38 @@ class Round:
 class Minimum:
     """Another minimum of the surrogate, which the loop did not follow."""
 
-    unknowns: Vector
+    parameters: Vector
     loss: float
     """Of the uncorrected surrogate [m^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Combination:
-    """A direction in the space of the unknowns, and how well the observation tells how far to go along it."""
+    """A direction in the space of the parameters, and how well the observation constrains it."""
 
     weights: dict[str, float]
-    """Of each unknown, in fractions of its range; together of length 1."""
+    """Of each parameter, in fractions of its range; together of length 1."""
     singular_value: float
     """What a step of the whole range does to the observation, over the scatter and the noise of it [-]."""
     half_width: float
     """At 95 %, as a fraction of the range."""
 
     @property
-    def told(self) -> bool:
-        """Whether the observation tells it: to half of the range at least."""
+    def identifiable(self) -> bool:
+        """Whether the observation constrains it: to half of the range at least."""
         return self.half_width <= 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identifiability:
-    """What the observation near the answer knows of the unknowns together."""
+    """How well the observation constrains the parameters together, near the answer."""
 
     combinations: Sequence[Combination]
-    """Best known first, as many as unknowns."""
+    """Best constrained first, as many as parameters."""
     half_a_cell: dict[str, float] | None
-    """Standard deviation of each unknown if each number of the observation had one of half a cell; None for a share."""
+    """Standard deviation of each parameter if each number observed had one of half a cell; None for a share."""
     scatter: dict[str, float]
-    """Standard deviation of each unknown by the MPM's scatter of a single flow alone."""
+    """Standard deviation of each parameter by the MPM's scatter of a single flow alone."""
     noise: dict[str, float]
     """The same by the stated noise of the measurement alone."""
 
@@ -117,7 +116,7 @@ class Result:
     certainty: dict[str, float] | None
     """Half-widths at 95 %, where the MPM was asked."""
     surrogate: Values
-    """What the uncorrected surrogate observes at the answer, shape [m]; of a deposit, its own points."""
+    """What the uncorrected surrogate predicts at the answer, shape [m]; of a deposit, its own particles."""
     mpm: Values | None
     """What the MPM observes there [m]."""
     front_error_pct: float | None
@@ -132,7 +131,7 @@ class Result:
     identifiability: Identifiability | None = None
     discrepancy: float | None = None
     """By which factor the half-widths are wider because the fit is worse than noise and chance allow; 1 where it is
-    not, None where nothing tells."""
+    not, None where it cannot be computed."""
     mpm_runs: Sequence[RunRecord] = field(default_factory=list)
     mpm_seconds: float = 0.0
     total_seconds: float
@@ -140,11 +139,11 @@ class Result:
     @property
     def unknowns(self) -> dict[str, float]:
         """The answer by name."""
-        return named(self.problem, self.answer)
+        return self.problem.named(self.answer)
 
     @property
     def inside(self) -> list[str]:
-        """The unknowns whose true value is known and lies within their half-width."""
+        """The parameters whose true value is known and lies within their half-width."""
         truth, widths = self.target.truth, self.certainty
         if not truth or not widths:
             return []
@@ -157,7 +156,7 @@ class Result:
 
     @property
     def error_pct(self) -> dict[str, float]:
-        """Relative errors that are known: of each unknown in a twin experiment, of the front where the MPM ran."""
+        """Relative errors that are known: of each parameter in a twin experiment, of the front where the MPM ran."""
         errors = {
             name: 100.0 * abs(value - self.target.truth[name]) / abs(self.target.truth[name])
             for name, value in self.unknowns.items()
@@ -190,25 +189,10 @@ class Result:
             "total": self.total_seconds,
         }
 
-    def raw(self, values: Values) -> Values:
-        """`values` [M] in their units: of several observations they are compared in standard deviations."""
-        return values if self.target.combined is None else self.target.combined.raw(values)
-
-    @property
-    def parts(self) -> dict[str, Any]:
-        """Of several observations: which numbers are whose, and the standard deviation of each."""
-        combined = self.target.combined
-        if combined is None:
-            return {}
-        parts = [
-            {"name": part.name, "unit": part.observation.unit, "first": part.numbers.start, "end": part.numbers.stop}
-            for part in combined.parts
-        ]
-        return {"parts": parts, "deviation": plain(combined.scale)}
-
     def write(self, folder: Path) -> None:
         """Write `result.json` into `folder`."""
         first = next(stage for stage in self._stages if (stage.number, stage.start) == (0, 0)).evaluations[0]
+        raw = self.target.observation.raw
         write_json(
             folder / "result.json",
             {
@@ -216,16 +200,18 @@ class Result:
                 "verdict": self.verdict.value,
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
-                "identifiability": None if self.identifiability is None else told(self.identifiability),
+                "identifiability": None
+                if self.identifiability is None
+                else identifiability_record(self.identifiability),
                 "discrepancy": self.discrepancy,
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {
-                    "target": plain(self.raw(self.target.values)),
-                    "surrogate": plain(self.raw(self.surrogate)),
-                    "mpm": None if self.mpm is None else plain(self.raw(self.mpm)),
+                    "target": plain(raw(self.target.values)),
+                    "surrogate": plain(raw(self.surrogate)),
+                    "mpm": None if self.mpm is None else plain(raw(self.mpm)),
                 }
-                | self.parts,
+                | self.target.observation.record(),
                 "loss": {"surrogate": self.loss_surrogate, "mpm": self.loss_mpm, "initial": first.loss},
                 "mpm_runs": [
                     {
@@ -241,17 +227,17 @@ class Result:
                     for run in self.mpm_runs
                 ],
                 "other_minima": [
-                    {"unknowns": named(self.problem, minimum.unknowns), "loss": minimum.loss}
+                    {"unknowns": self.problem.named(minimum.parameters), "loss": minimum.loss}
                     for minimum in self.other_minima
                 ],
                 "iterations": [
                     {
                         "round": stage.number,
                         "start": stage.start,
-                        "unknowns": named(self.problem, evaluation.unknowns),
+                        "unknowns": self.problem.named(evaluation.parameters),
                         "observation": plain(evaluation.observation),
                         "loss": evaluation.loss,
-                        "gradient": None if evaluation.gradient is None else named(self.problem, evaluation.gradient),
+                        "gradient": None if evaluation.gradient is None else self.problem.named(evaluation.gradient),
                         "seconds": {"forward": evaluation.forward_s, "backward": evaluation.backward_s},
                     }
                     for stage in self._stages
@@ -263,12 +249,12 @@ class Result:
         )
 
 
-def told(identifiability: Identifiability) -> dict[str, Any]:
+def identifiability_record(identifiability: Identifiability) -> dict[str, Any]:
     """`identifiability` as JSON has it."""
     return {
         "singular_values": [combination.singular_value for combination in identifiability.combinations],
         "combinations": [
-            {"weights": each.weights, "half_width": each.half_width, "told": each.told}
+            {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
             for each in identifiability.combinations
         ],
         "half_a_cell": identifiability.half_a_cell,
@@ -277,14 +263,9 @@ def told(identifiability: Identifiability) -> dict[str, Any]:
     }
 
 
-def named(problem: Problem, values: Vector) -> dict[str, float]:
-    """The entries of a vector of unknowns by name."""
-    return {unknown.name: float(value) for unknown, value in zip(problem.unknowns, values, strict=True)}
-
-
 def plain(values: Values) -> float | list[Any] | None:
     """An observation as JSON has it: a number where it is one number, null where it is a whole deposit."""
-    if len(values) > MOST_NUMBERS:
+    if len(values) > MAX_NUMBERS:
         return None
     return float(values[0]) if len(values) == 1 else [float(value) for value in values]
 

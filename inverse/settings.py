@@ -1,54 +1,14 @@
 """What stands in a problem's file: its sections as they are read from TOML, strictly."""
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
-from datasets.records import Record
+from datasets.errors import InputError
+from datasets.records import Record, fraction
 from gns.initial import Start
-
-
-class Observable(StrEnum):
-    """What of the deposit was measured."""
-
-    FRONT = "front"
-    """The x that 99.5 % of the points are behind."""
-    RUNOUT = "runout"
-    """The largest x."""
-    PROFILE = "profile"
-    """The height at stations along x."""
-    TOE = "toe"
-    """The centroid of the furthest 10 % of the points."""
-    DEPOSIT = "deposit"
-    """Where every point came to rest."""
-    PASSED = "passed"
-    """The share of the volume beyond a line across the flow."""
-    SEVERAL = "several"
-    """What `[[observations]]` name, together."""
-
-
-class Measurable(StrEnum):
-    """What one of several observations measures."""
-
-    FRONT = "front"
-    """The x that 99.5 % of the particles are behind."""
-    RUNOUT = "runout"
-    """The largest x."""
-    PROFILE = "profile"
-    """The height along x, from a CSV."""
-    TOE = "toe"
-    """The centroid of the furthest 10 % of the particles."""
-    PASSED = "passed"
-    """The share of the volume beyond a line across the flow."""
-    FRONT_OVER_TIME = "front-over-time"
-    """The front at given times."""
-    HEIGHT = "height"
-    """The height at gauges along x, in the end or at given times."""
-    IMPULSE = "impulse"
-    """The momentum that a baffle or another solid has taken from the flow, in the end or at given times."""
-    PEAK_FORCE = "peak-force"
-    """The largest force on a baffle or another solid."""
-    OUTLINE = "outline"
-    """How far a deposit reaches in each of several directions of the plan (3D)."""
+from inverse.parameters import Kind, kind
 
 
 class LengthUnit(StrEnum):
@@ -76,10 +36,6 @@ class Heights(StrEnum):
     """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
 
 
-ONE_NUMBER = (Observable.FRONT, Observable.RUNOUT, Observable.PASSED)
-"""Observations of one number."""
-
-
 class Method(StrEnum):
     """How the loss is minimised."""
 
@@ -103,11 +59,11 @@ class Sampler(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unknown(Record):
-    """A number to be found, in the units of its name."""
+class Parameter(Record):
+    """An unknown number with its prior bounds, in the units of its name: one of `[[unknowns]]`."""
 
     name: str
-    """See `inverse.parameters.parameters`."""
+    """See `inverse.parameters`."""
     initial: float
     """Where the search starts."""
     lower: float
@@ -117,30 +73,29 @@ class Unknown(Record):
     step: float | None = None
     """Step of a finite difference; that of its kind where absent."""
     learning_rate: float | None = None
-    """Of this unknown in gradient descent and Adam; the optimiser's where absent."""
+    """Of this parameter in gradient descent and Adam; the optimiser's where absent."""
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the name stands for. Raises InputError."""
+        return kind(self.name)
+
+    @property
+    def range(self) -> float:
+        """Width of the prior bounds."""
+        return self.upper - self.lower
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationSettings(Record):
-    """Which part of the deposit is compared."""
+    """An observation: what is measured, where and when, what came out, and how well it is known.
 
-    kind: Observable
-    spacing: float = 0.02
-    """Distance between the stations of a profile [m]."""
-    line: float | None = None
-    """The x beyond which a point has passed [m]."""
-    width: float | None = None
-    """Over how long a way a point passes that line, as gradients see it [m]; a cell of the scene where absent."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasurementSettings(Record):
-    """One of several observations: what was measured, where and when, what came out, and how well.
-
-    What came out is a `value`, `values` or a `csv`; none of them where the target is hidden or a trajectory.
+    What came out is a `value`, `values` or a `csv`; none of them where a twin or a trajectory makes the numbers, nor in
+    `[observation]`, whose numbers stand in `[target]`.
     """
 
-    kind: Measurable
+    kind: str
+    """A key of `inverse.observations.KINDS`."""
     name: str | None = None
     """As it is called in reports; its kind where absent."""
     value: float | None = None
@@ -159,9 +114,11 @@ class MeasurementSettings(Record):
     heights: Heights = Heights.EQUIVALENT
     """What the heights of a profile are."""
     spacing: float = 0.02
-    """Distance between the stations of a profile [m]; over how long a way a gauge takes the mean height, either way."""
+    """Distance between the stations of a profile [m]; half width over which a gauge takes the mean height."""
     line: float | None = None
-    """Of `passed` [m]."""
+    """The x beyond which a particle has passed [m]."""
+    width: float | None = None
+    """Length over which the share that passed is smoothed for gradients [m]; a cell of the scene where absent."""
     x: tuple[float, ...] | None = None
     """Of gauges [m], where they are not in a `csv`."""
     z: float | None = None
@@ -169,20 +126,24 @@ class MeasurementSettings(Record):
     times: tuple[float, ...] | None = None
     """When [s] after the start, where that is not in a `csv`; where absent, in the end."""
     solid: int | str = 0
-    """Which took the impulse, by its name or its number: the baffles, from 0, then the other solids in their order."""
+    """Which solid an impulse is on, by its name or its number: the baffles, from 0, then the other solids."""
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
     window: float = 0.02
-    """Time over which a force is a mean [s]: of the gauge, or so much as to be above the chance of single particles."""
+    """Time over which a force is a mean [s]: of the gauge, or long enough that single particles do not matter."""
     directions_deg: tuple[float, ...] | None = None
     """Of an outline, from +x towards +z; every 22.5 degrees where absent."""
 
 
+MEASURED = ("value", "values", "csv", "noise", "unit", "datum", "heights")
+"""Keys of an observation that stand in `[target]` where there is one observation alone."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TargetSettings(Record):
-    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `hidden` and `least`.
+    """What was observed: exactly one of `value`, `values`, `trajectory`, `csv`, `twin` and `minimise`.
 
-    Beside several observations that bring their own numbers there is none.
+    Beside `[[observations]]`, which bring their own numbers, a `twin` or a `trajectory` alone.
     """
 
     value: float | None = None
@@ -198,19 +159,37 @@ class TargetSettings(Record):
     datum: float = 0.0
     """Height of the floor in the file [`unit`]."""
     heights: Heights = Heights.EQUIVALENT
-    """What the heights are: by how much their area may differ from the released one (`inverse.observations.profile`)."""
-    hidden: bool = False
-    """A twin experiment: the MPM makes the target, the inversion gets to see the observation alone."""
-    least: bool = False
-    """A design: nothing was observed, of the one number as little as possible is wanted."""
+    """What the heights are: by how much their area may differ from the released one
+    (`inverse.observations.measured_profile`)."""
+    twin: bool = False
+    """A twin experiment: the MPM makes the target, the inversion is given the observation alone."""
+    minimise: bool = False
+    """A design: nothing was observed, the one number is to be as small as possible."""
     seed: int = 1
-    """Seed of the hidden scene's initial jitter; another one than the inversion's."""
+    """Seed of the initial jitter of the twin's scene; another one than the inversion's."""
     truth: dict[str, float] = field(default_factory=dict)
-    """Unknown -> hidden value; the scene's own where absent."""
-    noise: float = 0.0
-    """Standard deviation of each measured number [m; of a share -], besides the flow's own chance."""
-    noise_share: float = 0.0
-    """The same as a share of what was measured, each height of a `csv`: in a file, `noise = "3%"`."""
+    """Parameter -> its value in the twin; the scene's own where absent."""
+    noise: float | str = 0.0
+    """Standard deviation of each measured number [m; of a share -], besides the flow's own scatter; or a percentage of
+    a `value` and of each height of a `csv`, such as "3%"."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the numbers were measured; else a simulated flow makes them, or there are none."""
+        return not (self.twin or self.minimise or self.trajectory is not None)
+
+
+def noise_of(noise: float | str) -> tuple[float, float]:
+    """A stated noise as (share of each number [-], standard deviation in their unit). Raises InputError."""
+    if isinstance(noise, str):
+        text = noise.strip()
+        share = fraction(text) if text.endswith("%") else math.nan
+        if not 0.0 < share < 1.0:
+            raise InputError(f"expected a number or a percentage such as 3%, got {text!r}", key="noise")
+        return share, 0.0
+    if noise < 0.0:
+        raise InputError(f"expected a standard deviation of at least 0, got {noise:g}", key="noise")
+    return 0.0, noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,17 +234,17 @@ class LoopSettings(Record):
     confirm_within: float = 0.003
     """Relative error of the front within which the MPM confirms."""
     runout_within: float = 0.01
-    """Relative error of the runout within which one is confirmed: it is a single point's fate."""
+    """Relative error of the runout within which one is confirmed: it is that of a single particle."""
     profile_within: float = 0.01
     """Mean distance between equal shares of two profiles, over the target's mean, within which one is confirmed."""
     toe_within: float = 0.32
     """Distance between two toes within which one is confirmed, in cells: 1e-4 m^2 squared in a cell of 31 mm."""
     deposit_within: float = 1.0
-    """Root mean square distance of the points within which a deposit is confirmed, in cells."""
+    """Root mean square distance of the particles within which a deposit is confirmed, in cells."""
     passed_within: float = 0.01
     """Difference between two shares that passed within which one is confirmed."""
-    several_within: float | None = None
-    """Root mean square misfit of several observations, in standard deviations, within which they are confirmed; what
+    joint_within: float | None = None
+    """Root mean square misfit of multiple observations, in standard deviations, within which they are confirmed; what
     chance exceeds once in twenty times where absent."""
     mpm_runs: int = 8
     """Most MPM runs that the loop may spend."""

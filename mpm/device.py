@@ -1,7 +1,7 @@
 """Scenes on a GPU: every particle and every node a thread, all scenes of a batch in one launch per step.
 
 The kernel is the CPU's, with blocks of one particle and atomic sums; the arrays stay on the device from the first frame
-to the last, and per step only the launch itself crosses over.
+to the last, and per step only the call itself crosses over.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,19 @@ from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset, Setting, StepControl
 from mpm.kernel import Phase
 
-TWICE = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
+ALIASES = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
 """With one lane a vector of lanes is a number: the second view of such memory is the first."""
-COME_BACK = ("state", "record", "fields", "energy", "recorded_impulse", "offsets", "clamped", "held", "holding")
+RETURNED = (
+    "state",
+    "recorded_positions",
+    "fields",
+    "energy",
+    "recorded_impulse",
+    "offsets",
+    "clamped",
+    "retained",
+    "settling",
+)
 
 
 def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
@@ -25,7 +35,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
     arguments = batch.arguments
     device = upload(arguments, batch.features)
 
-    def launch(phase: Phase, first: int = 0, last: int = 0) -> None:
+    def call_kernel(phase: Phase, first: int = 0, last: int = 0) -> None:
         kernel(*device.values(), first, last, phase)
 
     largest = int(np.diff([*batch.first_nodes, len(batch.grid)]).max())
@@ -33,9 +43,9 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
     for frame in range(batch.computed + 1, max(scene.frames for scene in batch.scenes)):
         if stop():
             break
-        launch(Phase.SPEED)
+        call_kernel(Phase.SPEED)
         step_control = device["step_control"].to_numpy()
-        if batch.features.rests:
+        if batch.features.until_rest:
             batch.offsets[:] = device["offsets"].to_numpy()
         blown = (step_control[:, StepControl.STEPS] == 0) & ~ended
         batch.offsets[blown, Offset.FRAMES] = frame
@@ -49,13 +59,13 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
             if step == 0 or (steps == step).any():
                 step_control[:, StepControl.DT] = np.where(step < steps, dt, 0.0)
                 device["step_control"].from_numpy(step_control)
-            launch(Phase.STEP, last=largest)
+            call_kernel(Phase.STEP, last=largest)
         batch.offsets[:, Offset.STEPS] += steps
         device["offsets"].from_numpy(batch.offsets)
-        launch(Phase.RECORD, first=frame)
+        call_kernel(Phase.RECORD, first=frame)
         batch.computed = frame
         bar.update()
-    for name in COME_BACK:
+    for name in RETURNED:
         arguments[name][...] = device[name].to_numpy().reshape(arguments[name].shape)
 
 
@@ -63,14 +73,14 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
     """The arrays of a batch on the device, by name and in the same order."""
     device: dict[str, ti.Ndarray] = {}
     for name, array in arguments.items():
-        if name in TWICE:
-            device[name] = device[TWICE[name]]
+        if name in ALIASES:
+            device[name] = device[ALIASES[name]]
             continue
         kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
         if name == "grid":
             device[name] = ti.Vector.ndarray(features.node, kind, array.shape[0])
         else:
-            flat = array.reshape(-1) if name in TWICE.values() else array
+            flat = array.reshape(-1) if name in ALIASES.values() else array
             device[name] = ti.ndarray(kind, flat.shape)
             array = flat
         device[name].from_numpy(np.ascontiguousarray(array))

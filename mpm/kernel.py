@@ -1,9 +1,13 @@
-"""The kernel: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
+"""The time loop: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
 
-Many scenes: a scene runs on one thread from the first step of a launch to the last: no atomics, no barriers, and the
+    particles to grid    m_i, (m v)_i, f_i                   `mpm.physics.transfer`
+    grid                 v_i* = v_i + dt (g + f_i / m_i)     `mpm.physics.grid`, then walls, solids, barriers
+    grid to particles    v_p, C_p, x_p, sigma_p              `mpm.physics.particles`, `mpm.physics.stress`
+
+Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
 result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles
 and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A
-launch costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
+call costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
 inside it.
 """
 
@@ -14,20 +18,20 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.arrays.access import rows_of
+from mpm.arrays.access import node_strides
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
-from mpm.physics.grid import clear, kept_of, update_node, update_nodes
-from mpm.physics.particles import move_block, move_particles
+from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
+from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import block_to_grid, particles_to_grid
 
-TURNS = 512
-"""Taichi hands a thread no fewer turns of a loop than these."""
+ITERATIONS = 512
+"""The fewest iterations of a loop that Taichi gives to a thread."""
 
 
 class Phase(Enum):
-    """What a launch does."""
+    """What a call of the kernel computes."""
 
     FRAMES = auto()
     """Frames from `first` to before `last`, a thread per worker."""
@@ -41,7 +45,7 @@ class Phase(Enum):
 
 @ti.data_oriented
 class Arrays:
-    """The arrays of a batch by name, as the kernel hands them on; `mpm.arrays.batch` says what each holds."""
+    """The arrays of a batch by name, as the kernel passes them on; `mpm.arrays.batch` describes each."""
 
     def __init__(self, features: Features, **arrays: Any) -> None:
         self.features = features
@@ -49,16 +53,16 @@ class Arrays:
 
 
 @ti.func
-def barrier(arrays: ti.template()):
-    """Wait until all workers of a shared scene have come here; nothing where scenes are not shared.
+def synchronise(arrays: ti.template()):
+    """Wait until all workers of a shared scene have arrived; nothing where scenes are not shared.
 
     Each has a thread of its own, because Taichi has as many threads as there are workers. Reading by adding zero keeps
     the compiler from reading once.
     """
     if ti.static(arrays.features.shared):
         count = arrays.workers.shape[0]
-        goal = (ti.atomic_add(arrays.barrier_count[0], 1) // count + 1) * count
-        while ti.atomic_add(arrays.barrier_count[0], 0) < goal:
+        goal = (ti.atomic_add(arrays.arrivals[0], 1) // count + 1) * count
+        while ti.atomic_add(arrays.arrivals[0], 0) < goal:
             pass
 
 
@@ -66,38 +70,38 @@ def barrier(arrays: ti.template()):
 def advance_worker(worker, first, last, arrays: ti.template()):
     """Compute the frames [first, last) of a worker's part of its scene; record them if it is the scene's first."""
     scene = arrays.workers[worker, Worker.SCENE]
-    rows = rows_of(scene, arrays)
+    strides = node_strides(scene, arrays)
     for frame in range(first, ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
         if arrays.offsets[scene, Offset.REST] > 0:
             break
         substeps = steps_of_frame(scene, arrays)
-        barrier(arrays)
+        synchronise(arrays)
         if substeps == 0:
             arrays.offsets[scene, Offset.FRAMES] = frame
             break
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
-        kept = kept_of(scene, dt, arrays)
+        kappa = relaxation_factor(scene, dt, arrays)
         for _ in range(substeps):
-            clear(worker, rows, arrays)
-            particles_to_grid(worker, scene, dt, rows, arrays)
-            barrier(arrays)
-            update_nodes(worker, scene, dt, kept, rows, arrays)
-            barrier(arrays)
-            move_particles(worker, scene, dt, kept, rows, arrays)
-        barrier(arrays)
+            clear(worker, strides, arrays)
+            particles_to_grid(worker, scene, dt, strides, arrays)
+            synchronise(arrays)
+            update_grid(worker, scene, dt, kappa, strides, arrays)
+            synchronise(arrays)
+            update_particles(worker, scene, dt, kappa, strides, arrays)
+        synchronise(arrays)
         if worker == 0 or not ti.static(arrays.features.shared):
             arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
             record_frame(scene, frame, arrays)
-        barrier(arrays)
+        synchronise(arrays)
 
 
 @cache
 def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
-    It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute and
-    record the frames [first, last). The others are parts of a frame, each on as many threads as there are particles,
-    for a GPU: see `mpm.device`.
+    It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute
+    and record the frames [first, last). The others are parts of a frame, each on as many threads as there are
+    particles, for a GPU: see `mpm.device`.
     """
     real = ti.f32 if features.precision == "f32" else ti.f64
     numbers = ti.types.ndarray(dtype=real, ndim=1)
@@ -124,7 +128,7 @@ def kernel(features: Features) -> Callable[..., None]:
         faces: table,
         cell_faces: integers,
         near_faces: integers,
-        held_nodes: integers,
+        fixed_nodes: integers,
         node_contacts: table,
         offsets: integer_table,
         workers: integer_table,
@@ -133,13 +137,13 @@ def kernel(features: Features) -> Callable[..., None]:
         fields: singles,
         energy: doubles,
         recorded_impulse: double_table,
-        barrier_count: integers,
+        arrivals: integers,
         clamped: integers,
         owner: integers,
         step_control: table,
-        gates: integer_table,
-        held: integer_table,
-        holding: double_table,
+        barriers: integer_table,
+        retained: integer_table,
+        settling: double_table,
         first: ti.i32,
         last: ti.i32,
         phase: ti.template(),
@@ -161,7 +165,7 @@ def kernel(features: Features) -> Callable[..., None]:
                     faces=faces,
                     cell_faces=cell_faces,
                     near_faces=near_faces,
-                    held_nodes=held_nodes,
+                    fixed_nodes=fixed_nodes,
                     node_contacts=node_contacts,
                     offsets=offsets,
                     workers=workers,
@@ -170,21 +174,21 @@ def kernel(features: Features) -> Callable[..., None]:
                     fields=fields,
                     energy=energy,
                     recorded_impulse=recorded_impulse,
-                    barrier_count=barrier_count,
+                    arrivals=arrivals,
                     clamped=clamped,
                     owner=owner,
                     step_control=step_control,
-                    gates=gates,
-                    held=held,
-                    holding=holding,
+                    barriers=barriers,
+                    retained=retained,
+                    settling=settling,
                 )
             ]
         )[0]
         if ti.static(phase == Phase.FRAMES):
-            ti.loop_config(block_dim=TURNS)
-            for turn in range(workers.shape[0] * TURNS):
-                if turn % TURNS == 0:
-                    advance_worker(turn // TURNS, first, last, arrays)
+            ti.loop_config(block_dim=ITERATIONS)
+            for iteration in range(workers.shape[0] * ITERATIONS):
+                if iteration % ITERATIONS == 0:
+                    advance_worker(iteration // ITERATIONS, first, last, arrays)
         if ti.static(phase == Phase.SPEED):
             for scene in range(offsets.shape[0]):
                 step_control[scene, StepControl.SPEED] = 0.0
@@ -207,7 +211,7 @@ def kernel(features: Features) -> Callable[..., None]:
                         block,
                         block * features.scratch,
                         step_control[scene, StepControl.DT],
-                        rows_of(scene, arrays),
+                        node_strides(scene, arrays),
                         arrays,
                     )
             for q in range(last * offsets.shape[0]):
@@ -217,8 +221,8 @@ def kernel(features: Features) -> Callable[..., None]:
                 dt = step_control[scene, StepControl.DT]
                 if dt > 0.0:
                     at = workers[scene, Worker.NODE]
-                    kept, rows = kept_of(scene, dt, arrays), rows_of(scene, arrays)
-                    move_block(scene, at, scene, block, block * features.scratch, dt, kept, rows, arrays)
+                    kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
+                    update_block(scene, at, scene, block, block * features.scratch, dt, kappa, strides, arrays)
         if ti.static(phase == Phase.RECORD):
             for block in range(owner.shape[0]):
                 if step_control[owner[block], StepControl.STEPS] > 0.0:

@@ -2,7 +2,7 @@
 
 The error is that of one run at a resolution against a run on a much finer grid: of the front (the x that 99.5 % of the
 particles are behind) or of the profile (the rms distance along x of equal shares of the two deposits), whichever is
-larger, over the reach: from the rear of the masses at the start to the front, which is the runout distance of a column
+larger, over the extent: from the rear of the masses at the start to the front, which is the runout distance of a column
 at the left wall. The promise is that at least nine of ten scenes like those measured keep within the tolerance: columns
 and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not
 whether the material is right.
@@ -53,7 +53,7 @@ class Measured(Record):
     """2 or 3."""
     resolution: Resolution
     expected: float
-    """Root mean square of the errors over scenes and jitters, each as a fraction of its reach [-]."""
+    """Root mean square of the errors over scenes and jitters, each as a fraction of the extent [-]."""
     promised: float
     """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
     particle_steps: float
@@ -69,14 +69,14 @@ class Measurements(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Resolved:
-    """A scene at the resolution that a tolerance asks for, and what to expect of it."""
+    """A scene at the resolution that a tolerance requires, and what to expect of it."""
 
     scene: Scene
     precision: Precision
     expected: float
-    """Root mean square error of the scenes that were measured at this resolution, over the reach [-]."""
+    """Root mean square error of the scenes that were measured at this resolution, over the extent [-]."""
     promised: float
-    """What at least COVERAGE of scenes stay within, over the reach [-]."""
+    """What at least COVERAGE of scenes stay within, over the extent [-]."""
     cells: float
     """Cells across the characteristic length [-]."""
     cost: float
@@ -109,27 +109,27 @@ def read_tolerance(text: str) -> float:
 
 
 def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None = None) -> Resolved:
-    """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the reach.
+    """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the extent.
 
     Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
     known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
-    fit = [each for each in known if supported(each, known, tolerance)]
-    if not fit:
+    suitable = [each for each in known if supported(each, known, tolerance)]
+    if not suitable:
         best = min((tightest(each, known) for each in known), default=math.inf)
         raise InputError(
             f"expected at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured, "
             f"got {100 * tolerance:.3g}%",
             key="--tolerance",
         )
-    best_fit = min(fit, key=lambda each: each.particle_steps)
-    finer = at(scene, best_fit.resolution)
+    cheapest = min(suitable, key=lambda each: each.particle_steps)
+    finer = with_resolution(scene, cheapest.resolution)
     return Resolved(
         scene=finer,
-        precision=best_fit.resolution.precision,
-        expected=best_fit.expected,
-        promised=best_fit.promised,
+        precision=cheapest.resolution.precision,
+        expected=cheapest.expected,
+        promised=cheapest.promised,
         cells=characteristic_length(scene) / finer.domain.cell,
         cost=particle_steps(finer) / particle_steps(scene),
     )
@@ -150,7 +150,7 @@ def tightest(each: Measured, known: Sequence[Measured]) -> float:
     )
 
 
-def at(scene: Scene, resolution: Resolution) -> Scene:
+def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
     """`scene` at a resolution, its grid fitted to the box and no coarser than asked; the precision is the caller's."""
     cell = fitted_cell(scene.domain, characteristic_length(scene) / resolution.cells)
     return dataclasses.replace(
@@ -161,32 +161,32 @@ def at(scene: Scene, resolution: Resolution) -> Scene:
     )
 
 
-def fitted_cell(domain: Domain, wanted: float) -> float:
-    """The largest cell [m] up to `wanted` [m] of which every side of `domain` is a whole number.
+def fitted_cell(domain: Domain, largest: float) -> float:
+    """The largest cell [m] up to `largest` [m] of which every side of `domain` is a whole number.
 
     It divides the largest length that all sides are multiples of, found from the cells that the domain has now.
     """
     common = math.gcd(*(round(length / domain.cell) for length in domain.size)) * domain.cell
-    return common / math.ceil(common / wanted - ROUNDING)
+    return common / math.ceil(common / largest - ROUNDING)
 
 
 def characteristic_length(scene: Scene) -> float:
     """The smallest side [m] of the bodies that are let go, each the box around masses that touch.
 
-    A side that reaches from wall to wall is no length of the flow and does not count, unless all do.
+    A side that spans the box from wall to wall is no length of the flow and does not count, unless all do.
     """
-    sides: list[float] = []
+    lengths: list[float] = []
     across: list[float] = []
-    for body in bodies(scene.masses):
+    for body in connected_masses(scene.masses):
         for axis, length in enumerate(scene.domain.size):
             low = min(mass.lower[axis] for mass in body)
             high = max(mass.lower[axis] + mass.size[axis] for mass in body)
             wall_to_wall = axis != 1 and high - low >= length - TOLERANCE
-            (across if wall_to_wall else sides).append(high - low)
-    return min(sides or across)
+            (across if wall_to_wall else lengths).append(high - low)
+    return min(lengths or across)
 
 
-def bodies(masses: Sequence[Mass]) -> list[list[Mass]]:
+def connected_masses(masses: Sequence[Mass]) -> list[list[Mass]]:
     """Masses in groups that touch."""
     groups: list[list[Mass]] = []
     for mass in masses:

@@ -50,7 +50,7 @@ def command(
     out
         Folder for trajectory.npz and summary.json.
     precision
-        Arithmetic of the solver; f32 unless given, or what the tolerance asks for.
+        Arithmetic of the solver; f32 unless given, or what the tolerance requires.
     arch
         Where to compute.
     tolerance
@@ -84,8 +84,8 @@ def command(
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    place = out / "checkpoint.npz"
-    start = Checkpoint.load(place) if resume else None
+    checkpoint_file = out / "checkpoint.npz"
+    start = Checkpoint.load(checkpoint_file) if resume else None
     base = start.recording if start else ALL
     fields = fields or raw_fields or vtk or vtkhdf
     record = Recording(
@@ -102,16 +102,16 @@ def command(
         with stopping() as stop:
             trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
     except Interrupted as interrupted:
-        interrupted.checkpoint.save(place)
-        reached = given.frame_dt * interrupted.checkpoint.frame
-        print(f"talus: interrupted at t = {reached:g} s; --resume goes on from {place}", file=sys.stderr)
+        interrupted.checkpoint.save(checkpoint_file)
+        end_time = given.frame_dt * interrupted.checkpoint.frame
+        print(f"talus: interrupted at t = {end_time:g} s; --resume goes on from {checkpoint_file}", file=sys.stderr)
         return stop.status
     except InputError as error:
-        raise error.at(str(place)) if start is not None and not error.where else error from None
+        raise error.at(str(checkpoint_file)) if start is not None and not error.where else error from None
     trajectory.save(out / "trajectory.npz")
     write_json(out / "summary.json", trajectory.summary)
     if checkpoint:
-        end.save(place)
+        end.save(checkpoint_file)
     if vtk:
         write_vtk(trajectory, out / "vtk", progress=True)
     if vtkhdf:

@@ -1,7 +1,7 @@
 """The inner loop of the messages on a CPU, compiled by Numba: edge by edge, a vector of channels at a time.
 
-Torch has no operation for the sum in `gns.model.interaction`, and the ones it would take to build it (gather, product,
-sigmoid, scatter) move every edge through memory eight times. Here an edge stays in registers: on one core 15,000 edges of 64
+Torch has no operation for the sum in `gns.model.interaction`, and those to build it (gather, product, sigmoid, scatter)
+move every edge through memory eight times. Here an edge stays in registers: on one core 15,000 edges of 64
 channels take 0.3 ms, and 0.7 ms for their gradients, against 2 and 9 ms in blocks of torch's operations.
 """
 

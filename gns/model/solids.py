@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 ROUNDING = 0.1
-"""Radius to which edges are rounded for the direction away from a baffle, as a share of the cutoff radius.
+"""Radius to which edges are rounded for the outward direction of a baffle, as a share of the cutoff radius.
 
 The direction from a sharp edge turns by any angle within any distance, and its gradient would have no bound.
 """
@@ -112,9 +112,9 @@ def keep_out(
     """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
 
     The walls of the box [0, size] stop them, and so do the baffles: a particle whose path enters a baffle, or crosses
-    it, is held at a distance SKIN from the first face on its path, and its motion along that face remains. A particle
-    on a face follows it: the gradient in the corner is one. A particle that was inside before counts as having been at the
-    nearest face that is free.
+    it, is held at a distance SKIN from the first face on its path, and its motion along that face remains.
+    A particle on a face follows it: the gradient in the corner is one. A particle that was inside before counts as
+    having been at the nearest face that is free.
     """
     kept = _clamped(positions, size)
     if baffles is None:

@@ -1,4 +1,4 @@
-"""The learned simulator as a forward: from the scene or the MPM's first frames to the deposit, differentiably."""
+"""The learned simulator as a forward model: from the scene or the MPM's first frames to the deposit, differentiably."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,18 +13,18 @@ from datasets.trajectory import Trajectory
 from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
 from gns.model.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
-from inverse.observations.deposit import Observation, Rollout, Values
-from inverse.parameters.parameters import Vector, launched
+from inverse.observations import Observation, Rollout, Values
+from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 THINNING_SEED = 0
-"""Which points of a cell the surrogate follows: always the same, so that predictions differ by the unknowns alone."""
+"""Which particles of a cell the surrogate follows: always the same, so that the parameters alone make a difference."""
 
 
 class GnsForward:
-    """A rollout of the surrogate in which every unknown of the problem is free."""
+    """A rollout of the surrogate that is a differentiable function of the problem's parameters."""
 
     def __init__(
         self,
@@ -34,39 +34,45 @@ class GnsForward:
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
     ) -> None:
+        self.simulator, self.observation, self.kinds = simulator, observation, problem.kinds
         dtype = next(simulator.parameters()).dtype
-        self.simulator, self.problem, self.observation = simulator, problem, observation
-        self.initial = initial = beginning_of(beginning, problem, simulator).to(dtype=dtype)
-        self.indices, self.steps = initial.indices, initial.steps
-        # What an observation over time sees before the rollout begins; others are spared it.
-        self.before = torch.from_numpy(initial.known[:-1])
-        self.times = initial.times[0 if observation.over_time else len(self.before) :]
+        self.initial = beginning_of(beginning, problem, simulator).to(dtype=dtype)
+        self.indices, self.steps = self.initial.indices, self.initial.steps
+        # Before the rollout begins: for an observation over time alone.
+        self.before = torch.from_numpy(self.initial.known[:-1])
+        self.times = self.initial.times[0 if observation.over_time else len(self.before) :]
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
-    def predict(self, unknowns: Tensor) -> Tensor:
-        """The smooth observation, float64 of shape [m], of unknowns, float64 of shape [U]."""
-        return self.observation.predict(
-            Rollout(positions=self._path(unknowns), times=self.times, volumes=self.initial.conditions.volume)
-        )
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """The smooth observation, float64 of shape [m], of parameters, float64 of shape [U]."""
+        volumes = self.initial.conditions.volume
+        return self.observation.predict(Rollout(positions=self._path(parameters), times=self.times, volumes=volumes))
 
-    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
-        """The smooth observation [m] of each vector of unknowns [U], one after the other."""
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """The smooth observation [m] at each vector of parameters [U], one after the other."""
         with torch.no_grad():
-            return [self.predict(torch.from_numpy(values)).numpy() for values in unknowns]
+            return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]
 
-    def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
-        """Where the points come to rest [m], shape [n, D]."""
+    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
+        """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._path(torch.from_numpy(unknowns))[-1].numpy()
+            return self._path(torch.from_numpy(parameters))[-1].numpy()
 
-    def wanted(self, target: Values) -> Values:
-        """What of an exact `target` [M] the predictions [m] are held against: that of the points followed here."""
-        return self.observation.of_points(target, self.indices)
+    def select(self, target: Values, /) -> Values:
+        """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
+        return self.observation.of_particles(target, self.indices)
 
-    def _path(self, unknowns: Tensor) -> Tensor:
+    def entered(self, parameters: Tensor) -> InitialState:
+        """The initial state with parameters [U], differentiable in them."""
+        initial = self.initial
+        for index in in_order(self.kinds):
+            initial = self.kinds[index].enter(initial, parameters[index])
+        return initial
+
+    def _path(self, parameters: Tensor) -> Tensor:
         """Positions [m] at `times`, shape [T, n, D]."""
-        initial = launched(self.initial, self.problem.names, unknowns)
+        initial = self.entered(parameters)
         moved = unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
         return torch.cat((self.before.to(moved.dtype), moved)) if self.observation.over_time else moved
 

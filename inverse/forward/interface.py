@@ -1,4 +1,4 @@
-"""Forward: from a vector of unknowns to the observation it predicts. The MPM and the GNS are two of them."""
+"""Forward models, the MPM and the GNS: from a vector of parameters to the observation that it predicts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,37 +10,37 @@ from torch import Tensor
 
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.observations.deposit import Values
-from inverse.parameters.parameters import Vector
+from inverse.observations import Values
+from inverse.parameters import Vector
 from mpm.output.request import ALL, Recording
 
 
 class Forward(Protocol):
-    """Predicts the observation of given unknowns."""
+    """Predicts the observation at given parameters."""
 
-    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
-        """The observation [M] for each vector of unknowns [U]; several may run side by side."""
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """The observation [M] at each vector of parameters [U]; runs may be side by side."""
 
 
 class Differentiable(Forward, Protocol):
-    """A forward that autograd can look through."""
+    """A forward model through which torch differentiates."""
 
-    def predict(self, unknowns: Tensor) -> Tensor:
-        """The observation, float64 of shape [M], of unknowns, float64 of shape [U]."""
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """The observation, float64 of shape [m], of parameters, float64 of shape [U]."""
 
 
 class Surrogate(Differentiable, Protocol):
-    """A learned simulator of one flow, started from the scene itself or from the MPM's first frames."""
+    """A learned simulator of one flow, started from the scene or from the MPM's first frames; or what stands for it."""
 
-    def wanted(self, target: Values) -> Values:
-        """What of an exact observation [M] its own [m] are held against: it may follow some of the points alone."""
+    def select(self, target: Values, /) -> Values:
+        """The part of an exact observation [M] that its own numbers [m] are compared with."""
 
-    def deposit(self, unknowns: Vector) -> NDArray[np.floating]:
-        """Where its points come to rest [m], shape [N, D]: for pictures."""
+    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
+        """Final positions of its particles [m], shape [N, D]: for pictures."""
 
 
 class SurrogateSource(Protocol):
-    """Makes surrogates of a flow."""
+    """Makes surrogates of a flow: a learned one, or the MPM linearised."""
 
     def first_frames(self, scene: Scene) -> Scene | None:
         """`scene`, cut to the first frames that a surrogate is started from; None where it needs none."""
@@ -48,7 +48,7 @@ class SurrogateSource(Protocol):
     def start(self, beginning: Trajectory | None) -> Surrogate:
         """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts.
 
-        One that needs no frames takes the jitter of the points from `beginning`, or from the problem's scene.
+        One that needs no frames takes the jitter of the particles from `beginning`, or from the problem's scene.
         """
 
 
@@ -61,16 +61,16 @@ class Simulate(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """The loss and its gradient at one vector of unknowns."""
+    """The misfit and its gradient at one vector of parameters."""
 
-    unknowns: Vector
-    """Where, shape [U]."""
+    parameters: Vector
+    """Shape [U]."""
     observation: Values
-    """What the forward predicts there, shape [M]."""
+    """What the forward model predicts there, shape [M]."""
     loss: float
-    """Mean squared difference from the target (`inverse.observations.deposit.loss`)."""
+    """Misfit from the target (`inverse.observations.observation.Observation.misfit`)."""
     gradient: Vector | None
-    """d(loss)/d(unknowns), shape [U]; None for a search without gradients."""
+    """d(loss)/d(parameters), shape [U]; None for a search without gradients."""
     forward_s: float
     """Seconds of prediction."""
     backward_s: float
@@ -78,7 +78,7 @@ class Evaluation:
     residual: Values | None = None
     """Observation less target, shape [M], where the Jacobian was asked for."""
     jacobian: NDArray[np.float64] | None = None
-    """d(observation)/d(unknowns), shape [M, U], where it was asked for."""
+    """d(observation)/d(parameters), shape [M, U], where it was asked for."""
 
     @property
     def slope(self) -> Vector:

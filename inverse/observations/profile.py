@@ -1,218 +1,290 @@
-"""A measured profile: rows x and height of a CSV, made heights above the floor and held against what was released.
+"""The height profile of a deposit along x; of a measured one, at its own rows before the two are compared.
 
-    h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
+    h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
-What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
+P interpolates the model's profile at its stations to the rows. A chord between two rows cuts what lies between them off
+both profiles alike; a measured profile refined to the model's stations would be short of it where the model's is not.
+
+A row is the height at one x, the model's a mean over its spacing. The difference is an error of representation
+(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278):
+`REPRESENTATION` of a cell, added to the noise of each height.
 """
 
-import csv
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from torch import Tensor
 
+from datasets import measures
 from datasets.errors import InputError
-from inverse.settings import Heights, LengthUnit
+from datasets.geometry.ground import elevation
+from datasets.geometry.margins import Box
+from datasets.particles import particle_volumes, released_volume
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations.measured_profile import MeasuredProfile, profile_of
+from inverse.observations.observation import Context, DepositObservation, Matrix, Measurement, Values
+from inverse.observations.target import Target
+from inverse.settings import Heights, LoopSettings, ObservationSettings
 
-Floats = NDArray[np.float64]
-
-EDGE = 0.01
-"""Height over the largest, below which a deposit has ended."""
-FURTHEST = 2.0
-"""Distances of the last two rows over which a profile is extrapolated."""
-ALONG = 4
-"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
-BELOW = 0.05
-"""Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
-RARE = 0.05
-"""A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
-LEAST_FREEDOM = 4
-"""Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
-AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
-"""Area of a profile over the released one: what a measurement may miss, and of a surface also what loosening adds.
-
-Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
-"""
+SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
+"""Shares of a profile's area: the middles of twenty equal parts, and the front."""
+REPRESENTATION = 0.25
+"""Standard deviation of a height at one x from the model's mean around it, in cells."""
+DRAWS = 400
+"""Of noise on the heights, by which the covariance of the observation is known to 7 %."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeasuredProfile:
-    """Heights above the floor at ascending x, from the edge of the deposit, or a wall, to the other."""
+class Profile(DepositObservation):
+    """The height profile by its quantiles: the x behind which a given share of its area lies, for `SHARES` of it.
 
-    x: Floats
-    """[m], shape [R]."""
-    height: Floats
-    """[m], shape [R]."""
+    The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
+    overlap differ by the same heights however far they are apart. Positions of equal shares move with the deposit, and
+    their mean square difference is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
+    Application of the Wasserstein metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is
+    the mean over z.
+    """
 
-    def at(self, stations: Floats) -> Floats:
-        """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
-        return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
+    kind = "profile"
+    label = "the height profile of the deposit"
+    sources = ("csv",)
+    source = "csv"
+    options = ("spacing", "unit", "datum", "heights")
+    along_flow = True
+    distance_unit = (100.0, "% of the profile's mean x")
 
-    def deviation(self, *, share: float, noise: float) -> Floats:
-        """Standard deviation [m] of each height, shape [R]: a `share` of it and, for all alike, `noise` [m].
+    def __init__(self, scene: Scene, spacing: float) -> None:
+        self.stations = measures.profile_stations(scene, spacing)
+        self.scene, self.volume = scene, released_volume(scene)
+        self.width = math.prod(scene.domain.size[2:])
 
-        Where the ground is bare, and beside it, there is no deposit to be mistaken about.
+    @classmethod
+    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+        length = scene.domain.size[0]
+        if not 0.0 < settings.spacing <= length / 2:
+            raise InputError(f"expected a length in (0, {length / 2:g}] m, got {settings.spacing}", key="spacing")
+        return cls(scene, settings.spacing)
+
+    @classmethod
+    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
+        scene = context.scene
+        simulated = cls.build(settings, scene)
+        sampled = SampledProfile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
+        if settings.csv is None:
+            # Compared with others its noise is that of its heights.
+            operator = sampled(scene, settings.spacing, simulated.stations) if context.joint else simulated
+            return Measurement(observation=operator, values=None)
+        profile = profile_of(
+            context.folder / settings.csv,
+            unit=settings.unit,
+            datum=settings.datum,
+            heights=settings.heights,
+            length=scene.domain.size[0],
+            released=context.released,
+            ground=lambda x: ground(scene, x),
+        )
+        rows = sampled(scene, settings.spacing, profile.x)
+        return Measurement(observation=rows, values=rows.of_heights(profile.at(rows.stations)), profile=profile)
+
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
+        return self.at(positions, self.stations)
+
+    def at(self, positions: NDArray[np.floating], stations: Values) -> Values:
+        """The profile [m] at evenly spaced `stations` [m]; positions [m], shape [N, D]."""
+        volumes = particle_volumes(self.scene, len(positions))
+        # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
+        share = volumes * (self.volume / (volumes.sum() * self.width))
+        return measures.height_profile(positions, share, stations)
+
+    def of_heights(self, heights: Values) -> Values:
+        """The observation [M] of a profile [m] at `stations`."""
+        return np.asarray(self._quantiles(torch.from_numpy(heights)).numpy())
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return self.of_heights(self.heights(positions))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        return self._quantiles(self.smooth_heights(positions, volumes, self.stations))
+
+    @staticmethod
+    def smooth_heights(positions: Tensor, volumes: Tensor, along: Values) -> Tensor:
+        """The profile at evenly spaced stations `along` x [m], but for a constant factor, shape [S]; differentiable."""
+        stations = torch.from_numpy(along)
+        spacing, last = stations[1] - stations[0], len(stations) - 1
+        scaled = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
+        left = scaled.detach().long().clamp(max=last - 1)
+        share = scaled - left
+        area = volumes.double()
+        heights = torch.zeros(last + 1, dtype=torch.float64)
+        heights = heights.index_add(0, left, area * (1.0 - share)).index_add(0, left + 1, area * share)
+        # Half of a station's length lies beyond the wall.
+        ends = torch.ones_like(heights)
+        ends[[0, last]] = 2.0
+        return heights * ends
+
+    def _quantiles(self, heights: Tensor) -> Tensor:
+        stations = torch.from_numpy(self.stations)
+        pieces = (heights[1:] + heights[:-1]) * 0.5
+        area = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(pieces, 0)])
+        shares = torch.tensor(SHARES, dtype=torch.float64) * area[-1]
+        right = torch.searchsorted(area.detach(), shares.detach()).clamp(1, len(pieces))
+        part = (shares - area[right - 1]) / pieces[right - 1]
+        return stations[right - 1] + part * (stations[1] - stations[0])
+
+    def front(self, values: Values) -> float:
+        return float(values[-1])
+
+    def distance(self, values: Values, target: Values) -> float:
+        """Mean distance of equal shares over their mean x [-]."""
+        return float(np.abs(values - target).sum() / np.abs(target).sum())
+
+    def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
+        noise = target.noise / float(np.abs(target.values).mean())
+        return math.hypot(max(loop.profile_within, 2.0 * scatter), 2.0 * noise)
+
+    def front_tolerance(self, loop: LoopSettings, target: Target, front_scatter: float) -> float:
+        """Twice the scatter will do: the target's front is one flow's. Of a measured one also twice its noise."""
+        largest = max(loop.confirm_within, 2.0 * front_scatter)
+        if target.covariance is None:
+            return largest
+        return math.hypot(largest, 2.0 * math.sqrt(float(target.covariance[-1, -1])) / target.front)
+
+    def is_within(
+        self,
+        loop: LoopSettings,
+        cell: float,
+        target: Target,
+        values: Values,
+        *,
+        front_error: float,
+        scatter: float,
+        front_scatter: float,
+    ) -> bool:
+        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
+            return False
+        return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
+
+    def values_text(self, values: Values) -> str:
+        return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
+
+
+class SampledProfile(Profile):
+    """`Profile`, of which the heights at given rows alone are known."""
+
+    def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64]) -> None:
+        """rows: [m], ascending, shape [R]; beyond their ends they go on to the walls, as far apart as the last two."""
+        super().__init__(scene, spacing)
+        self.fine, self.stations = self.stations, to_the_wall(rows, scene.domain.size[0])
+        units = np.eye(len(self.fine))
+        self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
+
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        """The profile [m] at the rows, shape [R]; positions [m], shape [N, D]."""
+        return np.asarray(self.sampling @ self.at(positions, self.fine))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        heights = self.smooth_heights(positions, volumes, self.fine)
+        return self._quantiles(torch.from_numpy(self.sampling) @ heights)
+
+    def _quantiles(self, heights: Tensor) -> Tensor:
+        stations = torch.from_numpy(self.stations)
+        spacing = stations.diff()
+        pieces = 0.5 * (heights[1:] + heights[:-1]) * spacing
+        area = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(pieces, 0)])
+        shares = torch.tensor(SHARES, dtype=torch.float64) * area[-1]
+        right = torch.searchsorted(area.detach(), shares.detach()).clamp(1, len(pieces))
+        low, rest = heights[right - 1], shares - area[right - 1]
+        bend = 2.0 * (heights[right] - low) / spacing[right - 1]
+        # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
+        return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
+
+    def profile_of(self, positions: NDArray[np.floating]) -> MeasuredProfile:
+        return MeasuredProfile(x=self.stations, height=self.heights(positions))
+
+    def deviation(self, profile: MeasuredProfile, *, share: float, noise: float, cell: float) -> tuple[Values, float]:
+        """Standard deviation [m] of each height of a measured profile, shape [R], and its factor over the stated one.
+
+        Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of
+        `cell` [m] comes on top. Rows that scatter more than that have more noise than was stated.
         """
-        covered = self.height > 0.0
-        edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
-        return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
+        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
+        rough = profile.roughness(stated)
+        return rough * stated, rough
 
-    def roughness(self, deviation: Floats) -> float:
-        """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
+    def covariance(
+        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
+    ) -> tuple[Matrix, float]:
+        """By independent errors of the heights; the numbers that they make are not independent.
 
-        e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
-        Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
-        625-633), which know of no model. Only what chance explains less often than `RARE` counts: their sum of squares
-        has half as many degrees of freedom as a sum of independent ones, roughly.
+        noise: of the heights [m]. The second number is by how much these scatter more than their stated noise.
         """
-        if len(self.x) < 3:
-            return 1.0
-        before, after = self.x[1:-1] - self.x[:-2], self.x[2:] - self.x[1:-1]
-        left, right = after / (before + after), before / (before + after)
-        residual = self.height[1:-1] - left * self.height[:-2] - right * self.height[2:]
-        variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
-        # Where the ground is bare on both sides nothing scatters.
-        told = (self.height[1:-1] > 0.0) & (variance > 0.0)
-        freedom = 0.5 * int(told.sum())
-        if freedom < LEAST_FREEDOM:
-            return 1.0
-        square = float(np.mean(residual[told] ** 2 / variance[told]))
-        return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
+        assert profile is not None, "a simulated profile is one at its stations"
+        deviation, rough = self.deviation(profile, share=share, noise=noise, cell=cell)
+        rng = np.random.default_rng(0)
+        draws = np.maximum(profile.height + deviation * rng.standard_normal((DRAWS, len(profile.x))), 0.0)
+        numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in draws]
+        deviations = np.stack(numbers) - np.mean(numbers, axis=0)
+        return np.asarray(deviations.T @ deviations / (DRAWS - 1.0)), rough
+
+    def residuals(
+        self, target: Target, found: Sequence[Trajectory], ensemble: Sequence[Trajectory]
+    ) -> tuple[Values, Values, Matrix]:
+        """Of a measured profile those of the heights at its rows [m]; its area is scaled to the model's."""
+        if target.profile is None or target.deviation is None:
+            return super().residuals(target, found, ensemble)
+        rows, measured = target.profile
+        shown, spread = (np.stack([self.heights(run.positions[-1]) for run in runs]) for runs in (found, ensemble))
+        mean = shown.mean(axis=0)
+        covered = (target.deviation > 0.0) | (mean > 0.0)
+        residual = (mean - np.trapezoid(mean, rows) / np.trapezoid(measured, rows) * measured)[covered]
+        # Where the model alone has a deposit, the error is that of the thinnest row that was measured.
+        noise = np.maximum(target.deviation[covered], float(target.deviation[target.deviation > 0.0].min()))
+        return residual, noise, spread[:, covered]
 
 
-def profile_of(
-    path: Path,
-    *,
-    unit: LengthUnit,
-    datum: float,
-    heights: Heights,
-    length: float,
-    released: float | None,
-    ground: Callable[[Floats], Floats],
-) -> MeasuredProfile:
-    """The profile in the CSV `path`, in a box of `length` [m], of a body of the area `released` [m^2].
+class SurfaceProfile(SampledProfile):
+    """`SampledProfile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
 
-    unit: of both columns; datum: height of the floor in the file [unit]. Where nothing is known of what was released
-    its area is not looked at. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises
-    InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of the
-    deposit, or hold another area than was released.
+    At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
+    of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
+    material extends half a particle further up than a centre, the highest of several lies about as much above the rest.
+    The surrogate follows too few particles for a surface: its smooth form is that of the equivalent heights, and what
+    the two differ by is left to the correction by the MPM (`validation.loop.correct`).
     """
-    x, height = read_columns(path, ("x", "height"))
-    try:
-        if not np.all(np.diff(x) > 0.0):
-            raise InputError("expected x in ascending order")
-        x, height = x * unit.metres, (height - datum) * unit.metres
-        check_box(x, length)
-        if heights is Heights.ELEVATION:
-            height = height - ground(x)
-        check_heights(height)
-        profile = closed(x, np.maximum(height, 0.0), length)
-        if released is not None:
-            check_area(profile, heights, released)
-        return profile
-    except InputError as error:
-        raise error.at(str(path)) from None
+
+    def heights(self, positions: NDArray[np.floating]) -> Values:
+        scene = self.scene
+        spacing = float(self.fine[1] - self.fine[0])
+        rows = len(self.fine)
+        widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
+        index = np.clip(np.rint(positions[:, 0] / spacing).astype(np.int64), 0, rows - 1)
+        for axis, count in enumerate(widths, 2):
+            across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
+            index = index * count + across
+        plan = np.delete(positions.astype(np.float64), 1, axis=1)
+        base = elevation(scene.solids, Box(size=scene.domain.size, cell=scene.domain.cell), plan)
+        top = np.zeros(rows * math.prod(widths))
+        np.maximum.at(top, index, positions[:, 1] - base)
+        return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
 
 
-def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = ()) -> list[Floats]:
-    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
-
-    Raises InputError, which names the file.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:
-        raise InputError("expected a measurement (CSV), there is none", where=str(path)) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
-    several = f"the columns {' and '.join(names)}"
-    if len(rows) < 2 or not set(names) <= rows[0].keys():
-        raise InputError(f"expected {several} and at least two rows", where=str(path))
-    asked = [*names, *(name for name in optional if name in rows[0])]
-    try:
-        columns = [np.array([float(row[name]) for row in rows]) for name in asked]
-    except (TypeError, ValueError):
-        raise InputError(f"expected numbers in {several}", where=str(path)) from None
-    if not all(np.all(np.isfinite(column)) for column in columns):
-        raise InputError("expected finite numbers", where=str(path))
-    return columns
+def ground(scene: Scene, x: Values) -> Values:
+    """Elevation of the highest terrain, or of the floor, at `x` [m], both of shape [R]. Raises InputError in 3D."""
+    if scene.dimension != 2:
+        raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
+    return elevation(scene.solids, Box(size=scene.domain.size, cell=scene.domain.cell), x[:, None])
 
 
-def check_box(x: Floats, length: float) -> None:
-    """Raise InputError for an x [m] outside of the box."""
-    slack = 1e-9 * length
-    outside = x[(x < -slack) | (x > length + slack)]
-    if len(outside):
-        raise InputError(
-            f"expected x between the walls, 0 and {length:g} m, got {outside[-1]:g} m; unit says in what unit the "
-            "file is"
-        )
-
-
-def check_heights(height: Floats) -> None:
-    """Raise InputError for heights [m] that are below the floor by more than noise, or nowhere above it."""
-    if height.max() <= 0.0:
-        raise InputError("expected a height above the floor, got none; target.datum is the floor's in the file")
-    if height.min() < -BELOW * height.max():
-        raise InputError(
-            f"expected heights above the floor, got {height.min():g} m; target.datum is the floor's in the file"
-        )
-
-
-def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
-    """The profile with its ends at a wall or at the deposit's edge. Raises InputError where they are too far.
-
-    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
-    """
-    first = extrapolated(x[0], height[0], slope_of(x[:ALONG], height[:ALONG]), x[1] - x[0], height.max())
-    slope = slope_of(x[-ALONG:], height[-ALONG:])
-    last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
-    for end, place, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
-        if end is None:
-            raise InputError(
-                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
-                f"x = {place:g} m with a height of {value:g} m"
-            )
-    before = [(x[0] - way, h) for way, h in first or []]
-    beyond = [(x[-1] + way, h) for way, h in last or []]
-    rows = np.array([*before, *zip(x, height, strict=True), *beyond])
-    return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
-
-
-def slope_of(x: Floats, height: Floats) -> float:
-    """Least-squares slope [-] of a few rows [m]."""
-    off = x - x.mean()
-    return float(off @ height / (off @ off))
-
-
-def extrapolated(
-    gap: float, height: float, fall: float, spacing: float, largest: float
-) -> list[tuple[float, float]] | None:
-    """Rows (way beyond the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
-
-    height: of the last row [m]; fall: what the height loses per way towards the wall [-]; spacing: of the last rows
-    [m]; largest: height of the deposit [m].
-    """
-    if height <= EDGE * largest or gap <= 0.0:
-        return []
-    way = min(gap, height / fall) if fall > 0.0 else gap
-    if way > FURTHEST * spacing * (1.0 + 1e-9):
-        return None
-    return [(way, max(0.0, height - fall * way))]
-
-
-def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> None:
-    """Raise InputError for a profile whose area is not what was released."""
-    area = float(np.trapezoid(profile.height, profile.x))
-    least, most = AREA[heights]
-    if not least * released <= area <= most * released:
-        raise InputError(
-            f"expected {least:g} to {most:g} times the area that was released, {released:.4g} m^2, for {heights} "
-            f"heights, got {area:.4g} m^2, {area / released:.3g} times; target.unit, datum and heights say what "
-            "stands in the file"
-        )
+def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:
+    """`rows` [m] from the wall at x = 0 to the one at `length` [m]; where they end before it, they go on as before."""
+    rows = np.clip(rows, 0.0, length)
+    before = np.arange(rows[0] - (rows[1] - rows[0]), 0.0, rows[0] - rows[1])[::-1]
+    beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), length, rows[-1] - rows[-2])
+    every = np.concatenate([[0.0], before, rows, beyond, [length]])
+    # A last step that ends a rounding error before the wall is none.
+    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * length])])

@@ -1,9 +1,9 @@
-"""Kind: something of a scene that can be unknown, and how its value enters the MPM and the surrogate."""
+"""A kind of parameter: something of a scene that can be unknown, and how its value enters the MPM and the surrogate."""
 
 import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,9 @@ from datasets.scene import Baffle, Mass, Scene
 from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
-"""One value per unknown, in the order of the problem and the units of the names; shape [U]."""
+"""One value per parameter, in the order of the problem and the units of the names; shape [U]."""
 
+Lengths = tuple[float, ...]
 T = TypeVar("T", float, Tensor)
 
 AXES = "xyz"
@@ -26,33 +27,59 @@ UP = 1
 
 @dataclass
 class Parts:
-    """What of a scene can be unknown, taken apart: a scene is checked when it is put together again."""
+    """The parts of a scene that parameters change: a scene is checked when it is put together again."""
 
     material: Material
     masses: list[Mass]
     baffles: list[Baffle]
-    solids: list[Solid] = field(default_factory=list)
+    solids: list[Solid]
     constants: dict[str, float] = field(default_factory=dict)
     """Of the scene as a whole, by their names."""
 
+    @classmethod
+    def split(cls, scene: Scene) -> "Parts":
+        """The parts of `scene`."""
+        return cls(scene.material, list(scene.masses), list(scene.baffles), list(scene.solids))
+
+    def joined(self, scene: Scene) -> Scene:
+        """`scene` with these parts. Raises InputError for one that cannot be simulated."""
+        return dataclasses.replace(
+            scene,
+            material=self.material,
+            masses=tuple(self.masses),
+            baffles=tuple(self.baffles),
+            solids=tuple(self.solids),
+            **self.constants,  # type: ignore[arg-type]
+        )
+
 
 class Kind(ABC):
-    """A kind of unknown."""
+    """What a parameter is: one object for its unit, its value in a scene and how it enters both forward models."""
 
-    unit: ClassVar[str]
+    unit: str
     """As it is printed."""
-    digits: ClassVar[int]
+    digits: int
     """Decimals with which it is printed."""
-    step: ClassVar[float]
+    step: float
     """Step of a finite difference, unless the problem has its own."""
-    positive: ClassVar[bool] = False
+    positive: bool = False
     """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
-    changes_volume: ClassVar[bool] = False
+    changes_volume: bool = False
     """Whether more or less material is released with it."""
-    by_surrogate: ClassVar[bool] = True
-    """Whether the learned surrogate is told of it, and is differentiable in it."""
-    moves_the_start: ClassVar[bool] = False
+    differentiable: bool = False
+    """Whether it is an input of the surrogate, which is differentiable in it; else the MPM's alone."""
+    changes_start: bool = False
     """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
+    order: int = 2
+    """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
+
+    def number(self, value: float) -> str:
+        """A value without its unit."""
+        return f"{value:z.{self.digits}f}"
+
+    def text(self, value: float) -> str:
+        """A value with its unit."""
+        return f"{self.number(value)} {self.unit}".removesuffix(" -")
 
     @abstractmethod
     def check(self, scene: Scene) -> None:
@@ -64,44 +91,25 @@ class Kind(ABC):
 
     @abstractmethod
     def put(self, parts: Parts, value: float) -> None:
-        """Give it this value: how it enters the MPM. Use `with_unknowns`."""
+        """Set this value: how it enters the MPM. Use `with_parameters`."""
 
-    @abstractmethod
     def enter(self, initial: InitialState, value: Tensor) -> InitialState:
-        """`initial` with this value, differentiable in it: how it enters the surrogate. Use `launched`."""
+        """`initial` with this value, differentiable in it: how it enters the surrogate."""
+        raise NotImplementedError("no surrogate has it as an input; `differentiable` says so")
 
 
-@dataclass(frozen=True)
-class Strength(Kind):
-    """A constant of the material of a mass, or for None of the shared one."""
-
-    mass: int | None
-
-    def check(self, scene: Scene) -> None:
-        if self.mass is not None:
-            there("masses", self.mass, len(scene.masses))
-        elif all(mass.material is not None for mass in scene.masses):
-            raise InputError("expected a mass of the scene's shared material, every mass has its own")
-
-    def material(self, scene: Scene) -> Material:
-        """The material in question."""
-        return scene.material if self.mass is None else scene.material_of(scene.masses[self.mass])
-
-    def put(self, parts: Parts, value: float) -> None:
-        if self.mass is None:
-            parts.material = self.changed(parts.material, value)
-            return
-        mass = parts.masses[self.mass]
-        parts.masses[self.mass] = dataclasses.replace(
-            mass, material=self.changed(mass.material or parts.material, value)
-        )
-
-    @abstractmethod
-    def changed(self, material: Material, value: float) -> Material:
-        """`material` with this value."""
-
-
-def there(group: str, index: int, count: int) -> None:
+def require_index(group: str, index: int, count: int) -> None:
     """Raise InputError unless the scene has a member `index` of `group`."""
     if index >= count:
         raise InputError(f"expected an index below {count}, the number of {group} in the scene, got {index}")
+
+
+def require_axis(axis: int, scene: Scene) -> None:
+    """Raise InputError unless `scene` has this axis."""
+    if axis >= scene.dimension:
+        raise InputError(f"expected a parameter along x or y, the scene is {scene.dimension}D and has no {AXES[axis]}")
+
+
+def replaced(lengths: Lengths, axis: int, value: float) -> Lengths:
+    """`lengths` with another one along `axis`."""
+    return (*lengths[:axis], value, *lengths[axis + 1 :])

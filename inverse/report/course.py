@@ -1,4 +1,4 @@
-"""Pictures of numbers: loss and unknowns over the evaluations, and what was found beside the truth."""
+"""Pictures of numbers: loss and parameters over the evaluations, and what was found beside the truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,15 +10,13 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from inverse.observations.deposit import build
-from inverse.parameters.parameters import kind
-from inverse.problem import Observable, Problem
+from inverse.problem import Problem
 from inverse.report.pictures import COLOURS, WIDTH, save
 from inverse.result import Round
 
 FEW = 6
 """Up to so many lines have colours of their own; more of them follow a ramp."""
-LEAST_LOSS = 1e-14
+MINIMUM_LOSS = 1e-14
 """A loss below it is drawn here: zero has no logarithm."""
 
 
@@ -38,37 +36,35 @@ def draw(
     checks: Sequence[Check] = (),
     forward: str = "surrogate",
 ) -> None:
-    """Loss and unknowns over the evaluations of `forward`; the n-th check stands where the n-th round ends.
+    """Loss and parameters over the evaluations of `forward`; the n-th check stands where the n-th round ends.
 
-    Unknowns of one unit share an axis; true values are dashed.
+    Parameters of one unit share an axis; true values are dashed.
     """
     units = grouped(problem)
     rows = 1 + len(units)
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, 0.6 + 2.7 * rows), sharex=True, layout="constrained")
     colours = dict(zip(problem.names, ramp(len(problem.names)), strict=True))
+    own = {each.name: axes[1 + units.index(each.kind.unit)] for each in problem.parameters}
     first, ends = 1, []
     for stage in rounds:
         numbers = np.arange(first, first + len(stage.evaluations))
         first += len(stage.evaluations)
         ends.append(first - 0.5)
-        losses = [max(evaluation.loss, LEAST_LOSS) for evaluation in stage.evaluations]
+        losses = [max(evaluation.loss, MINIMUM_LOSS) for evaluation in stage.evaluations]
         label = forward if stage is rounds[0] else None
         axes[0].plot(numbers, losses, ".-", color=COLOURS[forward], label=label)
         for index, name in enumerate(problem.names):
-            values = [evaluation.unknowns[index] for evaluation in stage.evaluations]
-            axis = axes[1 + units.index(kind(name).unit)]
-            axis.plot(numbers, values, ".-", color=colours[name], label=name if stage is rounds[0] else None)
-    places = [*ends, *(ends[-1] + 1.0 + extra for extra in range(len(checks)))]
-    for number, (place, check) in enumerate(zip(places, checks, strict=False)):
+            values = [evaluation.parameters[index] for evaluation in stage.evaluations]
+            own[name].plot(numbers, values, ".-", color=colours[name], label=name if stage is rounds[0] else None)
+    positions = [*ends, *(ends[-1] + 1.0 + extra for extra in range(len(checks)))]
+    for number, (x, check) in enumerate(zip(positions, checks, strict=False)):
         label = "MPM" if number == 0 else None
-        axes[0].plot(place, max(check.loss, LEAST_LOSS), "s", color=COLOURS["MPM"], label=label, zorder=4)
+        axes[0].plot(x, max(check.loss, MINIMUM_LOSS), "s", color=COLOURS["MPM"], label=label, zorder=4)
         for name in problem.names:
-            axis = axes[1 + units.index(kind(name).unit)]
-            axis.plot(place, check.unknowns[name], "s", color=colours[name], markeredgecolor="black", zorder=4)
+            own[name].plot(x, check.unknowns[name], "s", color=colours[name], markeredgecolor="black", zorder=4)
     for name in problem.names:
         if truth:
-            axis = axes[1 + units.index(kind(name).unit)]
-            axis.axhline(truth[name], color=colours[name], linestyle="--", linewidth=1.0, alpha=0.8)
+            own[name].axhline(truth[name], color=colours[name], linestyle="--", linewidth=1.0, alpha=0.8)
     _finish(axes, problem, units, ends, bool(truth), bool(checks))
     save(figure, path)
 
@@ -81,27 +77,27 @@ def draw_found(
     truth: Mapping[str, float] | None,
     alone: Mapping[str, float] | None = None,
 ) -> None:
-    """Every unknown side by side: start, what the surrogate had found alone, found with its half-width, truth."""
+    """Every parameter side by side: start, what the surrogate had found alone, found with its half-width, truth."""
     units = grouped(problem)
     figure, grid = plt.subplots(
         len(units), 1, figsize=(WIDTH, 0.4 + 3.2 * len(units)), layout="constrained", squeeze=False
     )
     for unit, axis in zip(units, grid[:, 0], strict=True):
-        names = [name for name in problem.names if kind(name).unit == unit]
-        places = np.arange(len(names))
-        starts = [unknown.initial for unknown in problem.unknowns if unknown.name in names]
+        names = [each.name for each in problem.parameters if each.kind.unit == unit]
+        x = np.arange(len(names))
+        starts = [each.initial for each in problem.parameters if each.name in names]
         for number, name in enumerate(names if truth else []):
-            # A step as wide as its place: the profile of the truth over the layers.
+            # A step as wide as its column: the profile of the truth over the layers.
             label = "truth" if number == 0 else None
             axis.plot([number - 0.4, number + 0.4], [truth[name]] * 2 if truth else [], color="black", label=label)
-        axis.plot(places - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
+        axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
         if alone:
             values = [alone[name] for name in names]
-            axis.plot(places - 0.1, values, "o", mfc="none", color=COLOURS["surrogate"], label="surrogate alone")
+            axis.plot(x - 0.1, values, "o", mfc="none", color=COLOURS["surrogate"], label="surrogate alone")
         values = [found[name] for name in names]
         errors = [half_widths[name] for name in names] if half_widths else None
         axis.errorbar(
-            places + 0.1,
+            x + 0.1,
             values,
             yerr=errors,
             fmt="o",
@@ -109,7 +105,7 @@ def draw_found(
             capsize=4,
             label="found, with its half-width (95 %)" if half_widths else "found",
         )
-        axis.set_xticks(places, [name.replace(".", "\n") for name in names], fontsize=8)
+        axis.set_xticks(x, [name.replace(".", "\n") for name in names], fontsize=8)
         axis.set_xlim(-0.6, len(names) - 0.4)
         axis.set_ylabel(f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
@@ -118,12 +114,12 @@ def draw_found(
 
 
 def grouped(problem: Problem) -> list[str]:
-    """The units of the unknowns, in the order of the problem."""
-    return list(dict.fromkeys(kind(name).unit for name in problem.names))
+    """The units of the parameters, in the order of the problem."""
+    return list(dict.fromkeys(kind.unit for kind in problem.kinds))
 
 
 def ramp(count: int) -> list[tuple[float, ...]]:
-    """A colour for each of `count` unknowns."""
+    """A colour for each of `count` parameters."""
     if count == 1:
         return [colormaps["tab10"](1)]
     if count <= FEW:
@@ -140,7 +136,7 @@ def _finish(
     axes[0].yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0)))
     axes[0].yaxis.set_major_formatter("{x:.0e}")
     axes[0].yaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_ylabel(f"loss [{loss_unit(problem)}]".replace("^2", "$^2$"))
+    axes[0].set_ylabel(f"loss [{problem.observed.misfit_unit()}]".replace("^2", "$^2$"))
     for unit, axis in zip(units, axes[1:], strict=True):
         axis.set_ylabel(f"[{unit}]")
         if truth:
@@ -165,11 +161,3 @@ def _finish(
     for axis in axes:
         axis.tick_params(labelsize=8)
         axis.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-def loss_unit(problem: Problem) -> str:
-    """Unit of the loss of a problem."""
-    if problem.observation.kind is Observable.SEVERAL:
-        return "-"
-    unit = build(problem.observation, problem.scene).unit
-    return f"{unit}^2" if unit else "-"

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from datasets import files, measures
 from datasets.scene import Scene
-from inverse.observations.deposit import OfDeposit, Passed, Profile, Toe, Values, build
-from inverse.observations.target import Target
-from inverse.parameters.parameters import Vector, with_unknowns
-from inverse.problem import Observable, Problem
+from inverse.observations import Target
+from inverse.observations.profile import Profile
+from inverse.parameters import Vector
+from inverse.problem import Problem
 from inverse.report import plan_view, side_view
 
 Deposit = NDArray[np.floating]
@@ -39,28 +39,27 @@ def draw_deposits(
     """`deposits` (name -> positions [m], shape [N, D]), each by itself, and their height profiles over each other.
 
     In 2D from the side, in 3D from above, coloured by the height. Baffles stand where they were at the start, are at
-    the `answer` [U] and were in truth; the toe and the line of `passed` are marked where they are what was observed.
+    the `answer` [U] and were in truth; what was observed is marked.
     """
-    observation = single(problem)
+    observation = target.observation
     scenes = standings(problem, target, answer)
-    reach = extent(problem.scene, [*deposits.values()])
-    figure, axes = sheet(len(deposits) + 1, flatness(problem.scene, reach))
-    toe = target.values if isinstance(observation, Toe) else None
+    limits = extent(problem.scene, [*deposits.values()])
+    figure, axes = sheet(len(deposits) + 1, flatness(problem.scene, limits))
     for axis, (name, deposit) in zip(axes, deposits.items(), strict=False):
-        # The baffles that this deposit met are filled.
-        met = "truth" if name == "target" and "truth" in scenes else "found"
+        # The baffles that were in the way of this deposit are filled.
+        filled = "truth" if name == "target" and "truth" in scenes else "found"
         if problem.scene.dimension == 2:
-            side_view.paint(axis, deposit, COLOURS[name], scenes, met)
+            side_view.paint(axis, deposit, COLOURS[name], scenes, filled)
         else:
-            plan_view.paint(axis, deposit, scenes, met, top=reach[1])
-        mark(axis, observation, deposit, COLOURS[name], toe)
-        axis.set_title(f"{name}: {caption(problem, deposit)}", loc="left", fontsize=9)
-        frame(axis, problem.scene, reach)
+            plan_view.paint(axis, deposit, scenes, filled, top=limits[1])
+        observation.mark(axis, deposit, COLOURS[name], target.values)
+        axis.set_title(f"{name}: {observation.caption(deposit)}", loc="left", fontsize=9)
+        frame(axis, problem.scene, limits)
     _profiles(axes[-1], problem, target, deposits, scenes["found"])
-    axes[-1].set_xlim(0.0, reach[0])
+    axes[-1].set_xlim(0.0, limits[0])
     if problem.scene.dimension == 3:
-        plan_view.scale(figure, axes[:-1], top=reach[1])
-        plan_view.explain(figure, scenes, toe is not None)
+        plan_view.scale(figure, axes[:-1], top=limits[1])
+        plan_view.explain(figure, scenes, observation.legend())
     save(figure, path)
 
 
@@ -69,121 +68,73 @@ def draw_stages(
 ) -> None:
     """Deposits on the way to the answer, over the target where it is known.
 
-    stages: title, unknowns [U] and positions [m], shape [N, D], of each.
+    stages: title, parameters [U] and positions [m], shape [N, D], of each.
     """
     deposits = [deposit for _, _, deposit in stages]
-    reach = extent(problem.scene, deposits if target.deposit is None else [*deposits, target.deposit])
-    figure, axes = sheet(len(stages), flatness(problem.scene, reach), columns=3, last=False)
+    limits = extent(problem.scene, deposits if target.deposit is None else [*deposits, target.deposit])
+    figure, axes = sheet(len(stages), flatness(problem.scene, limits), columns=3, last=False)
     profile = Profile(problem.scene, 2.0 * problem.scene.domain.cell)
-    for axis, (title, unknowns, deposit) in zip(axes, stages, strict=True):
-        scene = with_unknowns(problem.scene, problem.names, unknowns)
+    for axis, (title, values, deposit) in zip(axes, stages, strict=True):
+        scene = problem.scene_at(values)
         if problem.scene.dimension == 2:
             side_view.paint(axis, deposit, colour, {"found": scene}, "found")
             if target.deposit is not None:
                 heights = profile.heights(target.deposit)
                 axis.plot(profile.stations, heights, color=COLOURS["target"], linewidth=1.0)
         else:
-            plan_view.paint(axis, deposit, {"found": scene}, "found", top=reach[1])
-        observation = single(problem)
-        mark(axis, observation, deposit, colour, target.values if isinstance(observation, Toe) else None)
+            plan_view.paint(axis, deposit, {"found": scene}, "found", top=limits[1])
+        target.observation.mark(axis, deposit, colour, target.values)
         axis.set_title(title, loc="left", fontsize=8)
-        frame(axis, problem.scene, reach)
+        frame(axis, problem.scene, limits)
         axis.tick_params(labelsize=7)
     if problem.scene.dimension == 3:
-        plan_view.scale(figure, axes, top=reach[1])
+        plan_view.scale(figure, axes, top=limits[1])
     save(figure, path)
 
 
 def standings(problem: Problem, target: Target, answer: Vector) -> dict[str, Scene]:
     """The scene with its baffles as they were at the start, as found and, where it is known, as in truth."""
     scenes = {
-        "start": with_unknowns(problem.scene, problem.names, problem.initial),
-        "found": with_unknowns(problem.scene, problem.names, answer),
+        "start": problem.scene_at(problem.initial),
+        "found": problem.scene_at(answer),
     }
     if target.truth:
-        scenes["truth"] = with_unknowns(problem.scene, problem.names, [target.truth[name] for name in problem.names])
+        scenes["truth"] = problem.scene_at(np.array([target.truth[name] for name in problem.names]))
     # One that never moved is drawn once.
     moved = any(scene.baffles != scenes["found"].baffles for scene in scenes.values())
     return scenes if moved else {"found": scenes["found"]}
 
 
-def single(problem: Problem) -> OfDeposit | None:
-    """The one thing that is observed of a deposit; None where it is several."""
-    if problem.observation.kind is Observable.SEVERAL:
-        return None
-    return build(problem.observation, problem.scene)
-
-
-def caption(problem: Problem, deposit: Deposit) -> str:
-    """What was observed of a deposit, in a few words."""
-    observation = single(problem)
-    if isinstance(observation, Toe | Passed):
-        return seen(problem, observation.exact(deposit))
-    if problem.observation.kind is Observable.RUNOUT:
-        return f"runout {measures.runout(deposit):.4f} m"
-    return f"front at {measures.front(deposit):.4f} m"
-
-
-def seen(problem: Problem, values: Values) -> str:
-    """An observation in words, with its unit."""
-    kind = problem.observation.kind
-    if kind is Observable.SEVERAL:
-        return f"{len(values)} numbers"
-    if kind is Observable.PASSED:
-        return f"{100.0 * values[0]:.2f} % beyond {problem.observation.line:g} m"
-    if kind is Observable.TOE:
-        return f"toe at ({', '.join(f'{value:.3f}' for value in values)}) m"
-    if kind is Observable.DEPOSIT:
-        return f"{len(values) // problem.scene.dimension} points"
-    if kind is Observable.PROFILE:
-        return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
-    return f"{kind} {values[0]:.4f} m"
-
-
-def mark(axis: Axes, observation: object, deposit: Deposit, colour: str, toe: Values | None) -> None:
-    """Mark what was observed: the toe, the line to pass, or the front. toe: the target's [m], shape [D]."""
-    if isinstance(observation, Toe):
-        across = 1 if deposit.shape[1] == 2 else 2
-        own = measures.toe(deposit)
-        axis.plot(own[0], own[across], "o", color=colour, markeredgecolor="white", markersize=8, zorder=5)
-        if toe is not None:
-            axis.plot(toe[0], toe[across], "+", color=COLOURS["target"], markersize=13, markeredgewidth=2, zorder=6)
-    elif isinstance(observation, Passed):
-        axis.axvline(observation.line, color="#b2182b", linestyle="--", linewidth=1.2, zorder=5)
-    else:
-        axis.axvline(measures.front(deposit), color=colour, linewidth=0.9)
-
-
 def extent(scene: Scene, deposits: Sequence[Deposit]) -> tuple[float, float]:
-    """How far along x the pictures go, and how high the deposits are [m]."""
-    reach = max(measures.runout(deposit) for deposit in deposits)
-    reach = max([reach, *(baffle.lower[0] + baffle.size[0] for baffle in scene.baffles)])
+    """Upper limits of the pictures along x and of the height [m]."""
+    end = max(measures.runout(deposit) for deposit in deposits)
+    end = max([end, *(baffle.lower[0] + baffle.size[0] for baffle in scene.baffles)])
     height = max(float(deposit[:, 1].max()) for deposit in deposits)
-    return min(1.05 * reach, scene.domain.size[0]), 1.08 * height
+    return min(1.05 * end, scene.domain.size[0]), 1.08 * height
 
 
-def frame(axis: Axes, scene: Scene, reach: tuple[float, float]) -> None:
-    """Limits and names of the axes, lengths the same along both."""
-    axis.set_xlim(0.0, reach[0])
-    axis.set_ylim(0.0, reach[1] if scene.dimension == 2 else scene.domain.size[2])
+def frame(axis: Axes, scene: Scene, limits: tuple[float, float]) -> None:
+    """`limits` and names of the axes, lengths the same along both."""
+    axis.set_xlim(0.0, limits[0])
+    axis.set_ylim(0.0, limits[1] if scene.dimension == 2 else scene.domain.size[2])
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]", fontsize=8)
     axis.set_ylabel("y [m]" if scene.dimension == 2 else "z [m]", fontsize=8)
     axis.tick_params(labelsize=8)
 
 
-def flatness(scene: Scene, reach: tuple[float, float]) -> float:
+def flatness(scene: Scene, limits: tuple[float, float]) -> float:
     """Height of a panel over its width."""
-    return (reach[1] if scene.dimension == 2 else scene.domain.size[2]) / reach[0]
+    return (limits[1] if scene.dimension == 2 else scene.domain.size[2]) / limits[0]
 
 
 def sheet(panels: int, flat: float, *, columns: int = 2, last: bool = True) -> tuple[Figure, list[Axes]]:
     """An empty picture of so many panels, as `flat` as that; `last`: the last one fills what its row has left."""
     columns = min(columns, panels)
     rows = math.ceil(panels / columns)
-    places = [[row * columns + column for column in range(columns)] for row in range(rows)]
-    beyond = str(panels - 1) if last else "."
-    mosaic: list[HashableList[str]] = [[str(place) if place < panels else beyond for place in row] for row in places]
+    panes = [[row * columns + column for column in range(columns)] for row in range(rows)]
+    rest = str(panels - 1) if last else "."
+    mosaic: list[HashableList[str]] = [[str(pane) if pane < panels else rest for pane in row] for row in panes]
     # Of the height of a panel a part is its title and the names of its axis.
     height = float(np.clip(WIDTH / columns * 0.85 * flat, 1.0, 3.4)) + 0.75
     layout = ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08)
@@ -206,12 +157,11 @@ def _profiles(axis: Axes, problem: Problem, target: Target, deposits: Mapping[st
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)
     if target.deposit is None and target.profile is not None:
         axis.plot(*target.profile, ".", color=COLOURS["target"], label="target")
-    elif target.deposit is None and not math.isnan(target.edge):
-        axis.axvline(target.edge, color=COLOURS["target"], linestyle=":", label="target")
+    elif target.deposit is None and not math.isnan(target.front):
+        axis.axvline(target.front, color=COLOURS["target"], linestyle=":", label="target")
     for baffle in scene.baffles:
         axis.axvspan(baffle.lower[0], baffle.lower[0] + baffle.size[0], color="#bbbbbb", alpha=0.35, linewidth=0)
-    if problem.observation.kind is Observable.PASSED:
-        axis.axvline(float(problem.observation.line or 0.0), color="#b2182b", linestyle="--", linewidth=1.2)
+    target.observation.mark_profile(axis)
     axis.set_ylim(bottom=0.0)
     axis.set_xlabel("x [m]", fontsize=8)
     axis.set_ylabel("height [m]", fontsize=8)

@@ -1,4 +1,4 @@
-"""A 3D deposit from above: its points, coloured by their height, and the baffles."""
+"""A 3D deposit from above: its particles, coloured by their height, and the baffles."""
 
 from collections.abc import Mapping, Sequence
 
@@ -17,16 +17,16 @@ from inverse.report.side_view import INKS, STYLES, outlines
 COLOURS = "viridis"
 
 
-def paint(axis: Axes, deposit: NDArray[np.floating], scenes: Mapping[str, Scene], met: str, *, top: float) -> None:
+def paint(axis: Axes, deposit: NDArray[np.floating], scenes: Mapping[str, Scene], filled: str, *, top: float) -> None:
     """Positions [m], shape [N, 3], the highest above the others; colours end at the height `top` [m].
 
-    The baffles of each of `scenes` are outlines, those of `met` are filled.
+    The baffles of each of `scenes` are outlines, those of `filled` are filled.
     """
     order = np.argsort(deposit[:, 1])
     x, y, z = deposit[order].T
     size = float(np.clip(40_000.0 / len(deposit), 3.0, 14.0))
     axis.scatter(x, z, c=y, s=size, cmap=COLOURS, vmin=0.0, vmax=top, linewidths=0, rasterized=True)
-    outlines(axis, scenes, met, across=2)
+    outlines(axis, scenes, filled, across=2)
 
 
 def scale(figure: Figure, axes: Sequence[Axes], *, top: float) -> None:
@@ -37,7 +37,7 @@ def scale(figure: Figure, axes: Sequence[Axes], *, top: float) -> None:
     bar.ax.tick_params(labelsize=8)
 
 
-def explain(figure: Figure, scenes: Mapping[str, Scene], toe: bool) -> None:
+def explain(figure: Figure, scenes: Mapping[str, Scene], marks: Sequence[Line2D]) -> None:
     """What the outlines and marks mean, below the panels."""
     names = {"start": "baffle at the start", "found": "baffle found", "truth": "baffle in truth"}
     handles: list[Patch | Line2D] = [
@@ -51,12 +51,7 @@ def explain(figure: Figure, scenes: Mapping[str, Scene], toe: bool) -> None:
         if scenes[name].baffles
     ]
     if handles:
-        handles.append(Patch(facecolor="#d9d9d9", label="met by this deposit"))
-    if toe:
-        own = Line2D([], [], linestyle="", color=INKS["start"], marker="o", markeredgecolor="white", markersize=8)
-        asked = Line2D([], [], linestyle="", color=INKS["truth"], marker="+", markeredgewidth=2.0, markersize=12)
-        own.set_label("toe of this deposit")
-        asked.set_label("toe asked for")
-        handles += [own, asked]
+        handles.append(Patch(facecolor="#d9d9d9", label="in the way of this deposit"))
+    handles += marks
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)

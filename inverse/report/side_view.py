@@ -1,4 +1,4 @@
-"""A 2D deposit from the side: its points and the baffles."""
+"""A 2D deposit from the side: its particles and the baffles."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -15,24 +15,24 @@ STYLES: dict[str, Literal[":", "-", "--"]] = {"start": ":", "found": "-", "truth
 INKS = {"start": "#777777", "found": "#1b6ca8", "truth": "#222222"}
 
 
-def paint(axis: Axes, deposit: NDArray[np.floating], colour: str, scenes: Mapping[str, Scene], met: str) -> None:
-    """Positions [m], shape [N, 2], as points; the baffles of each of `scenes`, those of `met` filled."""
+def paint(axis: Axes, deposit: NDArray[np.floating], colour: str, scenes: Mapping[str, Scene], filled: str) -> None:
+    """Positions [m], shape [N, 2], as points; the baffles of each of `scenes`, those of `filled` filled."""
     size = 12_000.0 / len(deposit)
     axis.scatter(deposit[:, 0], deposit[:, 1], s=size, color=colour, alpha=0.8, linewidths=0, rasterized=True)
-    outlines(axis, scenes, met, across=1)
+    outlines(axis, scenes, filled, across=1)
 
 
-def outlines(axis: Axes, scenes: Mapping[str, Scene], met: str, *, across: int) -> None:
-    """The baffles of each of `scenes`, along x and the axis `across`; those of `met` are filled."""
+def outlines(axis: Axes, scenes: Mapping[str, Scene], filled: str, *, across: int) -> None:
+    """The baffles of each of `scenes`, along x and the axis `across`; those of `filled` are filled."""
     for name, scene in scenes.items():
         for baffle in scene.baffles:
             corner, size = (baffle.lower[0], baffle.lower[across]), (baffle.size[0], baffle.size[across])
-            filled = "#d9d9d9" if name == met else "none"
+            colour = "#d9d9d9" if name == filled else "none"
             axis.add_patch(
                 Rectangle(
                     corner,
                     *size,
-                    facecolor=filled,
+                    facecolor=colour,
                     edgecolor=INKS[name],
                     linestyle=STYLES[name],
                     linewidth=1.3,

@@ -1,7 +1,7 @@
-"""Vectors of lanes: what makes Taichi's code run on vector registers.
+"""How kernels read and write the arrays: vectors of lanes, which run on vector registers, and strides of the grid.
 
 A value of a kernel here is either a number or a Taichi vector with one entry per particle of a block; with
-`real_matrix_scalarize=False` LLVM sees the latter as one vector value and computes all lanes at once. Such code has no
+`real_matrix_scalarize=False` the latter is one vector value to LLVM, which computes all lanes at once. Such code has no
 branches: both sides are computed, and `ti.select` takes one of them lane by lane.
 
 Taichi 1.7.4 cannot negate or cast such vectors, nor take their absolute value: write `0.0 - a` and `a = a - b`, not
@@ -16,27 +16,27 @@ from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
 
 @ti.func
-def larger(a, b):
-    """The larger of two, lane by lane; one instruction, where `ti.max` looks after NaN with four."""
+def maximum(a, b):
+    """The larger of two, lane by lane; one instruction, where `ti.max`, which handles NaN, takes four."""
     return ti.select(a > b, a, b)
 
 
 @ti.func
-def smaller(a, b):
+def minimum(a, b):
     """The smaller of two, lane by lane."""
     return ti.select(a < b, a, b)
 
 
 @ti.func
-def between(a, low, high):
+def clamp(a, low, high):
     """`a` clamped to [low, high], lane by lane."""
-    return smaller(larger(a, low), high)
+    return minimum(maximum(a, low), high)
 
 
 @ti.func
 def magnitude(a):
     """|a|, lane by lane."""
-    return larger(a, 0.0 - a)
+    return maximum(a, 0.0 - a)
 
 
 @ti.func
@@ -76,8 +76,8 @@ def lane_sum(a, arrays: ti.template()):
 
 
 @ti.func
-def bounded(index):
-    """An index below INDEX_LIMIT, said so that the compiler knows: a constant added to it becomes part of an address.
+def no_overflow(index):
+    """An index below INDEX_LIMIT, masked for the compiler's sake: a constant added to it becomes part of an address.
 
     Otherwise it has to allow for an overflow of 32 bits at every node and every number of a particle.
     """
@@ -94,14 +94,14 @@ def add(array: ti.template(), at, value, arrays: ti.template()):
 
 
 @ti.func
-def cells_of(scene, arrays: ti.template()):
+def box_cells(scene, arrays: ti.template()):
     """Cells of the box along each axis, shape [D]."""
     features = arrays.features
     return ti.Vector([arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))])
 
 
 @ti.func
-def rows_of(scene, arrays: ti.template()):
+def node_strides(scene, arrays: ti.template()):
     """Nodes from one to its neighbour along each axis, shape [3]; the last axis is the innermost."""
     features = arrays.features
     across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1

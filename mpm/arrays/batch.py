@@ -15,18 +15,18 @@ from mpm.arrays.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
     PADDING,
+    Barrier,
     Contact,
     Energy,
-    Gate,
-    Held,
-    Holding,
     Offset,
     Precision,
+    Retained,
+    Settling,
     StepControl,
     Worker,
 )
 from mpm.arrays.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
-from mpm.initial.barriers import gate_rows, held_rows, holding_rows, release_times
+from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
 from mpm.output import rest
 from mpm.output.request import ALL, Recording
 from mpm.solids.obstacles import initial_contacts, obstacles_of
@@ -62,7 +62,7 @@ class Batch:
         self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.add_contacts(real)
-        self.add_gates()
+        self.add_barriers()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         block = node = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
@@ -98,10 +98,10 @@ class Batch:
         per_particle = max(features.dimension, features.recorded)
         scratch = (block if features.gpu else len(self.workers)) * features.scratch
         longest = max(node * features.node, recorded * per_particle)
-        bounded = max(block * features.block, scratch) * lanes
-        if longest >= 2**31 or bounded >= INDEX_LIMIT:
+        indexed = max(block * features.block, scratch) * lanes
+        if longest >= 2**31 or indexed >= INDEX_LIMIT:
             raise InputError(
-                f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {bounded} of particles, "
+                f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {indexed} of particles, "
                 "of at most 2^30"
             )
         self.state = aligned((block, features.block, lanes), real)
@@ -116,7 +116,7 @@ class Batch:
         self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
-        self.barrier_count = np.zeros(1, np.int32)
+        self.arrivals = np.zeros(1, np.int32)
         self.computed = 0
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
@@ -135,25 +135,25 @@ class Batch:
 
         self.faces, self.node_contacts = table(obstacles.faces, real), table(obstacles.node_contacts, real)
         self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
-        self.held_nodes = table(obstacles.held_nodes, np.int32)
+        self.fixed_nodes = table(obstacles.fixed_nodes, np.int32)
 
-    def add_gates(self) -> None:
-        """The lines of `gates`, `held` and `holding` of all scenes."""
-        gates: list[list[int]] = []
-        held: list[list[int]] = []
-        holding: list[list[float]] = []
+    def add_barriers(self) -> None:
+        """The lines of `barriers`, `retained` and `settling` of all scenes."""
+        barriers: list[list[int]] = []
+        retained: list[list[int]] = []
+        settling: list[list[float]] = []
         for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
-            offset[Offset.GATE], offset[Offset.HELD] = len(gates), len(held)
-            gates += gate_rows(scene, len(held))
-            held += held_rows(scene, particles)
-            holding += holding_rows(scene, particles)
-            offset[Offset.GATES], offset[Offset.HELDS] = (
-                len(gates) - offset[Offset.GATE],
-                len(held) - offset[Offset.HELD],
+            offset[Offset.BARRIER], offset[Offset.RETAINED] = len(barriers), len(retained)
+            barriers += barrier_rows(scene, len(retained))
+            retained += retained_rows(scene, particles)
+            settling += settling_rows(scene, particles)
+            offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT] = (
+                len(barriers) - offset[Offset.BARRIER],
+                len(retained) - offset[Offset.RETAINED],
             )
-        self.gates = np.array(gates or [[0] * len(Gate)], np.int32)
-        self.held = np.array(held or [[0] * len(Held)], np.int32)
-        self.holding = np.array(holding or [[0.0] * len(Holding)], np.float64)
+        self.barriers = np.array(barriers or [[0] * len(Barrier)], np.int32)
+        self.retained = np.array(retained or [[0] * len(Retained)], np.int32)
+        self.settling = np.array(settling or [[0.0] * len(Settling)], np.float64)
 
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record where that is kept."""
@@ -187,7 +187,7 @@ class Batch:
         if features.heterogeneous:
             properties = properties_of(particles)
             put(features.properties, properties[:, : features.columns])
-        if features.rests:
+        if features.until_rest:
             put(features.before, particles.velocities)
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
@@ -201,7 +201,7 @@ class Batch:
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
     def store(self, index: int, slot: int) -> None:
-        """Record the present state of one scene as its kept frame number `slot`; as `mpm.output.recorder.record_lane` does."""
+        """Record the present state of one scene as kept frame `slot`, as `mpm.output.recorder.record_lane` does."""
         features, count = self.features, len(self.particles[index].positions)
         numbers = np.moveaxis(self.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
         first = self.offsets[index, Offset.BLOCK] * features.lanes
@@ -237,7 +237,7 @@ class Batch:
 
     @property
     def arguments(self) -> dict[str, Array]:
-        """The arrays by name, in the order of the kernel's parameters; memory that is seen in two ways comes twice."""
+        """The arrays by name, in the order of the kernel's parameters; memory with two views comes twice."""
         lanes = self.features.lanes
         return {
             "state": self.state.reshape(-1, lanes),
@@ -252,22 +252,22 @@ class Batch:
             "faces": self.faces,
             "cell_faces": self.cell_faces,
             "near_faces": self.near_faces,
-            "held_nodes": self.held_nodes,
+            "fixed_nodes": self.fixed_nodes,
             "node_contacts": self.node_contacts,
             "offsets": self.offsets,
             "workers": self.workers,
             "order": self.order,
-            "record": self.record,
+            "recorded_positions": self.record,
             "fields": self.fields,
             "energy": self.energy.reshape(-1),
             "recorded_impulse": self.recorded_impulse,
-            "barrier_count": self.barrier_count,
+            "arrivals": self.arrivals,
             "clamped": self.clamped,
             "owner": self.owner,
             "step_control": self.step_control,
-            "gates": self.gates,
-            "held": self.held,
-            "holding": self.holding,
+            "barriers": self.barriers,
+            "retained": self.retained,
+            "settling": self.settling,
         }
 
     @property
@@ -304,8 +304,8 @@ class Batch:
 
     def release_times(self, index: int) -> list[float | None] | None:
         """When each mass of one scene was let go [s]; see `mpm.initial.barriers.release_times`."""
-        first = self.offsets[index, Offset.HELD]
-        opened = self.held[first : first + self.offsets[index, Offset.HELDS], Held.OPENED]
+        first = self.offsets[index, Offset.RETAINED]
+        opened = self.retained[first : first + self.offsets[index, Offset.RETAINED_COUNT], Retained.OPENED]
         return release_times(self.scenes[index], opened)
 
     def energies(self, index: int) -> NDArray[np.float64]:
@@ -317,7 +317,7 @@ class Batch:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
         The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
-        `datasets.scene.SIDES`, and the gates.
+        `datasets.scene.SIDES`, and the barriers.
         """
         scene, first, solids = (
             self.scenes[index],
@@ -334,7 +334,7 @@ def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
 
 
 def wall_slots(scene: Scene, record: Recording) -> int:
-    """Recorded impulses of the box: its sides and the gates, or none."""
+    """Recorded impulses of the box: its sides and the barriers, or none."""
     return 2 * scene.dimension + 1 if record.wall_forces else 0
 
 

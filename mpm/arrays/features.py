@@ -24,13 +24,13 @@ class Features:
     dilates: bool = False
     softens: bool = False
     """Strength and dilation fall with plastic strain, which is then part of the state."""
-    corrected: bool = False
-    """A particle remembers the gap to its neighbours: volume correction."""
+    volume_correction: bool = False
+    """A particle carries the gap to its neighbours."""
     heterogeneous: bool = False
     """A scene has several materials, or particles of several volumes."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
-    open: bool = False
+    outflow: bool = False
     """A side of the box lets particles out."""
     velocity_recorded: bool = False
     stress_recorded: bool = False
@@ -44,9 +44,9 @@ class Features:
     """One scene, on several threads."""
     gpu: bool = False
     """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
-    gated: bool = False
-    """Masses stand behind gates until their release."""
-    rests: bool = False
+    barriers: bool = False
+    """Masses stand behind barriers until their release."""
+    until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
 
     _data_oriented: ClassVar[bool] = True
@@ -93,13 +93,13 @@ class Features:
 
     @property
     def gap(self) -> int:
-        """Vector of the mean stress that what opened would have made [Pa], where `corrected`."""
+        """Vector of the mean stress that what opened would have made [Pa], where `volume_correction`."""
         return self.plastic_strain + int(self.strained)
 
     @property
     def properties(self) -> int:
         """First vector of the material properties, where `heterogeneous`."""
-        return self.gap + int(self.corrected)
+        return self.gap + int(self.volume_correction)
 
     @property
     def remainder(self) -> int:
@@ -108,13 +108,13 @@ class Features:
 
     @property
     def before(self) -> int:
-        """First of the D vectors of the velocity at the end of the frame before, where `rests`."""
+        """First of the D vectors of the velocity at the end of the frame before, where `until_rest`."""
         return self.remainder + (self.dimension if self.compensated else 0)
 
     @property
     def contacts(self) -> int:
         """First of the vectors that `Contact` lists, where `contact`."""
-        return self.before + (self.dimension if self.rests else 0)
+        return self.before + (self.dimension if self.until_rest else 0)
 
     @property
     def present(self) -> int:
@@ -234,11 +234,11 @@ class Features:
     @property
     def origin(self) -> int:
         """First of the D scratch vectors of the positions before a step, where `contact`."""
-        return self.density + (1 + self.dimension if self.corrected else 0)
+        return self.density + (1 + self.dimension if self.volume_correction else 0)
 
     @property
     def density(self) -> int:
-        """First of the 1 + D scratch vectors of the grid's mass at each particle and its slopes, where `corrected`."""
+        """First of 1 + D scratch vectors: the grid's mass at each particle and its slopes (`volume_correction`)."""
         return self.lowest + self.dimension * (3 if self.relaxed else 1)
 
 
@@ -261,7 +261,7 @@ def features_of(
         cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
-        corrected=any(scene.remembers_gaps for scene in scenes),
+        volume_correction=any(scene.remembers_gaps for scene in scenes),
         heterogeneous=any(
             len(each.materials) > 1
             or each.common_volume is None
@@ -269,14 +269,14 @@ def features_of(
             for each in particles
         ),
         contact=any(scene.baffles or scene.solids for scene in scenes),
-        open=any(scene.open_sides for scene in scenes),
+        outflow=any(scene.open_sides for scene in scenes),
         velocity_recorded="velocity" in record.fields,
         stress_recorded="stress" in record.fields,
         pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,
-        gated=any(mass.release is not None for scene in scenes for mass in scene.masses),
-        rests=record.until_rest,
+        barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
+        until_rest=record.until_rest,
         shared=shared,
         gpu=gpu,
     )

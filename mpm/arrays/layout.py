@@ -2,7 +2,7 @@
 
 Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a
 particle (its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to
-and from the grid reach single lanes of the same memory through a second, scalar view of it.
+and from the grid address single lanes of the same memory through a second, scalar view of it.
 """
 
 from enum import IntEnum, auto
@@ -11,9 +11,9 @@ from typing import Literal
 Precision = Literal["f32", "f64"]
 
 INDEX_LIMIT = 2**30
-"""Numbers that an array of the particles may hold (`mpm.arrays.access.bounded`)."""
+"""Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
 PADDING = 3
-"""Cells of grid beyond every wall: a quadratic B-spline reaches one and a half."""
+"""Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
 ALIGNMENT = 64
 """Bytes: vector loads of a whole register fail on less."""
 
@@ -36,8 +36,8 @@ class Setting(Column):
     FLOOR_FRICTION = auto()  # [-]
     WALL_FRICTION = auto()  # [-]
     CONTACT_WIDTH = auto()  # over which contact with a solid is spread [m]
-    SEARCH = auto()  # distance from solids up to which it has to be known [m]
-    REACH = auto()  # distance from solids beyond which cells have no faces [m]
+    SEARCH_DISTANCE = auto()  # distance from solids up to which it has to be known [m]
+    FACE_DISTANCE = auto()  # distance from solids beyond which cells have no faces [m]
     DAMPING = auto()  # [-]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
@@ -80,19 +80,19 @@ class Offset(Column):
     LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
-    GEOMETRY = auto()  # its first entry in `cell_faces` and `held_nodes`
+    GEOMETRY = auto()  # its first entry in `cell_faces` and `fixed_nodes`
     OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
     OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
-    SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the gates
+    SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the barriers
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     STEPS = auto()  # recorded_impulse so far
     REST = auto()  # the frame in which it was found at rest, 0 while it moves
-    GATE = auto()  # its first line in `gates`
-    GATES = auto()  # how many
-    HELD = auto()  # its first line in `held` and `holding`
-    HELDS = auto()  # how many
+    BARRIER = auto()  # its first line in `barriers`
+    BARRIERS = auto()  # how many
+    RETAINED = auto()  # its first line in `retained` and `settling`
+    RETAINED_COUNT = auto()  # how many
 
 
 class Contact(Column):
@@ -116,7 +116,7 @@ class Worker(Column):
     NODE = auto()  # the first node of its grid
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
-    LOW_X = auto()  # the nodes that its material reaches: [low, high)
+    LOW_X = auto()  # the nodes in the support of its particles: [low, high)
     LOW_Y = auto()
     LOW_Z = auto()
     HIGH_X = auto()
@@ -141,11 +141,11 @@ class Energy(Column):
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
-class Gate(Column):
-    """Columns of `gates`, integers, shape [gates, len(Gate)]: a range of nodes that is held, [low, high)."""
+class Barrier(Column):
+    """Columns of `barriers`, integers, shape [barriers, len(Barrier)]: a range of nodes that is held, [low, high)."""
 
-    HELD = auto()  # line of its mass in `held`
-    AXIS = auto()  # across which nodes are held; len(Gate): they are damped
+    RETAINED = auto()  # line of its mass in `retained`
+    AXIS = auto()  # across which nodes are held; len(Barrier): they are damped
     LOW_X = auto()
     LOW_Y = auto()
     LOW_Z = auto()
@@ -154,18 +154,18 @@ class Gate(Column):
     HIGH_Z = auto()
 
 
-class Held(Column):
-    """Columns of `held`, integers, shape [held masses, len(Held)]."""
+class Retained(Column):
+    """Columns of `retained`, integers, shape [retained masses, len(Retained)]."""
 
     FIRST = auto()  # its particles: [first, last) of the scene's
     LAST = auto()
-    RELEASE = auto()  # the frame in which its gates open; 0: when it has settled
-    CALM = auto()  # frames in a row in which it was settled
-    OPENED = auto()  # the frame in which its gates opened; 0 while they are closed
+    RELEASE = auto()  # the frame in which its barriers open; 0: when it has settled
+    SETTLED_FRAMES = auto()  # frames in a row in which it was settled
+    OPENED = auto()  # the frame in which its barriers opened; 0 while they are closed
 
 
-class Holding(Column):
-    """Columns of `holding`, real, shape [held masses, len(Holding)]."""
+class Settling(Column):
+    """Columns of `settling`, real, shape [retained masses, len(Settling)]."""
 
     RATE = auto()  # of damping [1/s]
     PARTICLE = auto()  # mass of a particle [kg, per metre of width in 2D]

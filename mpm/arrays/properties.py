@@ -16,8 +16,8 @@ from mpm.output import rest
 Array = NDArray[Any]
 
 GAP_RATE = 8.0
-"""Rate at which an open gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
-GAP_REACH = 1.7
+"""Rate at which a gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
+GAP_CUTOFF = 1.7
 """Cells from a wall or a solid within which it hides mass from a particle."""
 
 
@@ -26,8 +26,8 @@ CONTACT_WIDTH = 1.0
 
 
 def search_distance(scene: Scene) -> float:
-    """Distance from solids [m] up to which a particle's has to be known: by the contact, or by what sees its gaps."""
-    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_REACH) if scene.remembers_gaps else CONTACT_WIDTH)
+    """Distance from solids [m] up to which a particle's is computed: the contact's width, or the cut-off of gaps."""
+    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_CUTOFF) if scene.remembers_gaps else CONTACT_WIDTH)
 
 
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
@@ -51,8 +51,8 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.FLOOR_FRICTION: scene.floor_friction,
         Setting.WALL_FRICTION: scene.wall_friction,
         Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
-        Setting.SEARCH: search_distance(scene),
-        Setting.REACH: search_distance(scene) + scene.domain.cell,
+        Setting.SEARCH_DISTANCE: search_distance(scene),
+        Setting.FACE_DISTANCE: search_distance(scene) + scene.domain.cell,
         Setting.DAMPING: scene.damping,
         Setting.CORRECTED: float(scene.remembers_gaps),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),

@@ -23,13 +23,13 @@ Floats = NDArray[np.float64]
 def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArray[np.int64]]:
     """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
 
-    Only the n nodes that particles reach; indices count from the first padding node, as the kernel's.
+    Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
     """
     count, dimension = positions.shape
     cell = scene.domain.cell
-    place = positions / cell + PADDING
-    low = np.floor(place - 0.5)
-    f = place - low
+    x_cells = positions / cell + PADDING
+    low = np.floor(x_cells - 0.5)
+    f = x_cells - low
     spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
     stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
     weight = np.ones((count, len(stencil)))
@@ -37,14 +37,14 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArra
         weight *= spline[:, axis, :][:, stencil[:, axis]]
     shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
     index = low.astype(np.int64)[:, None, :] + stencil
-    reached, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
+    touched, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
     row = np.repeat(np.arange(count), len(stencil))
 
     def matrix(values: Floats) -> Any:
-        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(reached)))
+        return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(touched)))
 
     slopes = [matrix(4.0 / cell * weight * (stencil[:, axis] - f[:, axis, None])) for axis in range(dimension)]
-    nodes = np.stack(np.unravel_index(reached, shape), axis=1)
+    nodes = np.stack(np.unravel_index(touched, shape), axis=1)
     return matrix(weight), sparse.vstack(slopes).tocsr(), nodes
 
 
@@ -107,28 +107,28 @@ class ContactOperator:
         """sigma_nn [Pa] without what is more than the adhesion, shape [M]."""
         return np.minimum(self.normal_stress(stress), self.adhesion)
 
-    def bounded(self, stress: Floats, traction: Floats) -> Floats:
+    def coulomb_limited(self, stress: Floats, traction: Floats) -> Floats:
         """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""
         bound = self.friction * np.maximum(-self.normal_stress(stress), 0.0)
         length = np.linalg.norm(traction, axis=1)
         scale = np.divide(bound, length, out=np.ones_like(length), where=length > bound)
         return np.asarray(scale[:, None] * traction)
 
-    def held(self, scene: Scene, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def fixed_components(self, scene: Scene, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D]: across faces along an axis
 
-        that component; else all, for such a node lies deep and only the first row of particles reaches it.
+        that component; else all, for such a node lies deep and is in the support of the first row of particles alone.
         """
         size = scene.dimension
         solids = obstacles_in(scene)
         shape = tuple(round(length / scene.domain.cell) + 7 for length in scene.domain.size)
-        line = solids.held_nodes[np.ravel_multi_index(tuple(nodes.T), shape)]
-        held = np.zeros(nodes.shape, bool)
-        mine = np.flatnonzero(line > 0)
-        normal = np.abs(solids.node_contacts[line[mine] - 1, :size])
+        line = solids.fixed_nodes[np.ravel_multi_index(tuple(nodes.T), shape)]
+        fixed_components = np.zeros(nodes.shape, bool)
+        selected = np.flatnonzero(line > 0)
+        normal = np.abs(solids.node_contacts[line[selected] - 1, :size])
         straight = normal.max(axis=1) > 1.0 - 1.0e-9
-        held[mine] = np.where(straight[:, None], normal > 0.5, True)
-        return held
+        fixed_components[selected] = np.where(straight[:, None], normal > 0.5, True)
+        return fixed_components
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

@@ -14,10 +14,11 @@ displacements u through the gradient that the kernel uses,
     C_p = (4 / dx^2) sum_i w_ip u_i x_ip^T,   dsigma_p = theta_p [lambda tr(C) I + 2 mu sym(C)]
 
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
-sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it
-would have to be pulled, nor across a gate (`mpm.initial.barriers`); under an elastic mass a rough floor holds it altogether. A
-geostatic mass stands between smooth gates on all its lateral faces. Solids push as in `mpm.physics.contact`, by whose law they
-are part of C_p and of K, with shear tractions where they are rough and the mass elastic.
+sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it would
+have to be pulled, nor across a barrier (`mpm.initial.barriers`); under an elastic mass a rough floor holds it
+altogether. A geostatic mass stands between smooth barriers on all its lateral faces. Solids push as in
+`mpm.physics.contact`, by whose law they are part of C_p and of K, with shear tractions where they are rough and the
+mass elastic.
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
 violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
@@ -26,7 +27,7 @@ theta_p a tenth of what it was for every particle that yielded, so that the othe
 have them do.
 
 **Solver.** K is never assembled. Conjugate gradients, preconditioned by the diagonal and, where K is worst, by a sparse
-LU of the block of the nodes that few particles reach (surfaces and edges); in 2D of all nodes. Everything is in f64.
+LU of the block of the nodes that few particles support (surfaces and edges); in 2D of all nodes. Everything is in f64.
 """
 
 import warnings
@@ -40,8 +41,9 @@ from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
 from datasets.scene import SIDES, TOLERANCE, Mass, Scene
-from mpm.arrays.layout import PADDING
-from mpm.initial.barriers import gates, inside
+from mpm.arrays.layout import PADDING, Property
+from mpm.arrays.properties import properties_of
+from mpm.initial.barriers import barriers, inside
 from mpm.initial.grid_operators import ContactOperator, gradient_matrices
 
 Floats = NDArray[np.float64]
@@ -69,7 +71,7 @@ ACCURACY = 1.0e-2
 WEAK = 0.4
 """Of the largest nodal mass: lighter nodes are solved for directly."""
 SHIFT = 1.0e-9
-"""On the diagonal of the scaled block that is factorised: nodes that a single particle reaches make it singular."""
+"""On the diagonal of the scaled block that is factorised: nodes of a single particle make it singular."""
 EXTRA_STEPS = 60
 """Steps of conjugate gradients after which the block is factorised anew."""
 MOST_STEPS = 600
@@ -95,9 +97,9 @@ def initial_tractions(scene: Scene, particles: Particles, positions: Floats | No
     shear = np.zeros(particles.positions.shape)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
-        places = particles.positions if positions is None else np.asarray(positions, np.float64)
-        problem = Equilibrium(scene, particles, places, np.flatnonzero(chosen))
-        stress[chosen] = problem.solution(geostatic(scene, particles, places)[chosen])
+        rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
+        problem = Equilibrium(scene, particles, rounded, np.flatnonzero(chosen))
+        stress[chosen] = problem.solution(geostatic(scene, particles, rounded)[chosen])
         shear[chosen] = problem.shear_traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
@@ -109,9 +111,9 @@ def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
     for number, mass in enumerate(scene.masses):
         if mass.k0 is None or isinstance(mass.k0, str):
             continue
-        mine = particles.mass == number
-        vertical = -overburden(scene, mass, positions[mine])
-        stress[mine] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
+        selected = particles.mass == number
+        vertical = -overburden(scene, mass, positions[selected])
+        stress[selected] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
     return stress
 
 
@@ -144,14 +146,11 @@ class Equilibrium:
     def __init__(self, scene: Scene, particles: Particles, positions: Floats, chosen: NDArray[np.int64]) -> None:
         self.dimension = scene.dimension
         self.volume, density = particles.volume[chosen], particles.density[chosen]
-        materials = [particles.materials[index] for index in particles.material[chosen]]
-        self.lame = np.array([material.lame for material in materials])
-        self.shear = np.array([material.shear_modulus for material in materials])
-        phi = np.radians([material.friction_deg for material in materials])
-        self.sin_phi = np.sin(phi)
-        here = list(zip(materials, particles.depth[chosen].tolist(), strict=True))
-        self.strength = 2.0 * np.array([material.cohesion_at(depth) for material, depth in here]) * np.cos(phi)
-        self.limit = np.array([material.tension_limit_at(depth) for material, depth in here])
+        rows = properties_of(particles)[chosen]
+        self.lame, self.shear = rows[:, Property.LAME], rows[:, Property.SHEAR]
+        self.sin_phi, self.strength, self.limit = (
+            rows[:, column] for column in (Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)
+        )
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
         self.slopes_t = self.slopes.T.tocsr()
         self.mass: Floats = weights.T @ (self.volume * density)
@@ -173,7 +172,7 @@ class Equilibrium:
         """
         free = np.ones(self.nodes.shape, bool)
         walls = np.zeros(self.nodes.shape, np.int8)
-        self.gated = np.zeros(self.nodes.shape, bool)
+        self.behind_barriers = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
             if SIDES[2 * axis] not in scene.open_sides:
                 walls[self.nodes[:, axis] <= PADDING, axis] = 1
@@ -185,28 +184,28 @@ class Equilibrium:
             if isinstance(each.k0, str) and scene.floor_friction > 0.0:
                 rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if each.k0 is not None and (each.release is not None or not isinstance(each.k0, str)):
-                for gate in gates(scene, each):
-                    self.gated[inside(gate.nodes, self.nodes), gate.axis] = True
-        free[self.gated] = False
+                for barrier in barriers(scene, each):
+                    self.behind_barriers[inside(barrier.nodes, self.nodes), barrier.axis] = True
+        free[self.behind_barriers] = False
         free[rough] = False
-        free[self.contact.held(scene, self.nodes)] = False
+        free[self.contact.fixed_components(scene, self.nodes)] = False
         return free, walls, rough
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
         precondition = None
-        best, least, patience = stress, np.inf, PATIENCE
+        best, smallest, patience = stress, np.inf, PATIENCE
         tractions = self.contact.traction
         for _ in range(ITERATIONS):
             admitted = self.admitted(stress)
-            tractions = self.contact.bounded(admitted, tractions)
+            tractions = self.contact.coulomb_limited(admitted, tractions)
             force = np.where(self.free, self.unbalanced(admitted, tractions), 0.0)
             left = float(np.abs(force).sum()) / self.weight
-            patience = PATIENCE if left < PROGRESS * least else patience - 1
-            if left < least:
-                best, least = admitted, left
+            patience = PATIENCE if left < PROGRESS * smallest else patience - 1
+            if left < smallest:
+                best, smallest = admitted, left
                 self.contact.traction = tractions
-            if least <= BALANCED or patience == 0:
+            if smallest <= BALANCED or patience == 0:
                 break
             yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
             if yielded.any():
@@ -242,8 +241,8 @@ class Equilibrium:
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
         level = [axis for axis in range(self.dimension) if axis != 1]
-        # Where walls or gates hold a direction, they take what is along it.
-        along = np.where((self.walls[:, level] == 0) & ~self.gated[:, level], force[:, level], 0.0)
+        # Where walls or barriers hold a direction, they take what is along it.
+        along = np.where((self.walls[:, level] == 0) & ~self.behind_barriers[:, level], force[:, level], 0.0)
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         return float(loose + pulled + slips) / self.weight
@@ -293,10 +292,10 @@ class Equilibrium:
         deviator = stress - mean[:, None, None] * np.eye(3)
         principal = np.linalg.eigvalsh(deviator)
         shear = principal[:, 2] * (1.0 + self.sin_phi) - principal[:, 0] * (1.0 - self.sin_phi)
-        room = np.minimum(
+        margin = np.minimum(
             quotient(self.strength - 2.0 * self.sin_phi * mean, shear), quotient(self.limit - mean, principal[:, 2])
         )
-        factor = np.where(room < 1.0, inside * np.maximum(room, 0.0), 1.0)
+        factor = np.where(margin < 1.0, inside * np.maximum(margin, 0.0), 1.0)
         return np.asarray(mean[:, None, None] * np.eye(3) + factor[:, None, None] * deviator)
 
     def preconditioner(self) -> Callable[[Floats], Floats]:
@@ -326,7 +325,7 @@ class Equilibrium:
             ]
         ).tocsr()
         block = block + self.contact.block(*contact, self.direct)
-        # Components of a node side by side: the ordering of the factorisation sees nodes, not components.
+        # Components of a node side by side: the factorisation then orders nodes, not components.
         order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()
         order = order[free]

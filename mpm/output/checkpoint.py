@@ -18,7 +18,7 @@ from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset
 from mpm.output.request import Recording
 
-ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "held", "holding")
+ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "retained", "settling")
 PLAIN = ("frame", "rest", "steps", "clamped", "wall_s")
 
 
@@ -52,14 +52,14 @@ class Checkpoint:
     """Of the kept frames up to `frame` [m], shape [T, N, D]."""
     fields: NDArray[np.float32]
     """As the particles carry them, shape [T, N, `Features.recorded`]."""
-    held: NDArray[np.int32]
-    """Masses behind gates, a line each (`mpm.arrays.layout.Held`)."""
-    holding: NDArray[np.float64]
-    """What is known of how they settle, a line each (`mpm.arrays.layout.Holding`)."""
+    retained: NDArray[np.int32]
+    """Masses behind barriers, a line each (`mpm.arrays.layout.Retained`)."""
+    settling: NDArray[np.float64]
+    """What is known of how they settle, a line each (`mpm.arrays.layout.Settling`)."""
 
     @staticmethod
-    def of(batch: Batch, *, wall_s: float) -> "Checkpoint":
-        """Where a batch of one scene has come to; a copy."""
+    def from_batch(batch: Batch, *, wall_s: float) -> "Checkpoint":
+        """The state of a batch of one scene; a copy."""
         offset, first = batch.offsets[0], int(batch.offsets[0, Offset.IMPULSE])
         frame = int(offset[Offset.REST]) or batch.computed
         kept, solids = sum(number <= frame for number in batch.kept(0)), int(offset[Offset.SOLIDS])
@@ -80,8 +80,8 @@ class Checkpoint:
             .copy(),
             positions=batch.recorded(0)[:kept].copy(),
             fields=batch.recorded_fields(0)[:kept].copy(),
-            held=batch.held.copy(),
-            holding=batch.holding.copy(),
+            retained=batch.retained.copy(),
+            settling=batch.settling.copy(),
         )
 
     def restore(self, batch: Batch) -> None:
@@ -93,16 +93,16 @@ class Checkpoint:
         if key := difference(dataclasses.replace(self.scene, duration=scene.duration), scene):
             raise InputError("expected the scene of the checkpoint, for another duration at most", key=key)
         if scene.frames - 1 < self.frame:
-            reached = self.scene.frame_dt * self.frame
+            end = self.scene.frame_dt * self.frame
             raise InputError(
-                f"expected at least the {reached:g} s of the checkpoint, got {scene.duration:g}", key="duration"
+                f"expected at least the {end:g} s of the checkpoint, got {scene.duration:g}", key="duration"
             )
         if key := difference(self.recording, batch.recording):
             raise InputError("expected what the checkpoint was recorded with", key=key)
         if key := difference(dataclasses.replace(self.features, shared=batch.features.shared), batch.features):
-            mine, theirs = getattr(batch.features, key), getattr(self.features, key)
-            raise InputError(f"expected {theirs} as in the checkpoint, got {mine}", key=key)
-        if self.state.shape != batch.state_of(0).shape or self.held.shape != batch.held.shape:
+            own, theirs = getattr(batch.features, key), getattr(self.features, key)
+            raise InputError(f"expected {theirs} as in the checkpoint, got {own}", key=key)
+        if self.state.shape != batch.state_of(0).shape or self.retained.shape != batch.retained.shape:
             raise InputError("expected a checkpoint of this version of Talus, it holds another state", key="state")
         kept, solids = sum(number <= self.frame for number in batch.kept(0)), self.impulse.shape[1]
         offset, first = batch.offsets[0], int(batch.offsets[0, Offset.IMPULSE])
@@ -110,7 +110,7 @@ class Checkpoint:
         batch.computed = self.frame
         batch.state_of(0)[:] = self.state
         batch.order[:] = self.order
-        batch.held[:], batch.holding[:] = self.held, self.holding
+        batch.retained[:], batch.settling[:] = self.retained, self.settling
         batch.energies(0)[: self.frame + 1] = self.energy
         batch.recorded_impulse[first:][: (self.frame + 1) * solids] = self.impulse.reshape(-1, self.impulse.shape[2])
         # The last frame of a shorter run may be none that a longer one keeps.
@@ -158,7 +158,7 @@ def difference(one: Any, other: Any, key: str = "") -> str:
             if inner:
                 return inner
     if isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
-        for index, (mine, theirs) in enumerate(zip(one, other, strict=True)):
-            if dataclasses.is_dataclass(mine) and (inner := difference(mine, theirs, f"{key}[{index}]")):
+        for index, (own, theirs) in enumerate(zip(one, other, strict=True)):
+            if dataclasses.is_dataclass(own) and (inner := difference(own, theirs, f"{key}[{index}]")):
                 return inner
     return key

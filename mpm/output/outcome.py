@@ -20,13 +20,13 @@ from mpm.runtime import Arch
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
-    scene, features, reached = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    if reached == scene.frames and np.isfinite(batch.recorded(index)).all():
+    scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
+    if frames == scene.frames and np.isfinite(batch.recorded(index)).all():
         return None
     count = len(batch.particles[index].positions)
     numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
     velocities = numbers[features.velocity :][: features.dimension].T
-    return WorkFailed(explain(scene, batch.particles[index], velocities, reached - 1))
+    return WorkFailed(explain(scene, batch.particles[index], velocities, frames - 1))
 
 
 def outflow(batch: Batch, index: int) -> dict[str, float] | None:
@@ -38,15 +38,15 @@ def outflow(batch: Batch, index: int) -> dict[str, float] | None:
     numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
     first = batch.offsets[index, Offset.BLOCK] * features.lanes
     mass = (particles.density * particles.volume)[batch.order[first : first + count]]
-    gone = numbers[features.present] == 0.0
+    removed = numbers[features.present] == 0.0
     # Through the side that it lies farthest beyond.
     beyond = np.full((len(SIDES), count), -np.inf)
     for side in scene.open_sides:
         axis, upper = "xyz".index(side[0]), side[1] == "+"
-        place = numbers[axis]
-        beyond[SIDES.index(side)] = place - scene.domain.size[axis] if upper else -place
+        coordinate = numbers[axis]
+        beyond[SIDES.index(side)] = coordinate - scene.domain.size[axis] if upper else -coordinate
     through = beyond.argmax(axis=0)
-    return {side: float(mass[gone & (through == SIDES.index(side))].sum()) for side in scene.open_sides}
+    return {side: float(mass[removed & (through == SIDES.index(side))].sum()) for side in scene.open_sides}
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
@@ -143,11 +143,11 @@ def summarise(
 
     Lengths in metres; `energy` is a series with a value at every frame of the scene; `clamped` counts how often a
     particle was put back into the box; `rest_time` [s] is when the deposit came to rest, where the run may end there,
-    and `end_time` [s] until when it was computed; `release_time` [s] when each mass was let go, where gates hold one;
-    `relaxation_time` [s] that of the scene, its default worked out; `wall_impulse` [N s] the momentum that the sides of
-    the box and the gates have taken up to each frame, shape [T, 2 D + 1, D], where asked for: their sum and, as
-    `side_impulse`, each; `outflow` [kg] what left through each open side; `wall_s` is that of all scenes that ran
-    together, compilation apart.
+    and `end_time` [s] until when it was computed; `release_time` [s] when each mass was let go, where barriers hold
+    one; `relaxation_time` [s] that of the scene, its default worked out; `wall_impulse` [N s] the momentum that the
+    sides of the box and the barriers have taken up to each frame, shape [T, 2 D + 1, D], where asked for: their sum
+    and, as `side_impulse`, each; `outflow` [kg] what left through each open side; `wall_s` is that of all scenes that
+    ran together, compilation apart.
     """
     summary = {
         "runout": runout(deposit),
@@ -194,7 +194,7 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
     when, speed = f"t = {scene.frame_dt * frame:g} s", _fastest(velocities)
     fall = 2.0 * sum(abs(g) * length for g, length in zip(scene.gravity_vector, scene.domain.size, strict=True))
     possible = math.sqrt(_fastest(particles.velocities) ** 2 + fall)
-    # Some slack, for a pile-up hands energy to the few that it throws.
+    # Some slack: a pile-up transfers energy to the few particles that it throws.
     if not math.isfinite(speed) or speed > 2.0 * possible:
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)

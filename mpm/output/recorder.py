@@ -1,20 +1,17 @@
-"""What is recorded of a scene at the end of a frame, and what the next frame asks about: steps, rest."""
+"""What is recorded of a scene at the end of a frame; the steps of the next frame; detection of rest."""
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_sum, larger
+from mpm.arrays.access import add, lane_maximum, lane_sum, maximum
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
-from mpm.physics.barriers import free_since, measure_held, open_gates
+from mpm.output.rest import BALANCED, REST
+from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
 STABILITY = 1.0
 """Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
 RUNAWAY = 10.0
 """Particle speed over wave speed at which a run has blown up."""
-REST = 1.0e-3
-"""Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
-BALANCED = 0.01
-"""Unbalanced force of a deposit at rest, as a fraction of its weight."""
 
 
 @ti.func
@@ -35,7 +32,7 @@ def steps_of_frame(scene, arrays: ti.template()):
     """
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
-        fastest = larger(fastest, squared_speed(block, arrays))
+        fastest = maximum(fastest, squared_speed(block, arrays))
     return steps_at_speed(scene, ti.sqrt(lane_maximum(fastest, arrays)), arrays)
 
 
@@ -75,9 +72,9 @@ def record_scene(scene, frame, arrays: ti.template()):
     """Record what solids have taken in a frame whose particles are recorded, and whether it was the last one."""
     if ti.static(arrays.features.impulses):
         record_impulses(scene, frame, arrays)
-    if ti.static(arrays.features.gated):
-        open_gates(scene, frame, arrays)
-    if ti.static(arrays.features.rests):
+    if ti.static(arrays.features.barriers):
+        open_barriers(scene, frame, arrays)
+    if ti.static(arrays.features.until_rest):
         detect_rest(scene, frame, arrays)
 
 
@@ -94,8 +91,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
     first = block * features.block
     present = arrays.state[first + features.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
-    if ti.static(features.gated):
-        measure_held(scene, block, arrays)
+    if ti.static(features.barriers):
+        measure_retained(scene, block, arrays)
     vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
     for k in ti.static(range(features.dimension)):
         vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
@@ -116,7 +113,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
     add(arrays.energy, line + Energy.POTENTIAL, lane_sum(0.0 - mass * height, arrays), arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)
     add(arrays.energy, line + Energy.ELASTIC, lane_sum(elastic, arrays), arrays)
-    if ti.static(features.rests):
+    if ti.static(features.until_rest):
         change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
             new = arrays.state[first + features.velocity + k]
@@ -146,7 +143,7 @@ def slot_of(scene, frame, arrays: ti.template()):
 
 @ti.func
 def record_lane(scene, slot, block, lane, arrays: ti.template()):
-    """Record position and fields of the particle in a lane of a block; as `mpm.arrays.batch.Batch.store` does for all."""
+    """Record position and fields of the particle in a lane of a block, as `mpm.arrays.batch.Batch.store`."""
     features, lanes = arrays.features, arrays.features.lanes
     first = block * features.block
     particle = (
@@ -194,14 +191,14 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Note a deposit that has been at rest over a whole window of frames (`mpm.output.rest`), since no gate holds a mass.
+    """Set the frame of rest once a deposit has rested over a window of frames (`mpm.output.rest`) without barriers.
 
     In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
     unbalanced force was below BALANCED of the weight.
     """
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
-    if ti.static(arrays.features.gated):
+    if ti.static(arrays.features.barriers):
         since = free_since(scene, arrays)
     if frame - window >= since:
         peak = ti.cast(arrays.settings[scene, Setting.REST_ENERGY], ti.f64) / REST

@@ -18,8 +18,8 @@ class Recording:
         simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity", "stress"}), wall_forces=True))
 
     The series of the summary (energies, impulse on the walls) have a value at every `frame_dt` of the scene, whichever
-    frames keep their positions; the impulse on solids is recorded in the frames that are kept wherever there are solids.
-    Raises InputError for what cannot be recorded.
+    frames keep their positions; the impulse on solids is recorded in the frames that are kept wherever there are
+    solids. Raises InputError for what cannot be recorded.
     """
 
     frames: Literal["all", "last"] | int = "all"
@@ -31,8 +31,8 @@ class Recording:
     raw: bool = False
     """Stress and pressure as the particles carry them, not smoothed through the grid (`mpm.output.smoothing`)."""
     until_rest: bool = False
-    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the last
-    one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
+    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the
+    last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fields", frozenset(self.fields))

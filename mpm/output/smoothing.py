@@ -2,7 +2,7 @@
 
 The stress that particles carry scatters from one to its neighbours by as much as it is, because a quadratic spline does
 not tell every arrangement of particles apart: what a cell's particles carry in sum moves the nodes, how they share it
-does not. What the grid sees is smooth. With w_ip the quadratic B-spline weight of node i at particle p and V_p its
+does not. Fields on the grid are smooth. With w_ip the quadratic B-spline weight of node i at particle p and V_p its
 volume,
 
     a_i  = sum_p w_ip V_p a_p / sum_p w_ip V_p          (particles to nodes)
@@ -35,10 +35,10 @@ from datasets.scene import Scene
 
 PASSES = 2
 """How often stress and pressure go through the grid."""
-HELD = 0.5
+MIN_FREE_SHARE = 0.5
 """Least share that counts as free of a box with a particle in it: its mass is there."""
 MARGIN = 2
-"""Nodes beyond the walls that a quadratic spline reaches."""
+"""Nodes beyond the walls in the support of a quadratic spline."""
 
 Floats = NDArray[np.floating]
 
@@ -46,9 +46,9 @@ Floats = NDArray[np.floating]
 def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
     """Quadratic B-spline weights w_ip of nodes i at `positions` p [m], shape [N, D]; shape [N, nodes]."""
     cell, dimension = scene.domain.cell, scene.dimension
-    place = positions.astype(np.float64) / cell
-    lowest = np.floor(place - 0.5)
-    f = place - lowest
+    x_cells = positions.astype(np.float64) / cell
+    lowest = np.floor(x_cells - 0.5)
+    f = x_cells - lowest
     # Per axis and offset 0, 1, 2 from the lowest node, shape [3, N, D].
     spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2])
     nodes = np.array([round(length / cell) + 1 + 2 * MARGIN for length in scene.domain.size])
@@ -71,12 +71,12 @@ def smoothed(
     """
     found = np.empty(values.shape, np.float32)
     own = np.broadcast_to(np.asarray(volume, np.float64), positions.shape[1])
-    for frame, places in enumerate(positions):
-        to_particles = weights(places, scene)
+    for frame, points in enumerate(positions):
+        to_particles = weights(points, scene)
         to_nodes = to_particles.T
         at_nodes = to_nodes @ own
         inverse = np.divide(1.0, at_nodes, out=np.zeros_like(at_nodes), where=at_nodes > 0.0)
-        field = values[frame].astype(np.float64).reshape(len(places), -1)
+        field = values[frame].astype(np.float64).reshape(len(points), -1)
         for _ in range(passes):
             field = to_particles @ ((to_nodes @ (own[:, None] * field)) * inverse[:, None])
         found[frame] = field.reshape(values.shape[1:])
@@ -89,9 +89,9 @@ def density(positions: Floats, mass: Floats, scene: Scene) -> NDArray[np.float32
     positions: [m], shape [T, N, D]; mass: of each particle [kg, per metre of width in 2D], shape [N].
     """
     found = np.empty(positions.shape[:2], np.float32)
-    for frame, places in enumerate(positions):
-        boxes, volumes = filled(places, scene)
-        to_particles = weights(places, scene)
+    for frame, points in enumerate(positions):
+        boxes, volumes = filled(points, scene)
+        to_particles = weights(points, scene)
         at_nodes = to_particles.T @ mass.astype(np.float64)
         space = weights(boxes, scene).T @ volumes
         found[frame] = (to_particles @ at_nodes) / (to_particles @ space)
@@ -113,12 +113,12 @@ def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], NDArra
     full[tuple((at - low).T)] = True
     around = np.ones((3,) * scene.dimension, bool)
     # Beyond a wall all is solid: the boxes along it are not eroded.
-    held = full.copy()
+    occupied = full.copy()
     full = ndimage.binary_erosion(ndimage.binary_dilation(full, around), around, border_value=True)
     centres = (np.argwhere(full) + low + 0.5) * edge
     volumes = np.full(len(centres), edge**scene.dimension)
     surface = surface_of(scene)
     if surface is not None:
         distance = nearest(surface, centres).distance
-        volumes *= np.clip(0.5 + distance / edge, np.where(held[full], HELD, 0.0), 1.0)
+        volumes *= np.clip(0.5 + distance / edge, np.where(occupied[full], MIN_FREE_SHARE, 0.0), 1.0)
     return centres, volumes

@@ -1,7 +1,7 @@
-"""Masses held until their release: smooth vertical gates at their lateral faces, and damping while they settle.
+"""Masses held until their release: smooth vertical barriers at their lateral faces, and damping while they settle.
 
-A node that a gate holds loses its velocity across the gate (which nodes: `mpm.initial.barriers`). A mass that is to be released
-when "settled" is damped meanwhile, at the nodes in its box:
+A node that a barrier holds loses its velocity across the barrier (which nodes: `mpm.initial.barriers`). A mass that is
+to be released when "settled" is damped meanwhile, at the nodes in its box:
 
     v_i = exp(-2 omega dt) v_i,   omega = pi c / (2 H)
 
@@ -14,35 +14,38 @@ held compile none of it.
 
 import taichi as ti
 
-from mpm.arrays.layout import Gate, Held, Holding, Offset
+from mpm.arrays.layout import Barrier, Offset, Retained, Settling
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
 FORCE = 1.0e-3
 """Change of momentum of a settled mass in a frame over its weight times the frame."""
-CALM = 2
+SETTLED_FRAMES = 2
 """Frames in a row in which a mass must be settled."""
 NEVER = 1 << 30
 """Frame that no scene has."""
 
 
 @ti.func
-def against_gates(v, node, scene, dt, arrays: ti.template()):
-    """Velocity `v` of the node with the indices `node` after all closed gates and the damping behind them, [D]."""
+def apply_barriers(v, node, scene, dt, arrays: ti.template()):
+    """Velocity `v` of the node with the indices `node` after all closed barriers and the damping behind them, [D]."""
     features = arrays.features
-    first = arrays.offsets[scene, Offset.GATE]
-    for line in range(first, first + arrays.offsets[scene, Offset.GATES]):
-        mass = arrays.gates[line, Gate.HELD]
-        if arrays.held[mass, Held.OPENED] == 0:
+    first = arrays.offsets[scene, Offset.BARRIER]
+    for line in range(first, first + arrays.offsets[scene, Offset.BARRIERS]):
+        mass = arrays.barriers[line, Barrier.RETAINED]
+        if arrays.retained[mass, Retained.OPENED] == 0:
             among = 1
             for k in ti.static(range(features.dimension)):
-                if node[k] < arrays.gates[line, Gate.LOW_X + k] or node[k] >= arrays.gates[line, Gate.HIGH_X + k]:
+                if (
+                    node[k] < arrays.barriers[line, Barrier.LOW_X + k]
+                    or node[k] >= arrays.barriers[line, Barrier.HIGH_X + k]
+                ):
                     among = 0
             if among == 1:
-                axis = arrays.gates[line, Gate.AXIS]
-                if axis == ti.static(len(Gate)):
+                axis = arrays.barriers[line, Barrier.AXIS]
+                if axis == ti.static(len(Barrier)):
                     # To `float`: the precision that Taichi was started with.
-                    v = ti.exp(0.0 - dt * ti.cast(arrays.holding[mass, Holding.RATE], float)) * v
+                    v = ti.exp(0.0 - dt * ti.cast(arrays.settling[mass, Settling.RATE], float)) * v
                 for k in ti.static(range(features.dimension)):
                     if axis == k:
                         v[k] = 0.0
@@ -50,25 +53,25 @@ def against_gates(v, node, scene, dt, arrays: ti.template()):
 
 
 @ti.func
-def measure_held(scene, block, arrays: ti.template()):
-    """Add the kinetic energy and the momentum of a block to those of the held masses."""
+def measure_retained(scene, block, arrays: ti.template()):
+    """Add the kinetic energy and the momentum of a block to those of the retained masses."""
     features = arrays.features
     lanes = ti.static(features.lanes)
     velocity = (block * features.block + features.velocity) * lanes
-    first = arrays.offsets[scene, Offset.HELD]
+    first = arrays.offsets[scene, Offset.RETAINED]
     count = ti.min(
         lanes, arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
     )
-    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
-        if arrays.held[line, Held.OPENED] == 0:
+    for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
+        if arrays.retained[line, Retained.OPENED] == 0:
             for lane in range(count):
                 particle = arrays.order[block * lanes + lane]
-                if arrays.held[line, Held.FIRST] <= particle < arrays.held[line, Held.LAST]:
-                    mass = arrays.holding[line, Holding.PARTICLE]
+                if arrays.retained[line, Retained.FIRST] <= particle < arrays.retained[line, Retained.LAST]:
+                    mass = arrays.settling[line, Settling.PARTICLE]
                     for k in ti.static(range(features.dimension)):
                         v = ti.cast(arrays.lanes[velocity + k * lanes + lane], ti.f64)
-                        add_to(arrays.holding, line, Holding.MOMENTUM_X + k, mass * v, arrays)
-                        add_to(arrays.holding, line, Holding.KINETIC, 0.5 * mass * v * v, arrays)
+                        add_to(arrays.settling, line, Settling.MOMENTUM_X + k, mass * v, arrays)
+                        add_to(arrays.settling, line, Settling.KINETIC, 0.5 * mass * v * v, arrays)
 
 
 @ti.func
@@ -81,37 +84,37 @@ def add_to(table: ti.template(), row, column, value, arrays: ti.template()):
 
 
 @ti.func
-def open_gates(scene, frame, arrays: ti.template()):
-    """Open the gates of the masses whose time has come in `frame`, which is recorded, or that have settled."""
-    first = arrays.offsets[scene, Offset.HELD]
-    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
-        if arrays.held[line, Held.OPENED] == 0:
-            change = 0.0 * arrays.holding[line, Holding.KINETIC]
+def open_barriers(scene, frame, arrays: ti.template()):
+    """Open the barriers of the masses whose time has come in `frame`, which is recorded, or that have settled."""
+    first = arrays.offsets[scene, Offset.RETAINED]
+    for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
+        if arrays.retained[line, Retained.OPENED] == 0:
+            change = 0.0 * arrays.settling[line, Settling.KINETIC]
             for k in ti.static(range(3)):
-                now = arrays.holding[line, Holding.MOMENTUM_X + k]
-                change += (now - arrays.holding[line, Holding.EARLIER_X + k]) ** 2
-                arrays.holding[line, Holding.EARLIER_X + k] = now
-                arrays.holding[line, Holding.MOMENTUM_X + k] = 0.0
-            calm = arrays.held[line, Held.CALM] + 1
+                now = arrays.settling[line, Settling.MOMENTUM_X + k]
+                change += (now - arrays.settling[line, Settling.EARLIER_X + k]) ** 2
+                arrays.settling[line, Settling.EARLIER_X + k] = now
+                arrays.settling[line, Settling.MOMENTUM_X + k] = 0.0
+            calm = arrays.retained[line, Retained.SETTLED_FRAMES] + 1
             if (
-                arrays.holding[line, Holding.KINETIC] > arrays.holding[line, Holding.MOST_KINETIC]
-                or ti.sqrt(change) > arrays.holding[line, Holding.MOST_IMPULSE]
+                arrays.settling[line, Settling.KINETIC] > arrays.settling[line, Settling.MOST_KINETIC]
+                or ti.sqrt(change) > arrays.settling[line, Settling.MOST_IMPULSE]
             ):
                 calm = 0
-            arrays.held[line, Held.CALM] = calm
-            arrays.holding[line, Holding.KINETIC] = 0.0
-            release = arrays.held[line, Held.RELEASE]
-            if frame == release or (release == 0 and calm >= CALM):
-                arrays.held[line, Held.OPENED] = frame
+            arrays.retained[line, Retained.SETTLED_FRAMES] = calm
+            arrays.settling[line, Settling.KINETIC] = 0.0
+            release = arrays.retained[line, Retained.RELEASE]
+            if frame == release or (release == 0 and calm >= SETTLED_FRAMES):
+                arrays.retained[line, Retained.OPENED] = frame
 
 
 @ti.func
 def free_since(scene, arrays: ti.template()):
     """The frame since which no mass of a scene is held; NEVER while one is."""
     latest = 0
-    first = arrays.offsets[scene, Offset.HELD]
-    for line in range(first, first + arrays.offsets[scene, Offset.HELDS]):
-        opened = arrays.held[line, Held.OPENED]
+    first = arrays.offsets[scene, Offset.RETAINED]
+    for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
+        opened = arrays.retained[line, Retained.OPENED]
         if opened == 0:
             opened = NEVER
         latest = ti.max(latest, opened)

@@ -12,31 +12,31 @@ from mpm.arrays.layout import PADDING, Offset, Setting, Worker
 
 
 @ti.func
-def slowed(v, by):
-    """Velocity `v` along a surface after friction has taken at most `by` [m/s] of it."""
+def with_friction(v, limit):
+    """Velocity `v` along a surface less what friction takes of it, at most `limit` [m/s]."""
     speed, keep = v.norm(), 0.0
-    if speed > by:
-        keep = 1.0 - by / speed
+    if speed > limit:
+        keep = 1.0 - limit / speed
     return keep * v
 
 
 @ti.func
-def stopped_by(v, normal, friction):
+def after_contact(v, normal, friction):
     """Velocity `v` after a surface with the unit `normal`, into which it points, has stopped it; shape [D] each."""
     into = v.dot(normal)
-    return slowed(v - into * normal, 0.0 - friction * into)
+    return with_friction(v - into * normal, 0.0 - friction * into)
 
 
 @ti.func
-def stopped(v, axis: ti.template(), friction):
+def after_wall(v, axis: ti.template(), friction):
     """Velocity `v` after a wall across `axis` has stopped it: the normal part goes, friction takes of the rest."""
-    grip = friction * ti.abs(v[axis])
+    limit = friction * ti.abs(v[axis])
     v[axis] = 0.0
-    return slowed(v, grip)
+    return with_friction(v, limit)
 
 
 @ti.func
-def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
+def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
     """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
@@ -45,29 +45,29 @@ def against_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
             side = 2 * axis
         elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
             side = 2 * axis + 1
-        if side >= 0 and closed(side, scene, arrays) == 1:
+        if side >= 0 and is_wall(side, scene, arrays) == 1:
             friction = arrays.settings[scene, Setting.WALL_FRICTION]
             if side == 2:
                 friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
             before = v
-            v = stopped(v, axis, friction)
+            v = after_wall(v, axis, friction)
             if ti.static(features.walls_recorded):
-                record_wall(side, mass * (before - v), worker, scene, arrays)
+                add_wall_impulse(side, mass * (before - v), worker, scene, arrays)
     return v
 
 
 @ti.func
-def closed(side, scene, arrays: ti.template()):
+def is_wall(side, scene, arrays: ti.template()):
     """1 where a side of the box, 0 to 2 D - 1 for x-, x+, y-, ..., is a wall, 0 where it is open."""
     result = 1
-    if ti.static(arrays.features.open):
+    if ti.static(arrays.features.outflow):
         result = 1 - ((arrays.offsets[scene, Offset.OPEN] >> side) & 1)
     return result
 
 
 @ti.func
-def record_wall(side, momentum, worker, scene, arrays: ti.template()):
-    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the gates."""
+def add_wall_impulse(side, momentum, worker, scene, arrays: ti.template()):
+    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the barriers."""
     features = arrays.features
     number = arrays.offsets[scene, Offset.OBSTACLES] + side
     at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension

@@ -8,7 +8,8 @@ solid, d: a particle's distance). With a delta of width h, that of the first row
     delta_h(d) = (2 / h) (1 - 3 q^2 + 2 q^3),    q = d / h in [0, 1];    its integral over d is 1
 
 is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
-(`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is unstable.
+(`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is
+unstable.
 
 **Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
 virtual power a particle gives to a node
@@ -23,20 +24,20 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
-**Deep nodes.** A node deep in a solid (`mpm.solids.obstacles.HELD_DEPTH`) is reached by the first row alone, which could not
-keep it in balance; it is held like a node behind a wall of the box (`mpm.physics.boundary`).
+**Deep nodes.** A node deep in a solid (`mpm.solids.obstacles.FIXED_DEPTH`) is in the support of the first row alone,
+which could not keep it in balance; it is held like a node behind a wall of the box (`mpm.physics.boundary`).
 
 **Position.** No particle passes a face: a displacement that crosses one ends there and goes on along it.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_minimum, larger, smaller
+from mpm.arrays.access import add, lane_maximum, lane_minimum, maximum, minimum
 from mpm.arrays.layout import Contact, Setting, Worker, component
-from mpm.physics.boundary import stopped_by
+from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
 
-TURNS = 3
+MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
 TINY = 1.0e-20
 """Keeps quotients finite."""
@@ -94,7 +95,7 @@ def prepare_contact(block, scratch, arrays: ti.template()):
         arrays.scratch[arm + k] = 0.0 * delta
     if touches(block, arrays):
         n = normals(block, arrays)
-        pull = smaller(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
+        pull = minimum(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
         for k in ti.static(range(features.dimension)):
             arrays.scratch[force + k] = delta * (arrays.state[shear_at(block, k, arrays)] - pull * n[k])
             arrays.scratch[arm + k] = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] * n[k]
@@ -105,14 +106,14 @@ def foot_velocity(block, scratch, i: ti.template(), n: ti.template(), arrays: ti
     """Component i of v_f [m/s], the velocity of the material at the foot of each particle of a block."""
     features = arrays.features
     first = block * features.block
-    turn = 0.0 * n[0]
+    rotation = 0.0 * n[0]
     for j in ti.static(range(features.dimension)):
-        turn = turn + arrays.state[first + features.affine + i * features.dimension + j] * n[j]
+        rotation = rotation + arrays.state[first + features.affine + i * features.dimension + j] * n[j]
     distance = arrays.state[contact_at(block, Contact.DISTANCE, arrays)]
     if ti.static(features.relaxed):
-        return arrays.scratch[scratch + features.lowest + features.dimension + i] - distance * turn
+        return arrays.scratch[scratch + features.lowest + features.dimension + i] - distance * rotation
     else:
-        return arrays.state[first + features.velocity + i] - distance * turn
+        return arrays.state[first + features.velocity + i] - distance * rotation
 
 
 @ti.func
@@ -148,8 +149,8 @@ def shear_traction_step(block, scratch, dt, shear, n: ti.template(), arrays: ti.
         arrays.state[shear_at(block, k, arrays)] = q
         square = square + q * q
     friction = arrays.state[contact_at(block, Contact.FRICTION, arrays)]
-    bound = friction * larger(0.0 - normal_stress(block, n, arrays), 0.0)
-    scale = smaller(bound / ti.sqrt(square), 1.0)
+    bound = friction * maximum(0.0 - normal_stress(block, n, arrays), 0.0)
+    scale = minimum(bound / ti.sqrt(square), 1.0)
     for k in ti.static(range(features.dimension)):
         arrays.state[shear_at(block, k, arrays)] = scale * arrays.state[shear_at(block, k, arrays)]
 
@@ -184,14 +185,14 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 
 
 @ti.func
-def against_solids(v, mass, n, worker, arrays: ti.template()):
-    """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `held_nodes`, [D]."""
+def apply_solids(v, mass, n, worker, arrays: ti.template()):
+    """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `fixed_nodes`, [D]."""
     features = arrays.features
-    line = arrays.held_nodes[n] - 1
+    line = arrays.fixed_nodes[n] - 1
     if line >= 0:
         normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
         if v.dot(normal) < 0.0:
-            stopped = stopped_by(v, normal, arrays.node_contacts[line, features.dimension])
+            stopped = after_contact(v, normal, arrays.node_contacts[line, features.dimension])
             solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
             for k in ti.static(range(features.dimension)):
                 add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
@@ -212,13 +213,13 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     for k in ti.static(range(features.dimension)):
         moved = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
         square = square + moved * moved
-    least = arrays.state[distance] - 1.001 * ti.sqrt(square)
-    nearby = arrays.settings[scene, Setting.SEARCH]
-    if lane_minimum(least, arrays) >= nearby:
-        arrays.state[distance] = least
-        arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * least
+    lower_bound = arrays.state[distance] - 1.001 * ti.sqrt(square)
+    nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
+    if lane_minimum(lower_bound, arrays) >= nearby:
+        arrays.state[distance] = lower_bound
+        arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * lower_bound
     else:
-        arrays.scratch[scratch + features.push] = least
+        arrays.scratch[scratch + features.push] = lower_bound
         arrays.state[contact_at(block, Contact.IMPULSE, arrays)] = mass * present(block, arrays)
         for lane in range(lanes):
             bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
@@ -247,20 +248,20 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
         )
         start_cell = cell_of(start, scene, arrays)
-        for turn in range(TURNS):
+        for rotation in range(MAX_CROSSINGS):
             face = first_crossed(start, x, start_cell, cell, arrays)
             if face < 0:
                 break
             normal = face_vector(face, features.face_normal, arrays)
             x = x - (x - face_vector(face, 0, arrays)).dot(normal) * normal
-            if turn == TURNS - 1:
+            if rotation == MAX_CROSSINGS - 1:
                 x = start
             moved = True
             if v.dot(normal) < 0.0:
-                v = stopped_by(v, normal, arrays.faces[face, features.face_friction])
+                v = after_contact(v, normal, arrays.faces[face, features.face_friction])
                 solid = solid_of(face, arrays)
-    # Beyond the cells that have faces there are none within the reach of their search.
-    delta, distance = 0.0 * cell, arrays.settings[scene, Setting.REACH]
+    # Cells without faces are farther from any than this.
+    delta, distance = 0.0 * cell, arrays.settings[scene, Setting.FACE_DISTANCE]
     cell_index = cell_of(x, scene, arrays)
     if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
         last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
@@ -272,7 +273,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             x = x - d * normal
             d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
-                v = stopped_by(v, normal, friction)
+                v = after_contact(v, normal, friction)
                 solid = solid_of(face, arrays)
         distance = ti.min(d, distance)
         q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)

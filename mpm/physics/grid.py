@@ -6,18 +6,18 @@ The last term is local damping (Cundall 1987) as CB-Geo MPM applies it at a node
 acceleration, the sign is each component's (Cundall's own form takes each component's force too). The sign is made
 continuous over v_s = SLOW sqrt(g dx), so that the flow depends continuously on its parameters. The damping opposes
 sliding like a friction of the base and turns with the stress, not with the speed: a block that slides on an incline at
-damping 0.12 behaves as if the coefficient of friction were larger by 0.2. It is off unless a scene asks for it.
+damping 0.12 behaves as if the coefficient of friction were larger by 0.2. It is off by default.
 
 Only the bounding box of the material is cleared and updated.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import cells_of, rows_of
+from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
-from mpm.physics.barriers import against_gates
-from mpm.physics.boundary import against_walls, record_wall
-from mpm.physics.contact import against_solids
+from mpm.physics.barriers import apply_barriers
+from mpm.physics.boundary import add_wall_impulse, apply_walls
+from mpm.physics.contact import apply_solids
 
 TINY = 1.0e-30
 """Keeps a quotient finite where nothing moves and nothing weighs."""
@@ -26,43 +26,43 @@ SLOW = 1.0e-3
 
 
 @ti.func
-def clear(worker, rows, arrays: ti.template()):
+def clear(worker, strides, arrays: ti.template()):
     """Set the nodes around the material of `worker` to zero."""
     features = arrays.features
     zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
         for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 arrays.grid[first + k] = zero
 
 
 @ti.func
-def update_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
     """Momentum to velocity, on the grid of a worker that has the scene to itself, or on a share of all their grids."""
     if ti.static(arrays.features.shared):
-        share_nodes(worker, scene, dt, kept, rows, arrays)
+        update_shared_nodes(worker, scene, dt, kappa, strides, arrays)
     else:
-        update_own_nodes(worker, scene, dt, kept, rows, arrays)
+        update_own_nodes(worker, scene, dt, kappa, strides, arrays)
 
 
 @ti.func
-def update_own_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+def update_own_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
     """Momentum to velocity, where one worker has the scene to itself."""
     features = arrays.features
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
         for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * rows[0] + j * rows[1]
+            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.grid[first + k]
                 if node[features.dimension] > 0.0:
-                    old = old_velocity(node, arrays)
-                    new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
-                    put_velocity(first + k, new, old, kept, arrays)
+                    old = velocity_before(node, arrays)
+                    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
+                    store_node_velocity(first + k, new, old, kappa, arrays)
 
 
 @ti.func
-def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
+def update_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
     """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
     features = arrays.features
     count = arrays.workers.shape[0]
@@ -77,45 +77,45 @@ def share_nodes(worker, scene, dt, kept, rows, arrays: ti.template()):
         if i % count == worker:
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
-                    at = i * rows[0] + j * rows[1] + k
+                    n = i * strides[0] + j * strides[1] + k
                     node = zero
                     for other in range(count):
                         if covers(other, i, j, k, arrays):
-                            node += arrays.grid[arrays.workers[other, Worker.NODE] + at]
+                            node += arrays.grid[arrays.workers[other, Worker.NODE] + n]
                     if node[features.dimension] > 0.0:
-                        old = old_velocity(node, arrays)
-                        new = velocity_of(node, old, i, j, k, worker, scene, dt, arrays)
+                        old = velocity_before(node, arrays)
+                        new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
                         for other in range(count):
                             if covers(other, i, j, k, arrays):
-                                own = arrays.workers[other, Worker.NODE] + at
-                                put_velocity(own, new, old, kept, arrays)
-                                if ti.static(features.corrected):
+                                own = arrays.workers[other, Worker.NODE] + n
+                                store_node_velocity(own, new, old, kappa, arrays)
+                                if ti.static(features.volume_correction):
                                     arrays.grid[own][features.dimension] = node[features.dimension]
 
 
 @ti.func
 def update_node(n, scene, arrays: ti.template()):
     """Momentum to velocity on the n-th node of a scene, where every node has a thread."""
-    rows = rows_of(scene, arrays)
-    i, j, k = n // rows[0], 0, 0
+    strides = node_strides(scene, arrays)
+    i, j, k = n // strides[0], 0, 0
     if ti.static(arrays.features.dimension == 2):
-        j = n - i * rows[0]
+        j = n - i * strides[0]
     else:
-        j = (n - i * rows[0]) // rows[1]
-        k = n - i * rows[0] - j * rows[1]
+        j = (n - i * strides[0]) // strides[1]
+        k = n - i * strides[0] - j * strides[1]
     dt = arrays.step_control[scene, StepControl.DT]
     if i < arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING + 1 and dt > 0.0:
-        at = arrays.workers[scene, Worker.NODE] + n
-        node = arrays.grid[at]
+        n = arrays.workers[scene, Worker.NODE] + n
+        node = arrays.grid[n]
         if node[arrays.features.dimension] > 0.0:
-            old = old_velocity(node, arrays)
-            new = velocity_of(node, old, i, j, k, scene, scene, dt, arrays)
-            put_velocity(at, new, old, kept_of(scene, dt, arrays), arrays)
+            old = velocity_before(node, arrays)
+            new = velocity_after(node, old, i, j, k, scene, scene, dt, arrays)
+            store_node_velocity(n, new, old, relaxation_factor(scene, dt, arrays), arrays)
 
 
 @ti.func
 def covers(worker, i, j, k, arrays: ti.template()):
-    """Whether the material of a worker reaches node (i, j, k)."""
+    """Whether node (i, j, k) is in the support of a worker's particles."""
     return (
         arrays.workers[worker, Worker.LOW_X] <= i < arrays.workers[worker, Worker.HIGH_X]
         and arrays.workers[worker, Worker.LOW_Y] <= j < arrays.workers[worker, Worker.HIGH_Y]
@@ -124,7 +124,7 @@ def covers(worker, i, j, k, arrays: ti.template()):
 
 
 @ti.func
-def old_velocity(node, arrays: ti.template()):
+def velocity_before(node, arrays: ti.template()):
     """v_i [m/s] of a node (momentum, mass, force) before its forces act, shape [D]."""
     features = arrays.features
     per_mass = 1.0 / node[features.dimension]
@@ -132,23 +132,23 @@ def old_velocity(node, arrays: ti.template()):
 
 
 @ti.func
-def put_velocity(n, new, old, kept, arrays: ti.template()):
+def store_node_velocity(n, new, old, kappa, arrays: ti.template()):
     """Store the new velocity of node n in place of its momentum and, where relaxed, its change new - kept old."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
         arrays.grid[n][axis] = new[axis]
         if ti.static(features.relaxed):
-            arrays.grid[n][features.change + axis] = new[axis] - kept * old[axis]
+            arrays.grid[n][features.change + axis] = new[axis] - kappa * old[axis]
 
 
 @ti.func
-def kept_of(scene, dt, arrays: ti.template()):
+def relaxation_factor(scene, dt, arrays: ti.template()):
     """The part of the velocity beyond the grid's that a particle keeps over a step, exp(-dt / tau) [-]."""
     return ti.exp(0.0 - dt * arrays.settings[scene, Setting.RELAXATION_RATE])
 
 
 @ti.func
-def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
+def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
     """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D], from its old one `v`."""
     features = arrays.features
     mass = node[features.dimension]
@@ -162,16 +162,16 @@ def velocity_of(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
         slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL]
         sign = [v[axis] / ti.sqrt(v[axis] * v[axis] + slow + TINY) for axis in ti.static(range(features.dimension))]
         a = a - drag * ti.Vector(sign)
-    free = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
+    v_star = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
-    held = against_walls(free, index, cells_of(scene, arrays), mass, worker, scene, arrays)
+    v_star = apply_walls(v_star, index, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        rows = rows_of(scene, arrays)
-        n = arrays.offsets[scene, Offset.GEOMETRY] + i * rows[0] + j * rows[1] + k * rows[2]
-        held = against_solids(held, mass, n, worker, arrays)
-    if ti.static(features.gated):
-        behind = against_gates(held, index, scene, dt, arrays)
+        strides = node_strides(scene, arrays)
+        n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
+        v_star = apply_solids(v_star, mass, n, worker, arrays)
+    if ti.static(features.barriers):
+        v_behind = apply_barriers(v_star, index, scene, dt, arrays)
         if ti.static(features.walls_recorded):
-            record_wall(2 * features.dimension, mass * (held - behind), worker, scene, arrays)
-        held = behind
-    return held
+            add_wall_impulse(2 * features.dimension, mass * (v_star - v_behind), worker, scene, arrays)
+        v_star = v_behind
+    return v_star

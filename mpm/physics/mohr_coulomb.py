@@ -36,14 +36,14 @@ Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the me
 
 import taichi as ti
 
-from mpm.arrays.access import between, larger, smaller
+from mpm.arrays.access import clamp, maximum, minimum
 from mpm.physics.principal import TINY
 
 
 @ti.func
 def apex_limit(cutoff, sin_phi, strength):
     """T [Pa]: the tension cutoff, or the apex c cot phi = strength / (2 sin phi) where that is lower."""
-    return smaller(cutoff, strength / larger(2.0 * sin_phi, TINY))
+    return minimum(cutoff, strength / maximum(2.0 * sin_phi, TINY))
 
 
 @ti.func
@@ -53,7 +53,7 @@ def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), f
     Linear in w = max(0, 1 - `per_strain` * `strain`) between `residual`, which is (sin phi, 2 c cos phi, T), and
     `peak`, with sin psi, which falls to 0; `per_strain` = sqrt(3) * cell / softening length (`datasets.material`).
     """
-    w = larger(1.0 - per_strain * strain, 0.0)
+    w = maximum(1.0 - per_strain * strain, 0.0)
     sin_phi = residual[0] + w * (peak[0] - residual[0])
     if ti.static(features.cohesive):
         strength = residual[1] + w * (peak[2] - residual[1])
@@ -108,7 +108,7 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 @ti.func
 def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
     """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
-    excess = larger(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
+    excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
     low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
     high, twin_low = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, False, dilates)
@@ -130,10 +130,10 @@ def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
     one2, one3 = s2 - coupling * beyond, s3 - coupling * beyond
     two = one2 > limit
     b2 = ti.select(two, limit, one2)
-    b3 = ti.select(two, smaller(s3 - poisson * (beyond + s2 - limit), limit), one3)
+    b3 = ti.select(two, minimum(s3 - poisson * (beyond + s2 - limit), limit), one3)
     # F <= 0 at s1 = T says that s3 is at or above that of C.
     lowest = (limit * (1.0 + sin_phi) - strength) / (1.0 - sin_phi)
-    c2 = between(s2 - poisson * (beyond + s3 - lowest), lowest, limit)
+    c2 = clamp(s2 - poisson * (beyond + s3 - lowest), lowest, limit)
     cut = b3 >= lowest
     return ti.select(cut, b2, c2), ti.select(cut, b3, lowest)
 
@@ -156,9 +156,9 @@ def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear,
     else:
         # Without cohesion the apex is 0; rounding must not leave a tension.
         t1, t2, t3 = (
-            ti.select(open_, 0.0, smaller(t1, 0.0)),
-            ti.select(open_, 0.0, smaller(t2, 0.0)),
-            ti.select(open_, 0.0, smaller(t3, 0.0)),
+            ti.select(open_, 0.0, minimum(t1, 0.0)),
+            ti.select(open_, 0.0, minimum(t2, 0.0)),
+            ti.select(open_, 0.0, minimum(t3, 0.0)),
         )
     d1, d2, d3 = s1 - t1, s2 - t2, s3 - t3
     opened = (d1 + d2 + d3) / 3.0
@@ -167,6 +167,6 @@ def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear,
         # its part of the volume is 2 sin psi / (1 - sin psi) of the plastic shortening, e_i = (d_i - share) / (2 mu).
         bulk3 = 3.0 * lame + 2.0 * shear
         share = lame / bulk3 * (d1 + d2 + d3)
-        shorter = larger(share - d1, 0.0) + larger(share - d2, 0.0) + larger(share - d3, 0.0)
+        shorter = maximum(share - d1, 0.0) + maximum(share - d2, 0.0) + maximum(share - d3, 0.0)
         opened = opened - bulk3 * sin_psi / (3.0 * shear * (1.0 - sin_psi)) * shorter
-    return t1, t2, t3, ti.select(open_, larger(opened, 0.0), 0.0)
+    return t1, t2, t3, ti.select(open_, maximum(opened, 0.0), 0.0)

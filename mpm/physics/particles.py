@@ -2,18 +2,18 @@
 
 import taichi as ti
 
-from mpm.arrays.access import add, between, bounded, lane_maximum, lane_minimum, lane_sum, larger, smaller
+from mpm.arrays.access import add, clamp, lane_maximum, lane_minimum, lane_sum, maximum, minimum, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
-from mpm.physics.boundary import closed
+from mpm.physics.boundary import is_wall
 from mpm.physics.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
 from mpm.physics.mohr_coulomb import softened
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
-from mpm.physics.volume_correction import gap_followed
+from mpm.physics.volume_correction import updated_gap
 
 
 @ti.func
-def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.template()):
+def update_particles(worker, scene, dt, kappa, strides: ti.template(), arrays: ti.template()):
     """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
@@ -23,10 +23,10 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
-        move_block(worker, grid, scene, block, scratch, dt, kept, rows, arrays)
+        update_block(worker, grid, scene, block, scratch, dt, kappa, strides, arrays)
         for k in ti.static(range(features.dimension)):
-            low[k] = smaller(low[k], arrays.state[block * features.block + k])
-            high[k] = larger(high[k], arrays.state[block * features.block + k])
+            low[k] = minimum(low[k], arrays.state[block * features.block + k])
+            high[k] = maximum(high[k], arrays.state[block * features.block + k])
     for k in ti.static(range(features.dimension)):
         lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
         highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
@@ -35,7 +35,7 @@ def move_particles(worker, scene, dt, kept, rows: ti.template(), arrays: ti.temp
 
 
 @ti.func
-def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(), arrays: ti.template()):
+def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.template(), arrays: ti.template()):
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
@@ -43,10 +43,10 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
         record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
-    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kept, rows, arrays)
-    step_particles(worker, scene, block, scratch, dt, kept, arrays)
+    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
+    step_particles(worker, scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, dt, arrays)
-    if ti.static(features.open):
+    if ti.static(features.outflow):
         remove_outflow(block, scene, arrays)
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
@@ -54,18 +54,18 @@ def move_block(worker, grid, scene, block, scratch, dt, kept, rows: ti.template(
 
 
 @ti.func
-def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template()):
+def step_particles(worker, scene, block, scratch, dt, kappa, arrays: ti.template()):
     """Move a block by its velocity; no particle leaves the box."""
     features = arrays.features
-    x = bounded(block * features.block)
+    x = no_overflow(block * features.block)
     v, remainder = x + features.velocity, x + features.remainder
     for k in ti.static(range(features.dimension)):
         speed = arrays.state[v + k]
         if ti.static(features.relaxed):
             at = scratch + features.lowest + features.dimension + k
             speed = arrays.scratch[at]
-            arrays.state[v + k] = kept * arrays.state[v + k] + arrays.scratch[at + features.dimension]
-        if ti.static(features.open):
+            arrays.state[v + k] = kappa * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        if ti.static(features.outflow):
             speed = arrays.state[x + features.present] * speed
         if ti.static(features.compensated):
             old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
@@ -77,22 +77,22 @@ def step_particles(worker, scene, block, scratch, dt, kept, arrays: ti.template(
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
-        held = between(free, 0.0, length)
-        if ti.static(features.open):
-            held = beyond_open_sides(free, held, 2 * k, scene, arrays)
-        arrays.state[x + k] = held
+        inside = clamp(free, 0.0, length)
+        if ti.static(features.outflow):
+            inside = unless_open(free, inside, 2 * k, scene, arrays)
+        arrays.state[x + k] = inside
         put_back = lane_sum(
-            ti.select(held != free, arrays.state[block * features.block + features.present], 0.0), arrays
+            ti.select(inside != free, arrays.state[block * features.block + features.present], 0.0), arrays
         )
         if put_back > 0.0:
             add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
 
 
 @ti.func
-def beyond_open_sides(free, held, side: ti.template(), scene, arrays: ti.template()):
-    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `held`."""
-    below, above = closed(side, scene, arrays), closed(side + 1, scene, arrays)
-    return ti.select(((free < held) & (below == 0)) | ((free > held) & (above == 0)), free, held)
+def unless_open(free, inside, side: ti.template(), scene, arrays: ti.template()):
+    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `inside`."""
+    below, above = is_wall(side, scene, arrays), is_wall(side + 1, scene, arrays)
+    return ti.select(((free < inside) & (below == 0)) | ((free > inside) & (above == 0)), free, inside)
 
 
 @ti.func
@@ -117,22 +117,22 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
     """
     features = arrays.features
-    first = bounded(block * features.block)
+    first = no_overflow(block * features.block)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     increment = strain_increment(block, scratch, dt, arrays)
     opened = 0.0 * stress[0]
-    if ti.static(features.corrected):
+    if ti.static(features.volume_correction):
         remembered = arrays.state[first + features.gap]
-        opened = gap_followed(remembered, limit, lame + shear * (2.0 / 3.0), scene, block, scratch, dt, arrays)
+        opened = updated_gap(remembered, limit, lame + shear * (2.0 / 3.0), scene, block, scratch, dt, arrays)
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if touches(block, arrays):
             shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
-    if ti.static(features.corrected):
+    if ti.static(features.volume_correction):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
     if ti.static(features.strained):
         at = first + features.plastic_strain
@@ -143,7 +143,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
 def strain_increment(block, scratch, dt, arrays: ti.template()):
     """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
     features = arrays.features
-    first = bounded(block * features.block)
+    first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     inside = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):

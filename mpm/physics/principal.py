@@ -16,13 +16,13 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from mpm.arrays.access import between, larger, smaller
+from mpm.arrays.access import clamp, maximum, minimum
 from mpm.arrays.layout import Precision
 
 TINY = 1.0e-30
 """Keeps a quotient finite where its denominator is zero and its numerator is smaller still."""
 DEGREE = {"f32": 10, "f64": 22}
-"""Of the series: the nearest singularity, t = -1, makes every degree worth a factor of 5.8."""
+"""Of the series: the nearest singularity, t = -1, makes every degree reduce the error by a factor of 5.8."""
 
 
 def series(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], precision: Precision) -> tuple[float, ...]:
@@ -61,10 +61,10 @@ def principal_deviator(dxx, dyy, dzz, dxy, dyz, dzx, precision: ti.template()):
     second = 0.5 * (dxx * dxx + dyy * dyy + dzz * dzz) + dxy * dxy + dyz * dyz + dzx * dzx
     third = dxx * (dyy * dzz - dyz * dyz) - dxy * (dxy * dzz - dyz * dzx) + dzx * (dxy * dyz - dyy * dzx)
     q = ti.sqrt(second / 3.0)
-    r = between(third / larger(2.0 * q * q * q, TINY), -1.0, 1.0)
+    r = clamp(third / maximum(2.0 * q * q * q, TINY), -1.0, 1.0)
     t = ti.sqrt(0.5 * (1.0 + r))
     cosine = polynomial(2.0 * t - 1.0, ti.static(COSINE[precision]))
     sine = polynomial(2.0 * t - 1.0, ti.static(SINE[precision])) * ti.sqrt(0.5 * (1.0 - r))
     a1 = 2.0 * q * cosine
     a3 = 0.0 - q * (cosine + 3.0**0.5 * sine)
-    return a1, smaller(a1, larger(a3, 0.0 - a1 - a3)), a3
+    return a1, minimum(a1, maximum(a3, 0.0 - a1 - a3)), a3

@@ -7,6 +7,15 @@ Winget 1980), so a rigid spin keeps the invariants of the stress to rounding; fo
 R - I = 2 (Q + Q^2) / (1 + q . q) with q half the axial vector of W and Q v = q x v; in 2D tan(angle / 2) = q.
 Components xx, yy, zz, xy and, in 3D, yz, zx; 2D is plane strain.
 
+The increment of the step is measured in the configuration halfway (Hughes & Winget 1980): a displacement over a step
+with the gradient A = dt C in the configuration before it has G = A (I + A / 2)^-1 in that halfway, to second order
+
+    G = A - A A / 2
+
+of which D and W are the symmetric and the skew part. With A itself a body that spins by w in a step would grow, since
+its particles move along tangents: by 5 % of its moment of inertia in three turns at a step of 0.5 ms and one turn a
+second.
+
 The returned stress has the axes of the trial stress, and no axes are computed. With s_i the principal stresses, g_i the
 change of each, and the divided differences g12 = (g1 - g2) / (s1 - s2), g123 = (g12 - g23) / (s1 - s3), Newton's
 interpolation polynomial carries the change over to the tensor:
@@ -19,7 +28,7 @@ right where stresses meet, too. In plane strain this is a scaled deviator around
 
 import taichi as ti
 
-from mpm.arrays.access import between, larger, smaller
+from mpm.arrays.access import clamp, maximum, minimum
 from mpm.physics.mohr_coulomb import return_principal
 from mpm.physics.principal import TINY, principal_deviator
 
@@ -46,7 +55,7 @@ def trial_stress(stress: ti.template(), gradient: ti.template(), lame, shear, di
         )
     else:
         gxx, gxy, gxz, gyx, gyy, gyz, gzx, gzy, gzz = gradient
-        xx, yy, zz, xy, yz, zx = turned(stress, 0.25 * (gzy - gyz), 0.25 * (gxz - gzx), 0.25 * (gyx - gxy))
+        xx, yy, zz, xy, yz, zx = rotated(stress, 0.25 * (gzy - gyz), 0.25 * (gxz - gzx), 0.25 * (gyx - gxy))
         volumetric = lame * (gxx + gyy + gzz)
         return (
             xx + volumetric + 2.0 * shear * gxx,
@@ -59,7 +68,7 @@ def trial_stress(stress: ti.template(), gradient: ti.template(), lame, shear, di
 
 
 @ti.func
-def turned(stress: ti.template(), qx, qy, qz):
+def rotated(stress: ti.template(), qx, qy, qz):
     """R sigma R^T in 3D [Pa] of Cayley's rotation R = I + C with the vector q = W's axial vector / 2 [-].
 
     Summed as sigma + C sigma + (C sigma)^T + C sigma C^T: in single precision R itself would lose C's small part.
@@ -101,13 +110,13 @@ def stress_step(
 ):
     """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
 
-    `opened` is what the last step's return gave as such [Pa], read where `features.corrected`: volume correction
-    (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
+    `opened` is what the last step's return gave as such [Pa], read where `features.volume_correction`: volume
+    correction (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
     """
     cracked = with_cracks(old, opened, limit, lame, shear, features)
     trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
     new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
-    if ti.static(features.corrected and features.cohesive and features.strained):
+    if ti.static(features.volume_correction and features.cohesive and features.strained):
         # The strain of open cracks was plastic once, when they opened.
         bare = trial_stress(old, gradient, lame, shear, features.dimension)
         d = [bare[k] - new[k] for k in ti.static(range(features.stresses))]
@@ -135,7 +144,7 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
     alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes; with its invariants
     P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3.
     """
-    if ti.static(features.corrected and features.cohesive):
+    if ti.static(features.volume_correction and features.cohesive):
         xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
         xy, yz, zx = 0.0 - stress[3], 0.0 * stress[3], 0.0 * stress[3]
         if ti.static(features.dimension == 3):
@@ -144,24 +153,24 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
         cxx, cyy, czz = yy * zz - yz * yz, zz * xx - zx * zx, xx * yy - xy * xy
         second = cxx + cyy + czz
         # What counts as 0: a ten-thousandth of the opening, for rounding in single precision.
-        least = 1.0e-4 * opened
-        two, three = second <= least * first, first <= least
+        zero = 1.0e-4 * opened
+        two, three_vectors = second <= zero * first, first <= zero
         bulk3 = 3.0 * lame + 2.0 * shear
         around, along = 3.0 * lame / bulk3 * opened, 6.0 * shear / bulk3 * opened
         third = around + along / 3.0
-        one = along / larger(second, TINY)
-        pair = 0.5 * along / larger(first, TINY)
-        rxx = stress[0] + ti.select(three, third, around + ti.select(two, pair * (yy + zz), one * cxx))
-        ryy = stress[1] + ti.select(three, third, around + ti.select(two, pair * (zz + xx), one * cyy))
-        rzz = stress[2] + ti.select(three, third, around + ti.select(two, pair * (xx + yy), one * czz))
-        rxy = stress[3] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
+        one = along / maximum(second, TINY)
+        pair = 0.5 * along / maximum(first, TINY)
+        rxx = stress[0] + ti.select(three_vectors, third, around + ti.select(two, pair * (yy + zz), one * cxx))
+        ryy = stress[1] + ti.select(three_vectors, third, around + ti.select(two, pair * (zz + xx), one * cyy))
+        rzz = stress[2] + ti.select(three_vectors, third, around + ti.select(two, pair * (xx + yy), one * czz))
+        rxy = stress[3] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
         if ti.static(features.dimension == 2):
             return rxx, ryy, rzz, rxy
         else:
-            ryz = stress[4] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
-            rzx = stress[5] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
+            ryz = stress[4] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
+            rzx = stress[5] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
             return rxx, ryy, rzz, rxy, ryz, rzx
-    elif ti.static(not features.corrected):
+    elif ti.static(not features.volume_correction):
         if ti.static(features.dimension == 2):
             return stress[0], stress[1], stress[2], stress[3]
         else:
@@ -186,14 +195,14 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         centre = xx - half
         radius = ti.sqrt(half * half + xy * xy)
         a, b = centre + radius, centre - radius
-        s1, s2, s3 = larger(a, z), larger(b, smaller(a, z)), smaller(b, z)
+        s1, s2, s3 = maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)
         t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
         above, below = z > a, z < b
         top = ti.select(above, t2, t1)
         bottom = ti.select(below, t2, t3)
         out = ti.select(above, t1, ti.select(below, t3, t2))
-        scale = 0.5 * (top - bottom) / larger(radius, TINY)
+        scale = 0.5 * (top - bottom) / maximum(radius, TINY)
         middle = 0.5 * (top + bottom)
         return (
             ti.select(yielded, middle + scale * half, xx),
@@ -212,9 +221,9 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
         # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
-        g12 = between((g1 - g2) / larger(a1 - a2, TINY), -1.0, 0.0)
-        g23 = between((g2 - g3) / larger(a2 - a3, TINY), -1.0, 0.0)
-        g123 = (g12 - g23) / larger(a1 - a3, TINY)
+        g12 = clamp((g1 - g2) / maximum(a1 - a2, TINY), -1.0, 0.0)
+        g23 = clamp((g2 - g3) / maximum(a2 - a3, TINY), -1.0, 0.0)
+        g123 = (g12 - g23) / maximum(a1 - a3, TINY)
         # In powers of the deviator d, with a1 + a2 + a3 = 0.
         constant = g1 - g12 * a1 + g123 * a1 * a2
         linear = g12 + g123 * a3

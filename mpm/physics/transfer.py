@@ -16,22 +16,23 @@ of the step. APIC is tau = 0: it loses that part in every step, so that a shorte
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i; where
 tau = 0 and no local damping asks for it, dt f_i is added to the momentum at once and a node is half as long.
 
-While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the
-energy of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction (`mpm.physics.volume_correction`),
-what C_p of such a loose particle has without the forces of the step therefore never grows:
+While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the energy
+of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction
+(`mpm.physics.volume_correction`), what C_p of such a loose particle has without the forces of the step therefore never
+grows:
 
     C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
 
 with C_p* the above. C carries no momentum, so that none is lost.
 
 Everything that belongs to a particle is computed for a block of particles at once, in vectors of lanes, and left in
-`scratch`; then particle by particle meets node by node, where a node (momentum, mass, force) is one short vector. What
+`scratch`; then single lanes are summed at the nodes, where a node (momentum, mass, force) is one short vector. What
 a particle gives to a node is linear in the node's position: its value at the lowest node, and one slope per axis.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import add, bounded
+from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.contact import prepare_contact
 
@@ -43,20 +44,20 @@ def spline(f):
 
 
 @ti.func
-def property_of(scene, block, column: ti.template(), arrays: ti.template()):
+def property_of(scene, block, stride_y: ti.template(), arrays: ti.template()):
     """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
-        return arrays.state[block * features.block + features.properties + column]
+        return arrays.state[block * features.block + features.properties + stride_y]
     else:
-        return arrays.properties[scene, column]
+        return arrays.properties[scene, stride_y]
 
 
 @ti.func
 def volume_of(scene, block, arrays: ti.template()):
     """Initial volume [m^D] of the particles of a block, 0 of those that have left the box."""
     features = arrays.features
-    if ti.static(features.open):
+    if ti.static(features.outflow):
         here = arrays.state[block * features.block + features.present]
         return property_of(scene, block, Property.VOLUME, arrays) * here
     else:
@@ -64,14 +65,14 @@ def volume_of(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def lowest_node(arrays: ti.template(), scratch, lane, grid, rows: ti.template()):
+def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template()):
     """Index of the lowest node of the particle in `lane`, in the whole array of nodes."""
     features = arrays.features
     n = grid
     for axis in ti.static(range(features.dimension)):
         n += (
             ti.cast(arrays.scratch_lanes[(scratch + features.lowest + axis) * features.lanes + lane], ti.i32)
-            * rows[axis]
+            * strides[axis]
         )
     return n
 
@@ -95,39 +96,39 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
 
 
 @ti.func
-def particles_to_grid(worker, scene, dt, rows: ti.template(), arrays: ti.template()):
+def particles_to_grid(worker, scene, dt, strides: ti.template(), arrays: ti.template()):
     """Add mass, momentum and force of every particle of `worker` to its nodes."""
     scratch = arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        block_to_grid(arrays.workers[worker, Worker.NODE], scene, block, scratch, dt, rows, arrays)
+        block_to_grid(arrays.workers[worker, Worker.NODE], scene, block, scratch, dt, strides, arrays)
 
 
 @ti.func
-def block_to_grid(grid, scene, block, scratch, dt, rows: ti.template(), arrays: ti.template()):
+def block_to_grid(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
     """Add mass, momentum and force of the particles of a block to the nodes from `grid` on."""
     features, lanes = arrays.features, arrays.features.lanes
-    prepare_giving(scene, block, scratch, dt, arrays)
-    row, column = rows[0], rows[1]
+    prepare_contributions(scene, block, scratch, dt, arrays)
+    stride_x, stride_y = strides[0], strides[1]
     for lane in range(particles_in(scene, block, arrays)):
-        n = lowest_node(arrays, scratch, lane, grid, rows)
-        weight = bounded(scratch * lanes + lane)
-        wx, wy = three(arrays, weight), three(arrays, weight + 3 * lanes)
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
         value = node_vector(arrays, scratch, 0, lane)
         slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
-                at = bounded(n + a * row)
+                at = no_overflow(n + a * stride_x)
                 here, y_step = wx[a] * value, wx[a] * slope_y
                 for b in ti.static(range(3)):
                     add(arrays.grid, at + b, wy[b] * here, arrays)
                     here = here + y_step
                 value = value + slope_x
         else:
-            wz, slope_z = three(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
             for a in ti.static(range(3)):
                 along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
                 for b in ti.static(range(3)):
-                    at = bounded(n + a * row + b * column)
+                    at = no_overflow(n + a * stride_x + b * stride_y)
                     here, z_step = wy[b] * along, wy[b] * z_slope
                     for c in ti.static(range(3)):
                         add(arrays.grid, at + c, wz[c] * here, arrays)
@@ -137,16 +138,16 @@ def block_to_grid(grid, scene, block, scratch, dt, rows: ti.template(), arrays: 
 
 
 @ti.func
-def prepare_giving(scene, block, scratch, dt, arrays: ti.template()):
+def prepare_contributions(scene, block, scratch, dt, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
-    first = bounded(block * features.block)
+    first = no_overflow(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
-    place = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
-    low = [ti.floor(p - 0.5) for p in ti.static(place)]
-    f = [place[k] - low[k] for k in ti.static(range(features.dimension))]
+    x_cells = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
+    low = [ti.floor(p - 0.5) for p in ti.static(x_cells)]
+    f = [x_cells[k] - low[k] for k in ti.static(range(features.dimension))]
     for k in ti.static(range(features.dimension)):
         arrays.scratch[scratch + features.lowest + k] = low[k]
         w = spline(f[k])
@@ -197,15 +198,15 @@ def particles_in(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), arrays: ti.template()):
+def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
-    first = bounded(block * features.block)
+    first = no_overflow(block * features.block)
     # Weights, and weights times distance, of three nodes along each axis.
     for k in ti.static(range(features.dimension)):
-        place = arrays.state[first + k] * per_dx + PADDING
-        low = ti.floor(place - 0.5)
-        f = place - low
+        x_cells = arrays.state[first + k] * per_dx + PADDING
+        low = ti.floor(x_cells - 0.5)
+        f = x_cells - low
         w = spline(f)
         arrays.scratch[scratch + features.lowest + k] = low
         for a in ti.static(range(3)):
@@ -213,35 +214,35 @@ def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), array
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (
                 (4.0 * per_dx) * w[a] * (ti.static(float(a)) - f)
             )
-    row, column = rows[0], rows[1]
+    stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
-        n = lowest_node(arrays, scratch, lane, grid, rows)
-        weight = bounded(scratch * lanes + lane)
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
         lever = weight + 3 * features.dimension * lanes
-        wx, wy = three(arrays, weight), three(arrays, weight + 3 * lanes)
-        lx, ly = three(arrays, lever), three(arrays, lever + 3 * lanes)
-        v, x_slope, y_slope = node_zero(arrays), node_zero(arrays), node_zero(arrays)
+        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
+        lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
+        v, x_slope, y_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays)
         # Sums along the last axis first: they share the weights of the others.
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
-                at = bounded(n + a * row)
+                at = no_overflow(n + a * stride_x)
                 p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
                 u = wy[0] * p + wy[1] * q + wy[2] * r
                 s = ly[0] * p + ly[1] * q + ly[2] * r
                 v = v + wx[a] * u
                 x_slope = x_slope + lx[a] * u
                 y_slope = y_slope + wx[a] * s
-            put_velocity_of(v, scratch, first, lane, arrays)
-            if ti.static(features.corrected):
-                put_density_of(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
-            put_affine_of((x_slope, y_slope), kept, first, lane, arrays)
+            store_velocity(v, scratch, first, lane, arrays)
+            if ti.static(features.volume_correction):
+                store_grid_mass(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
+            store_affine((x_slope, y_slope), kappa, first, lane, arrays)
         else:
-            wz, lz = three(arrays, weight + 6 * lanes), three(arrays, lever + 6 * lanes)
-            z_slope = node_zero(arrays)
+            wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
+            z_slope = zero_node(arrays)
             for a in ti.static(range(3)):
-                u, s, t = node_zero(arrays), node_zero(arrays), node_zero(arrays)
+                u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
                 for b in ti.static(range(3)):
-                    at = bounded(n + a * row + b * column)
+                    at = no_overflow(n + a * stride_x + b * stride_y)
                     p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
                     along = wz[0] * p + wz[1] * q + wz[2] * r
                     across = lz[0] * p + lz[1] * q + lz[2] * r
@@ -252,57 +253,57 @@ def grid_to_block(grid, block, scratch, per_dx, kept, rows: ti.template(), array
                 x_slope = x_slope + lx[a] * u
                 y_slope = y_slope + wx[a] * s
                 z_slope = z_slope + wx[a] * t
-            put_velocity_of(v, scratch, first, lane, arrays)
-            if ti.static(features.corrected):
-                put_density_of(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
-            put_affine_of((x_slope, y_slope, z_slope), kept, first, lane, arrays)
+            store_velocity(v, scratch, first, lane, arrays)
+            if ti.static(features.volume_correction):
+                store_grid_mass(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
+            store_affine((x_slope, y_slope, z_slope), kappa, first, lane, arrays)
 
 
 @ti.func
-def three(arrays: ti.template(), at):
+def three_vectors(arrays: ti.template(), at):
     """Three vectors of lanes of `scratch`, one after the other, in the lane that `at` is the first number of."""
     lanes = arrays.features.lanes
     return arrays.scratch_lanes[at], arrays.scratch_lanes[at + lanes], arrays.scratch_lanes[at + 2 * lanes]
 
 
 @ti.func
-def put_velocity_of(v, scratch, first, lane, arrays: ti.template()):
+def store_velocity(v, scratch, first, lane, arrays: ti.template()):
     """Leave the grid's velocity at a particle, and its change where relaxed, for the block's next step."""
     features, lanes = arrays.features, arrays.features.lanes
     for i in ti.static(range(features.dimension)):
         if ti.static(features.relaxed):
-            at = bounded(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
+            at = no_overflow(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
             arrays.scratch_lanes[at] = v[i]
             arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
         else:
-            arrays.lanes[bounded(first * lanes + lane) + (features.velocity + i) * lanes] = v[i]
+            arrays.lanes[no_overflow(first * lanes + lane) + (features.velocity + i) * lanes] = v[i]
 
 
 @ti.func
-def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template()):
+def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template()):
     """Leave C of the particle in `lane`, whose column j is the first D numbers of `slopes` j.
 
     With volume correction, that of a particle which is open or not yet loaded is held back.
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    particle = bounded(first * lanes + lane)
+    particle = no_overflow(first * lanes + lane)
     affine = particle + features.affine * lanes
-    if ti.static(features.corrected and features.relaxed):
-        before, seen = 0.0 * kept, 0.0 * kept
+    if ti.static(features.volume_correction and features.relaxed):
+        before_squared, now_squared = 0.0 * kappa, 0.0 * kappa
         for i in ti.static(range(size)):
             for j in ti.static(range(size)):
-                old = kept * arrays.lanes[affine + (size * i + j) * lanes]
+                old = kappa * arrays.lanes[affine + (size * i + j) * lanes]
                 new = slopes[j][i] - slopes[j][features.change + i]
-                before += old * old
-                seen += new * new
-        bears = 0.0 * kept
+                before_squared += old * old
+                now_squared += new * new
+        bears = 0.0 * kappa
         for k in ti.static(range(3)):
             bears += ti.abs(arrays.lanes[particle + (features.stress + k) * lanes])
         loose = arrays.lanes[particle + features.gap * lanes] > 0.0 or bears == 0.0
-        excess = 0.0 * kept
-        if loose and seen > before:
-            excess = 1.0 - ti.sqrt(before / seen)
+        excess = 0.0 * kappa
+        if loose and now_squared > before_squared:
+            excess = 1.0 - ti.sqrt(before_squared / now_squared)
         for i in ti.static(range(size)):
             for j in ti.static(range(size)):
                 new = slopes[j][i] - slopes[j][features.change + i]
@@ -314,17 +315,17 @@ def put_affine_of(slopes: ti.template(), kept, first, lane, arrays: ti.template(
 
 
 @ti.func
-def put_density_of(mass, slopes: ti.template(), scratch, lane, arrays: ti.template()):
+def store_grid_mass(mass, slopes: ti.template(), scratch, lane, arrays: ti.template()):
     """Leave sum_i w_ip m_i [kg] of the particle in `lane`, and its D `slopes` 4 / dx^2 sum_i w_ip m_i x_ip [kg/m]."""
     features, lanes = arrays.features, arrays.features.lanes
-    at = bounded(scratch * lanes + lane) + features.density * lanes
+    at = no_overflow(scratch * lanes + lane) + features.density * lanes
     arrays.scratch_lanes[at] = mass
     for k in ti.static(range(features.dimension)):
         arrays.scratch_lanes[at + (1 + k) * lanes] = slopes[k]
 
 
 @ti.func
-def node_zero(arrays: ti.template()):
+def zero_node(arrays: ti.template()):
     """A node's vector of zeros."""
     features = arrays.features
     return ti.Vector([0.0 for _ in ti.static(range(features.node))])

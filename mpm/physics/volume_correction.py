@@ -1,13 +1,13 @@
 """Gaps between particles that have come apart: volume correction.
 
-A law for stress rates forgets by how much sand has opened: the first compression after a flight would be resisted
-although the grains are still apart, and the deposit would stay as loose as it flew. So a particle remembers its gap,
+A law for stress rates cannot tell how far sand has opened: the first compression after a flight would be resisted
+although the grains are still apart, and the deposit would stay as loose as it flew. So a particle carries its gap,
 the volume strain e that opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017;
 the direction of cracks: `mpm.physics.stress.with_cracks`).
 
 Integrated strain alone drifts: particles move with the grid's velocities, not with the affine fit C that strains them,
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
-the one that the grid sees, backward in time over T_g = sqrt(dx / g) / 8:
+that of the grid's density, backward in time over T_g = sqrt(dx / g) / 8:
 
     e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
     r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D
@@ -17,16 +17,16 @@ rho_p is exact in the mean inside a body (single particles scatter by 3 % at the
 a free surface, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of mass o lies inwards, by
 0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box hides mass, too, but is no surface:
 y cells from it the share f = 1 - (1 - y / 1.7)^2 / 2 is left, and what o points away from it is not counted. So sand
-that comes down reaches the floor before it bears, and does not stop above it where the floor's nodes begin to act.
+that comes down is on the floor before it bears, and does not stop above it where the floor's nodes begin to act.
 
-At a boundary of soils of different density the grid sees another density than the particle's own.
+At a boundary of soils of different density the grid has another density than the particle's own.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import larger
+from mpm.arrays.access import maximum
 from mpm.arrays.layout import Contact, Offset, Property, Setting
-from mpm.arrays.properties import GAP_REACH
+from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.transfer import property_of
 
 DEEPEST = 0.25
@@ -36,41 +36,41 @@ TINY = 1.0e-30
 
 
 @ti.func
-def gap_seen(scene, block, scratch, arrays: ti.template()):
-    """e_s [-] of the particles of a block: the volume strain by which the grid sees them apart."""
+def grid_gap(scene, block, scratch, arrays: ti.template()):
+    """e_s [-] of the particles of a block: the volume strain that follows from the grid's density."""
     features = arrays.features
     dx = arrays.settings[scene, Setting.CELL]
-    mass = larger(arrays.scratch[scratch + features.density], TINY)
+    mass = maximum(arrays.scratch[scratch + features.density], TINY)
     full = property_of(scene, block, Property.DENSITY, arrays) * dx**features.dimension + 0.0 * mass
     square, across = 0.0 * mass, 0.0 * mass
     if ti.static(features.contact):
-        # A solid hides mass like a wall, and the centre of mass is then away from it along its normal.
+        # No mass lies in a solid, as beyond a wall, and the centre of mass is then away from it along its normal.
         at = block * features.block + features.contacts
-        near = larger(1.0 - arrays.state[at + Contact.DISTANCE] / (GAP_REACH * dx), 0.0)
+        near = maximum(1.0 - arrays.state[at + Contact.DISTANCE] / (GAP_CUTOFF * dx), 0.0)
         full = full * (1.0 - 0.5 * near * near)
         for k in ti.static(range(features.dimension)):
             slope = arrays.scratch[scratch + features.density + 1 + k]
             across = across + slope * arrays.state[at + Contact.NORMAL + k]
-        across = ti.select(near > 0.0, larger(across, 0.0), 0.0)
+        across = ti.select(near > 0.0, maximum(across, 0.0), 0.0)
     for k in ti.static(range(features.dimension)):
         slope = arrays.scratch[scratch + features.density + 1 + k]
         if ti.static(features.contact):
             normal = arrays.state[block * features.block + features.contacts + Contact.NORMAL + k]
             slope = slope - across * normal
-        place = arrays.state[block * features.block + k] / (GAP_REACH * dx)
-        length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_REACH
-        low, high = larger(1.0 - place, 0.0), larger(1.0 - length + place, 0.0)
+        x_cells = arrays.state[block * features.block + k] / (GAP_CUTOFF * dx)
+        length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_CUTOFF
+        low, high = maximum(1.0 - x_cells, 0.0), maximum(1.0 - length + x_cells, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
         behind = ((slope > 0.0) & (low > 0.0)) | ((slope < 0.0) & (high > 0.0))
         square = square + ti.select(behind, 0.0, slope * slope)
     inwards = 0.25 * dx * ti.sqrt(square) / mass
-    packed = mass / (full * larger(1.0 - 2.0 * inwards, DEEPEST))
-    return larger(2.0 * (1.0 - packed) / (1.0 + packed), 0.0)
+    packed = mass / (full * maximum(1.0 - 2.0 * inwards, DEEPEST))
+    return maximum(2.0 * (1.0 - packed) / (1.0 + packed), 0.0)
 
 
 @ti.func
-def gap_followed(opened, limit, bulk, scene, block, scratch, dt, arrays: ti.template()):
-    """K e [Pa] of a block at the start of a step: as remembered, or, where open and without tension, as now seen."""
+def updated_gap(opened, limit, bulk, scene, block, scratch, dt, arrays: ti.template()):
+    """K e [Pa] of a block at the start of a step: as remembered or, where open without tension, after relaxation."""
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
-    followed = (opened + rate * bulk * gap_seen(scene, block, scratch, arrays)) / (1.0 + rate)
+    followed = (opened + rate * bulk * grid_gap(scene, block, scratch, arrays)) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)

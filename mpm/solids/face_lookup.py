@@ -5,7 +5,7 @@ Lists and lines: `mpm.solids.obstacles`. What it finds is what `datasets.geometr
 
 import taichi as ti
 
-from mpm.arrays.access import rows_of
+from mpm.arrays.access import node_strides
 from mpm.arrays.layout import PADDING, Offset, Setting
 
 SKIN = 1.0e-3
@@ -24,12 +24,12 @@ def face_vector(face, column, arrays: ti.template()):
 def cell_of(x, scene, arrays: ti.template()):
     """Index in `cell_faces` of the cell that the position `x` [m] lies in."""
     features = arrays.features
-    rows = rows_of(scene, arrays)
+    strides = node_strides(scene, arrays)
     index = arrays.offsets[scene, Offset.GEOMETRY]
     for k in ti.static(range(features.dimension)):
         along = ti.floor(x[k] / arrays.settings[scene, Setting.CELL]) + PADDING
         last = arrays.offsets[scene, Offset.CELLS_X + k] + 2 * PADDING
-        index += ti.max(0, ti.min(ti.cast(along, ti.i32), last)) * rows[k]
+        index += ti.max(0, ti.min(ti.cast(along, ti.i32), last)) * strides[k]
     return index
 
 
@@ -81,7 +81,7 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
-    least = 0.0 * x[0] + 1.0e30
+    smallest = 0.0 * x[0] + 1.0e30
     face, feature = last, 0
     weights, offset = 0.0 * x, 0.0 * x
     first = arrays.cell_faces[cell_index]
@@ -91,7 +91,7 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
             candidate = arrays.near_faces[first + number - 1]
         # No point of a face is nearer than its plane.
         height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
-        if height * height < least:
+        if height * height < smallest:
             w, part = 0.0 * x, 0
             if ti.static(dimension == 2):
                 w, part = foot_on_segment(x, candidate, arrays)
@@ -101,20 +101,20 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
             for k in ti.static(range(dimension)):
                 from_foot = from_foot - w[k] * face_vector(candidate, k * dimension, arrays)
             square = from_foot.dot(from_foot)
-            if square < least:
-                least, face, feature, weights, offset = square, candidate, part, w, from_foot
+            if square < smallest:
+                smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     column = features.face_normal + feature * dimension
     normal = face_vector(face, column, arrays)
     d = offset.dot(normal)
     if feature > 0:
-        side = 1.0
+        sign = 1.0
         if d < 0.0:
-            side = -1.0
-        length = ti.sqrt(least)
-        d = side * length
+            sign = -1.0
+        length = ti.sqrt(smallest)
+        d = sign * length
         if length > TINY:
-            normal = offset * (side / length)
+            normal = offset * (sign / length)
     return face, weights, normal, d
 
 

@@ -1,4 +1,4 @@
-"""The distances that `mpm.solids.faces` asks for, compiled: of cells from triangles near them, of nodes from listed ones."""
+"""Compiled distances for `mpm.solids.faces`: of cells from triangles near them, of nodes from listed triangles."""
 
 from typing import Any
 
@@ -60,15 +60,15 @@ def nearest_listed(corners: Floats, points: Floats, ends: Integers, listed: Inte
 
     Returns triangles and squared distances [m^2]; corners [T, 3, 3] and points [P, 3] in m.
     """
-    nearest, least = np.empty(len(points), np.int64), np.full(len(points), np.inf)
+    nearest, smallest = np.empty(len(points), np.int64), np.full(len(points), np.inf)
     for p in range(len(points)):
-        for place in range(ends[p], ends[p + 1]):
-            a, b, c = corners[listed[place], 0], corners[listed[place], 1], corners[listed[place], 2]
+        for entry in range(ends[p], ends[p + 1]):
+            a, b, c = corners[listed[entry], 0], corners[listed[entry], 1], corners[listed[entry], 2]
             n = normal_of(a, b, c)
             square = triangle_distance_squared(a, b, c, n, points[p, 0], points[p, 1], points[p, 2])
-            if square < least[p]:
-                nearest[p], least[p] = listed[place], square
-    return nearest, least
+            if square < smallest[p]:
+                nearest[p], smallest[p] = listed[entry], square
+    return nearest, smallest
 
 
 @numba.njit(cache=True)

@@ -1,12 +1,12 @@
-"""Which faces of the solids' surface a place of the grid has to ask: lists for cells, distances at nodes.
+"""Which faces of the solids' surface a place of the grid is near: lists for cells, distances at nodes.
 
-Cells and nodes are numbered alike, as `mpm.physics.grid.rows_of` numbers nodes: a cell by its lowest node. Nothing is stored of
-what lies farther from the surface than a reach.
+Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers nodes: a cell by its lowest node.
+Nothing is stored beyond a cut-off distance from the surface.
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
-F. So F can be the nearest one of a point at a distance of at most `reach` only where d(c, F) <= min(least + 2 h,
-reach + h), `least` being the distance of c from its nearest face, and a segment of length `travel` that starts in the
-cell can cut F only where d(c, F) <= h + travel. Faces that are large against a cell are searched in pieces.
+F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
+cutoff + h), `smallest` being the distance of c from its nearest face, and a segment of length `travel` that starts in
+the cell can cut F only where d(c, F) <= h + travel. Faces that are large against a cell are searched in pieces.
 """
 
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ PIECE = 4.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Faces:
-    """Faces near cells, and the surface as the nodes near it see it; D dimensions."""
+    """Faces near cells, and the surface at the nodes near it; D dimensions."""
 
     first: NDArray[np.int32]
     """Where the list of each cell begins in `faces`, shape [nodes + 1]; that of cell n ends at first[n + 1]."""
     faces: NDArray[np.int32]
     """Faces of the surface, those of one cell after those of another, in their order, shape [L]."""
     nodes: Integers
-    """The nodes within reach, shape [K]."""
+    """The nodes within the cut-off, shape [K]."""
     distance: Floats
     """Their signed distance from the surface [m], negative inside, shape [K]."""
     normal: Floats
@@ -61,15 +61,14 @@ def node_positions(domain: Domain, nodes: Integers) -> Floats:
     return np.asarray((index - PADDING) * domain.cell)
 
 
-def faces_near(domain: Domain, surface: Surface, *, reach: float = 2.0, travel: float = 1.0) -> Faces:
+def faces_near(domain: Domain, surface: Surface, *, cutoff: float = 2.0, travel: float = 1.0) -> Faces:
     """The faces of `surface` near the cells of `domain` and the surface at the nodes near it.
 
-    reach: of what is wanted, the largest distance from the surface [cells]; travel: longest way of a particle that is
-    looked at [cells].
+    cutoff: largest distance from the surface that is listed [cells]; travel: longest displacement of a step [cells].
     """
     cell, shape = domain.cell, node_shape(domain)
     half = 0.5 * cell * np.sqrt(len(domain.size))
-    cells, faces, distance = near_pairs(domain, surface, max(reach * cell + half, travel * cell + half))
+    cells, faces, distance = near_pairs(domain, surface, max(cutoff * cell + half, travel * cell + half))
     order = np.lexsort((faces, cells))
     cells, faces, distance = cells[order], faces[order], distance[order]
     # Pieces of a face meet the same cell: the nearest of them counts.
@@ -77,10 +76,10 @@ def faces_near(domain: Domain, surface: Surface, *, reach: float = 2.0, travel: 
     distance = np.minimum.reduceat(distance, starts) if len(starts) else distance
     cells, faces = cells[starts], faces[starts]
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
-    least = np.minimum.reduceat(distance, groups) if len(groups) else distance
-    least = np.repeat(least, np.diff(groups, append=len(cells)))
+    smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
+    smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
     slack = 1.0e-9 * cell
-    kept = (distance <= np.minimum(least + 2.0 * half, reach * cell + half) + slack) | (
+    kept = (distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack) | (
         distance <= half + travel * cell + slack
     )
     cells, faces = cells[kept], faces[kept]
@@ -89,19 +88,19 @@ def faces_near(domain: Domain, surface: Surface, *, reach: float = 2.0, travel: 
     return Faces(
         first=np.cumsum(first).astype(np.int32),
         faces=faces.astype(np.int32),
-        **nodes_near(domain, surface, cells, faces, reach * cell),
+        **nodes_near(domain, surface, cells, faces, cutoff * cell),
     )
 
 
-def nodes_near(domain: Domain, surface: Surface, cells: Integers, faces: Integers, reach: float) -> dict[str, Any]:
-    """What the nodes within `reach` [m] see, by the names of `Faces`; their cells' faces hold their nearest one."""
+def nodes_near(domain: Domain, surface: Surface, cells: Integers, faces: Integers, cutoff: float) -> dict[str, Any]:
+    """Distance, normal and friction at the nodes within `cutoff` [m], by the names of `Faces`."""
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     nodes: Integers = cells[groups]
     points = node_positions(domain, nodes)
     points_in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     ends = np.append(groups, len(cells))
     nearest, square = nearest_listed(in_space(surface.corners), points_in_space, ends, faces)
-    near: NDArray[np.bool_] = np.asarray(square <= reach * reach, bool)
+    near: NDArray[np.bool_] = np.asarray(square <= cutoff * cutoff, bool)
     nodes, points, nearest = nodes[near], points[near], nearest[near]
     foot = sign_and_normal(surface, points, nearest)
     _, _, weights = feet(surface.corners[nearest], points)

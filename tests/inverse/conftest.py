@@ -9,10 +9,15 @@ import torch
 
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
+from gns.initial import Start
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
-from inverse.parameters.parameters import kind
-from inverse.problem import Observable, ObservationSettings, OptimiserSettings, Problem, Start, TargetSettings, Unknown
+from inverse.parameters import kind
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
+
+# As `gns` sets it where it is imported before torch: threads that spin at barriers take a hundred times longer.
+torch.set_num_threads(1)
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
 FLOWS = {
@@ -43,7 +48,7 @@ FLOWS = {
     ),
 }
 WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005}
-"""Half of the range between an unknown's bounds, by its unit."""
+"""Half of the range between a parameter's bounds, by its unit."""
 
 
 def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
@@ -70,23 +75,21 @@ def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
     return made.double().requires_grad_(False)
 
 
-def problem_of(
-    dimension: int, *names: str, observable: Observable = Observable.DEPOSIT, start: Start | None = None
-) -> Problem:
-    """The small flow with these unknowns, each between bounds around the scene's own value."""
+def problem_of(dimension: int, *names: str, observed: str = "deposit", start: Start | None = None) -> Problem:
+    """The small flow with these parameters, each between bounds around the scene's own value."""
     scene = FLOWS[dimension]
-    unknowns = []
+    parameters = []
     for name in names:
         value, half = kind(name).read(scene), WIDE[kind(name).unit]
-        unknowns.append(Unknown(name=name, initial=value, lower=value - half, upper=value + half))
-    line = 0.15 if observable is Observable.PASSED else None
+        parameters.append(Parameter(name=name, initial=value, lower=value - half, upper=value + half))
+    line = 0.15 if observed == "passed" else None
     return Problem(
         name="small",
         folder=Path(),
         scene=scene,
-        unknowns=tuple(unknowns),
-        observation=ObservationSettings(kind=observable, line=line, spacing=0.02),
-        target=TargetSettings(hidden=True),
+        parameters=tuple(parameters),
+        observation=ObservationSettings(kind=observed, line=line, spacing=0.02),
+        target=TargetSettings(twin=True),
         optimiser=OptimiserSettings(start=start),
     )
 

@@ -1,4 +1,4 @@
-"""Problem files: what is shipped reads, what is wrong is told in one line, and targets come from where they say."""
+"""Problem files: what is shipped reads, what is wrong is said in one line, and targets come from where they say."""
 
 import dataclasses
 from pathlib import Path
@@ -10,12 +10,14 @@ from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from gns.initial import Start
 from inverse.__main__ import main
-from inverse.observations import deposit as observations
-from inverse.observations.deposit import SHARES
-from inverse.observations.target import hidden_scene, read_target
-from inverse.parameters.parameters import kind
-from inverse.problem import PROBLEMS, Observable, Problem, Start, TargetSettings, read_problem
+from inverse.observations import build
+from inverse.observations.profile import SHARES, Profile
+from inverse.observations.reading import read_target
+from inverse.parameters import kind
+from inverse.problem import PROBLEMS, Problem, read_problem
+from inverse.settings import ObservationSettings, TargetSettings
 
 GOOD = """
 scene = "column-tall-42"
@@ -41,10 +43,10 @@ def written(folder: Path, text: str) -> str:
 def test_a_shipped_problem_reads(path: Path) -> None:
     problem = read_problem(path.stem)
     assert problem.name == path.stem
-    assert hidden_scene(problem).seed != problem.scene.seed
+    assert problem.twin_scene.seed != problem.scene.seed
     if path.stem.startswith("friction-"):
-        kind = Observable.PROFILE if path.stem.endswith("profile") else Observable.FRONT
-        assert problem.observation.kind is kind
+        kind = "profile" if path.stem.endswith("profile") else "front"
+        assert problem.observation.kind == kind
         assert problem.start is Start.FROM_MPM_FRAMES
 
 
@@ -52,13 +54,13 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     velocities, baffles = read_problem("velocity-layers-10"), read_problem("baffles-2")
     assert velocities.start is baffles.start is Start.FROM_REST
     np.testing.assert_array_equal(velocities.initial, np.zeros(10))
-    layers = [kind(name).read(hidden_scene(velocities)) for name in velocities.names]
+    layers = [kind(name).read(velocities.twin_scene) for name in velocities.names]
     np.testing.assert_allclose(layers, [1.50, 1.35, 1.20, 1.05, 0.90, 0.75, 0.60, 0.45, 0.30, 0.15])
     # Ours are the paper's coordinates less 0.1 m.
     np.testing.assert_allclose(baffles.initial, np.array([0.225, 0.925]) - 0.1)
     np.testing.assert_allclose([kind(name).read(baffles.scene) for name in baffles.names], baffles.initial)
-    wanted = [kind(name).read(hidden_scene(baffles)) for name in baffles.names]
-    np.testing.assert_allclose(wanted, np.array([0.341, 0.812]) - 0.1)
+    true = [kind(name).read(baffles.twin_scene) for name in baffles.names]
+    np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
     rates = (velocities.optimiser.learning_rate, baffles.optimiser.learning_rate)
     assert rates == (0.1, 0.01)
 
@@ -74,12 +76,12 @@ def test_the_eight_friction_problems_ship() -> None:
         ('kind = "front"', 'kind = "fornt"', "observation.kind"),
         ('kind = "front"', 'kind = "front"\nspacing = 0.0', "observation.spacing"),
         ("value = 0.55", "", "target"),
-        ("value = 0.55", "value = 0.55\nhidden = true", "target"),
+        ("value = 0.55", "value = 0.55\ntwin = true", "target"),
         ("value = 0.55", "value = 1.55", "target.value"),
         ("value = 0.55", "value = true", "target.value"),
         ("value = 0.55", 'csv = "profile.csv"', "target.csv"),
-        ("value = 0.55", "hidden = true\nseed = 0", "target.seed"),
-        ("value = 0.55", "hidden = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
+        ("value = 0.55", "twin = true\nseed = 0", "target.seed"),
+        ("value = 0.55", "twin = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
         ("value = 0.55", "value = 0.55\nnoise = -1.0", "target.noise"),
         ('"friction_deg"', '"frictoin_deg"', "unknowns[0].name"),
         ("initial = 30.0", "initial = 60.0", "unknowns[0].initial"),
@@ -129,17 +131,17 @@ def test_a_toe_is_two_or_three_numbers_and_a_deposit_has_no_jacobian(tmp_path: P
     with pytest.raises(InputError, match=r"target\.values: expected 2 coordinates"):
         read_problem(written(tmp_path, toe))
     assert read_problem(written(tmp_path, toe.replace(", 0.2]", "]"))).target.values == (0.5, 0.1)
-    whole = GOOD.replace('"front"', '"deposit"').replace("value = 0.55", "hidden = true")
+    whole = GOOD.replace('"front"', '"deposit"').replace("value = 0.55", "twin = true")
     newton = whole.replace("[target]", '[optimiser]\nmethod = "gauss-newton"\n[target]')
     with pytest.raises(InputError, match=r"optimiser\.method"):
         read_problem(written(tmp_path, newton))
 
 
-def test_a_deposit_wants_the_points_of_its_scene(tmp_path: Path) -> None:
-    problem = small(Observable.DEPOSIT, tmp_path, TargetSettings(trajectory="seen.npz"))
+def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
+    problem = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
     fall(problem.scene).save(tmp_path / "seen.npz")
-    with pytest.raises(InputError, match=r"seen\.npz: expected the 3200 points"):
-        read_target(problem, observations.build(problem.observation, problem.scene), fall)
+    with pytest.raises(InputError, match=r"seen\.npz: expected the 3200 particles"):
+        read_target(problem, fall)
 
 
 def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -156,10 +158,9 @@ def test_the_mpm_has_no_automatic_gradient(tmp_path: Path, capfd: pytest.Capture
     assert "--gradient fd" in capfd.readouterr().err
 
 
-def small(kind: Observable, folder: Path, target: TargetSettings) -> Problem:
+def small(kind: str, folder: Path, target: TargetSettings) -> Problem:
     problem = read_problem("friction-tall-42")
-    settings = dataclasses.replace(problem.observation, kind=kind)
-    return dataclasses.replace(problem, observation=settings, folder=folder, target=target)
+    return dataclasses.replace(problem, observation=ObservationSettings(kind=kind), folder=folder, target=target)
 
 
 def fall(scene: Scene) -> Trajectory:
@@ -175,39 +176,39 @@ def fall(scene: Scene) -> Trajectory:
     )
 
 
-def test_a_hidden_target_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
-    settings = TargetSettings(hidden=True, seed=3, truth={"friction_deg": 37.0})
-    problem = small(Observable.FRONT, tmp_path, settings)
-    target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
+def test_a_twin_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
+    settings = TargetSettings(twin=True, seed=3, truth={"friction_deg": 37.0})
+    problem = small("front", tmp_path, settings)
+    target = read_target(problem, fall)
     assert target.truth == {"friction_deg": 37.0}
-    assert target.edge == pytest.approx(0.995 * (1.0 - 0.37 - 0.003), rel=1e-6)
-    assert target.values == pytest.approx([target.edge])
-    unstated = small(Observable.FRONT, tmp_path, TargetSettings(hidden=True, seed=3))
-    assert read_target(unstated, observations.build(problem.observation, problem.scene), fall).truth == {
-        "friction_deg": 42.0
-    }
+    assert target.front == pytest.approx(0.995 * (1.0 - 0.37 - 0.003), rel=1e-6)
+    assert target.values == pytest.approx([target.front])
+    unstated = small("front", tmp_path, TargetSettings(twin=True, seed=3))
+    assert read_target(unstated, fall).truth == {"friction_deg": 42.0}
 
 
 def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
-    problem = small(Observable.PROFILE, tmp_path, TargetSettings(trajectory="seen.npz"))
+    problem = small("profile", tmp_path, TargetSettings(trajectory="seen.npz"))
     seen = fall(problem.scene)
     seen.save(tmp_path / "seen.npz")
-    observation = observations.build(problem.observation, problem.scene)
-    target = read_target(problem, observation, fall)
+    observation = build(problem.observation, problem.scene)
+    assert isinstance(observation, Profile)
+    target = read_target(problem, fall)
     assert target.truth is None
     np.testing.assert_allclose(target.values, observation.exact(seen.positions[-1]))
-    assert target.front_error(observation, 1.01 * seen.positions[-1]) == pytest.approx(0.01, rel=1e-4)
+    assert target.front_error(1.01 * seen.positions[-1]) == pytest.approx(0.01, rel=1e-4)
 
 
 def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
-    (tmp_path / "profile.csv").write_text("x,height\n0.0,0.4\n0.4,0.0\n")
-    problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
-    target = read_target(problem, observations.build(problem.observation, problem.scene), fall)
+    rows = "".join(f"{x:.2f},{0.4 - x:.2f}\n" for x in np.linspace(0.0, 0.4, 21))
+    (tmp_path / "profile.csv").write_text("x,height\n" + rows)
+    problem = small("profile", tmp_path, TargetSettings(csv="profile.csv"))
+    target = read_target(problem, fall)
     assert target.profile is not None
     np.testing.assert_allclose(target.profile[1][:3], [0.4, 0.38, 0.36])
     assert not target.profile[1][20:].any()
     # A triangle: 1 - sqrt(1 - q) of its length.
-    assert target.edge == pytest.approx(0.4 * (1.0 - np.sqrt(0.005)), abs=0.01)
+    assert target.front == pytest.approx(0.4 * (1.0 - np.sqrt(0.005)), abs=0.01)
     np.testing.assert_allclose(target.values, 0.4 * (1.0 - np.sqrt(1.0 - np.array(SHARES))), atol=0.005)
 
 
@@ -225,12 +226,12 @@ def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
 )
 def test_a_wrong_csv_names_the_file(text: str, tmp_path: Path) -> None:
     (tmp_path / "profile.csv").write_text(text)
-    problem = small(Observable.PROFILE, tmp_path, TargetSettings(csv="profile.csv"))
+    problem = small("profile", tmp_path, TargetSettings(csv="profile.csv"))
     with pytest.raises(InputError, match=r"profile\.csv"):
-        read_target(problem, observations.build(problem.observation, problem.scene), fall)
+        read_target(problem, fall)
 
 
 def test_a_missing_trajectory_names_the_file(tmp_path: Path) -> None:
-    problem = small(Observable.FRONT, tmp_path, TargetSettings(trajectory="none.npz"))
+    problem = small("front", tmp_path, TargetSettings(trajectory="none.npz"))
     with pytest.raises(InputError, match=r"none\.npz"):
-        read_target(problem, observations.build(problem.observation, problem.scene), fall)
+        read_target(problem, fall)

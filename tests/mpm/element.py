@@ -24,21 +24,21 @@ XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 
 @cache
-def path_kernel(needs: Features) -> Callable[..., None]:
+def path_kernel(features: Features) -> Callable[..., None]:
     """(stress, gradients, history, properties, cell): one element along a path of displacement-gradient increments.
 
     `stress` ends with the plastic strain and what is remembered of opened cracks.
     """
-    real = ti.f32 if needs.precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
-    width = needs.stresses + 2
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+    width = features.stresses + 2
 
     @ti.kernel
     def follow_path(stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray(), cell: real):
         for _ in range(1):
             for step in range(gradients.shape[0]):
                 zero = 0.0 * stress[0]
-                strain, gap = stress[ti.static(needs.stresses)], stress[ti.static(needs.stresses + 1)]
+                strain, gap = stress[ti.static(features.stresses)], stress[ti.static(features.stresses + 1)]
                 peak = (
                     m[Property.SIN_PHI] + zero,
                     m[Property.SIN_PSI] + zero,
@@ -46,23 +46,23 @@ def path_kernel(needs: Features) -> Callable[..., None]:
                     m[Property.LIMIT] + zero,
                 )
                 sin_phi, sin_psi, strength, limit = peak
-                if ti.static(needs.softens):
+                if ti.static(features.softens):
                     residual = (
                         m[Property.RESIDUAL_SIN_PHI],
                         m[Property.RESIDUAL_STRENGTH],
                         m[Property.RESIDUAL_LIMIT],
                     )
                     sin_phi, sin_psi, strength, limit = softened(
-                        strain, m[Property.SOFTENING] * cell, peak, residual, needs
+                        strain, m[Property.SOFTENING] * cell, peak, residual, features
                     )
-                old = [stress[k] for k in ti.static(range(needs.stresses))]
+                old = [stress[k] for k in ti.static(range(features.stresses))]
                 lame, shear = m[Property.LAME], m[Property.SHEAR]
-                increment = [gradients[step, k] + zero for k in ti.static(range(needs.dimension**2))]
-                new = stress_step(old, increment, gap, sin_phi, sin_psi, strength, limit, lame, shear, needs)
-                for k in ti.static(range(needs.stresses)):
+                increment = [gradients[step, k] + zero for k in ti.static(range(features.dimension**2))]
+                new = stress_step(old, increment, gap, sin_phi, sin_psi, strength, limit, lame, shear, features)
+                for k in ti.static(range(features.stresses)):
                     stress[k] = new[k]
-                stress[ti.static(needs.stresses)] = strain + new[needs.stresses]
-                stress[ti.static(needs.stresses + 1)] = new[needs.stresses + 1]
+                stress[ti.static(features.stresses)] = strain + new[features.stresses]
+                stress[ti.static(features.stresses + 1)] = new[features.stresses + 1]
                 for k in ti.static(range(width)):
                     history[step * width + k] = stress[k]
 
@@ -70,38 +70,38 @@ def path_kernel(needs: Features) -> Callable[..., None]:
 
 
 @cache
-def tensor_kernel(needs: Features) -> Callable[..., None]:
+def tensor_kernel(features: Features) -> Callable[..., None]:
     """(stresses, properties): tensors, a block of lanes per component, returned in place."""
-    real = ti.f32 if needs.precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
 
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
-        for e in range(s.shape[0] // ti.static(needs.stresses)):
+        for e in range(s.shape[0] // ti.static(features.stresses)):
             new = plastic_return(
-                [s[e * ti.static(needs.stresses) + k] for k in ti.static(range(needs.stresses))],
+                [s[e * ti.static(features.stresses) + k] for k in ti.static(range(features.stresses))],
                 m[Property.SIN_PHI],
                 m[Property.SIN_PSI],
                 m[Property.STRENGTH],
                 m[Property.LIMIT],
                 m[Property.LAME],
                 m[Property.SHEAR],
-                needs,
+                features,
             )
-            for k in ti.static(range(needs.stresses)):
-                s[e * ti.static(needs.stresses) + k] = new[k]
+            for k in ti.static(range(features.stresses)):
+                s[e * ti.static(features.stresses) + k] = new[k]
 
     return return_all
 
 
 @cache
-def return_kernel(needs: Features) -> Callable[..., None]:
+def return_kernel(features: Features) -> Callable[..., None]:
     """(stresses, properties): principal stresses, four blocks of lanes after another, returned in place.
 
     The fourth of each is overwritten with what opening cost.
     """
-    real = ti.f32 if needs.precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(needs.lanes, real), ndim=1)
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
 
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
@@ -116,7 +116,7 @@ def return_kernel(needs: Features) -> Callable[..., None]:
                 m[Property.LIMIT],
                 m[Property.LAME],
                 m[Property.SHEAR],
-                needs,
+                features,
             )
             s[4 * e], s[4 * e + 1], s[4 * e + 2], s[4 * e + 3] = t1, t2, t3, opened
 
@@ -136,23 +136,23 @@ def follow_states(
     """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
     increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens."""
     runtime.start(precision)
-    needs = Features(
+    features = Features(
         dimension=gradients.shape[1],
         precision=precision,
         dilates=True,
         cohesive=cohesive,
         strain_recorded=True,
-        corrected=corrected,
+        volume_correction=corrected,
         softens=material.softening_length is not None,
     )
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
-    width = needs.stresses + 2
-    stress = aligned((width, needs.lanes), real)
+    width = features.stresses + 2
+    stress = aligned((width, features.lanes), real)
     if start is not None:
-        stress[: needs.stresses] = np.asarray(start)[:, None]
-    history = aligned((len(gradients) * width, needs.lanes), real)
+        stress[: features.stresses] = np.asarray(start)[:, None]
+    history = aligned((len(gradients) * width, features.lanes), real)
     increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
-    path_kernel(needs)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell)
+    path_kernel(features)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell)
     assert np.all(history == history[:, :1])
     series = history[:, 0].reshape(len(gradients), width).astype(np.float64)
     return series[:, :-2], series[:, -2], series[:, -1]
@@ -206,9 +206,9 @@ def returned_whole(
 ) -> tuple[Vector, Vector]:
     """What `returned` does, and the mean stress that opening cost [Pa], shape [E]."""
     runtime.start(precision)
-    needs = Features(dimension=2, precision=precision, dilates=material.dilation_deg > 0.0, cohesive=cohesive)
+    features = Features(dimension=2, precision=precision, dilates=material.dilation_deg > 0.0, cohesive=cohesive)
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
-    count, lanes = len(stresses), needs.lanes
+    count, lanes = len(stresses), features.lanes
     blocks = aligned((-(-count // lanes), 4, lanes), real)
     padded = np.zeros((len(blocks) * lanes, 4))
     padded[:count, :3] = stresses
@@ -216,7 +216,7 @@ def returned_whole(
     properties = np.array(properties_row(material, 1.0), real)
     if limit is not None:
         properties[Property.LIMIT] = limit
-    return_kernel(needs)(blocks.reshape(-1, lanes), properties)
+    return_kernel(features)(blocks.reshape(-1, lanes), properties)
     result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count].astype(np.float64)
     return result[:, :3], result[:, 3]
 
@@ -225,13 +225,13 @@ def returned_tensors(material: Material, stresses: Vector, *, precision: Precisi
     """Trial stresses [Pa], shape [E, 4 or 6], returned."""
     runtime.start(precision)
     count, width = stresses.shape
-    needs = Features(dimension=2 if width == 4 else 3, precision=precision, dilates=True, cohesive=True)
+    features = Features(dimension=2 if width == 4 else 3, precision=precision, dilates=True, cohesive=True)
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
-    blocks = aligned((-(-count // needs.lanes), width, needs.lanes), real)
-    padded = np.zeros((len(blocks) * needs.lanes, width))
+    blocks = aligned((-(-count // features.lanes), width, features.lanes), real)
+    padded = np.zeros((len(blocks) * features.lanes, width))
     padded[:count] = stresses
-    blocks[:] = np.moveaxis(padded.reshape(-1, needs.lanes, width), 1, 2)
-    tensor_kernel(needs)(blocks.reshape(-1, needs.lanes), np.array(properties_row(material, 1.0), real))
+    blocks[:] = np.moveaxis(padded.reshape(-1, features.lanes, width), 1, 2)
+    tensor_kernel(features)(blocks.reshape(-1, features.lanes), np.array(properties_row(material, 1.0), real))
     return np.moveaxis(blocks, 1, 2).reshape(-1, width)[:count].astype(np.float64)
 
 

@@ -53,21 +53,21 @@ def listed(found: Faces, cell: int) -> set[int]:
     return set(found.faces[found.first[cell] : found.first[cell + 1]].tolist())
 
 
-def cells_of(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
+def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
     """The cell of each point, by the number of its lowest node."""
     index = np.floor(points / CELL).astype(np.int64) + PADDING
     return np.ravel_multi_index(tuple(index.T), node_shape(scene.domain))
 
 
-@pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("cutoff", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_cell_lists_what_its_points_need(dimension: int, reach: float) -> None:
+def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> None:
     scene = scene_of(dimension)
     whole = surface(scene)
-    found = faces_near(scene.domain, whole, reach=reach)
+    found = faces_near(scene.domain, whole, cutoff=cutoff)
     rng = np.random.default_rng(3)
     points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
-    cells = cells_of(scene, points)
+    cells = box_cells(scene, points)
     seen = nearest(whole, points)
     directions = rng.normal(size=points.shape)
     ends = points + CELL * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -75,7 +75,7 @@ def test_a_cell_lists_what_its_points_need(dimension: int, reach: float) -> None
     near = 0
     for number, cell in enumerate(cells.tolist()):
         faces = listed(found, cell)
-        if abs(seen.distance[number]) <= reach * CELL:
+        if abs(seen.distance[number]) <= cutoff * CELL:
             near += 1
             assert int(seen.face[number]) in faces
         # A face that is met on the way comes closer to a sample than the samples lie apart.
@@ -93,7 +93,7 @@ def test_a_cell_lists_what_its_points_need(dimension: int, reach: float) -> None
 def test_nodes_see_the_surface(dimension: int) -> None:
     scene = scene_of(dimension)
     whole = surface(scene)
-    found = faces_near(scene.domain, whole, reach=1.5)
+    found = faces_near(scene.domain, whole, cutoff=1.5)
     everything = np.arange(int(np.prod(node_shape(scene.domain))))
     seen = nearest(whole, node_positions(scene.domain, everything))
     # The last nodes along an axis are the lowest of no cell.
@@ -110,7 +110,7 @@ def test_nodes_see_the_surface(dimension: int) -> None:
 
 def test_an_empty_neighbourhood() -> None:
     scene = scene_of(2)
-    away = Surface(
+    distant = Surface(
         corners=np.array([[[50.0, 50.0], [51.0, 50.0]]]),
         normals=np.array([[0.0, -1.0]]),
         corner_normals=np.array([[[0.0, -1.0]] * 2]),
@@ -119,6 +119,6 @@ def test_an_empty_neighbourhood() -> None:
         friction=np.zeros((1, 2)),
         adhesion=np.zeros(1),
     )
-    found = faces_near(scene.domain, away)
+    found = faces_near(scene.domain, distant)
     assert len(found.faces) == len(found.nodes) == 0
     assert (found.first == 0).all()

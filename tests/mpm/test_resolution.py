@@ -13,14 +13,14 @@ from mpm.arrays.batch import Batch
 from mpm.resolution import (
     Measured,
     Resolution,
-    at,
-    bodies,
     characteristic_length,
+    connected_masses,
     fitted_cell,
     particle_steps,
     read_measured,
     read_tolerance,
     resolved,
+    with_resolution,
 )
 
 
@@ -91,20 +91,26 @@ def test_what_is_promised_is_said() -> None:
     assert "cell 0.005 m (40 across the smallest side)" in str(found)
 
 
+@pytest.mark.double
 def test_everything_else_of_a_scene_stays() -> None:
     what = Resolution(cells=10.0, particles_per_axis=3, step_fraction=0.2, precision="f64")
-    coarse = at(COLUMN, what)
+    coarse = with_resolution(COLUMN, what)
     assert (coarse.domain.cell, coarse.particles_per_axis, coarse.step_fraction) == (0.02, 3, 0.2)
-    assert at(coarse, dataclasses.replace(what, cells=20.0, particles_per_axis=2, step_fraction=0.4)) == COLUMN
+    assert (
+        with_resolution(coarse, dataclasses.replace(what, cells=20.0, particles_per_axis=2, step_fraction=0.4))
+        == COLUMN
+    )
 
 
-@pytest.mark.parametrize("sides", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
-@pytest.mark.parametrize("wanted", [0.07, 0.01, 0.004])
-def test_a_cell_divides_every_side_of_the_box(sides: tuple[float, ...], wanted: float) -> None:
-    cell = fitted_cell(Domain(size=sides, cell=0.01), wanted)
-    assert cell <= wanted * (1.0 + 1e-9)
+@pytest.mark.parametrize("lengths", [(1.0, 1.0), (1.81, 0.83), (0.96, 0.36)])
+@pytest.mark.parametrize("largest", [0.07, 0.01, 0.004])
+def test_a_cell_divides_every_side_of_the_box(lengths: tuple[float, ...], largest: float) -> None:
+    cell = fitted_cell(Domain(size=lengths, cell=0.01), largest)
+    assert cell <= largest * (1.0 + 1e-9)
     # Scenes on other grids are refused.
-    dataclasses.replace(COLUMN, domain=Domain(size=sides, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),))
+    dataclasses.replace(
+        COLUMN, domain=Domain(size=lengths, cell=cell), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)),)
+    )
 
 
 def test_a_cell_is_no_smaller_than_it_must_be() -> None:
@@ -122,8 +128,8 @@ def test_masses_that_touch_are_one_body() -> None:
     assert characteristic_length(layers) == pytest.approx(0.28)
     # The last joins two groups that did not touch before.
     joined = scene(((0.0, 0.0), (0.1, 0.1)), ((0.3, 0.0), (0.1, 0.1)), ((0.1, 0.0), (0.2, 0.1)))
-    assert len(bodies(joined.masses)) == 1
-    assert len(bodies(joined.masses[:2])) == 2
+    assert len(connected_masses(joined.masses)) == 1
+    assert len(connected_masses(joined.masses[:2])) == 2
 
 
 def test_a_side_from_wall_to_wall_does_not_count() -> None:
@@ -135,7 +141,8 @@ def test_a_side_from_wall_to_wall_does_not_count() -> None:
 
 def test_particle_steps_are_those_of_a_run() -> None:
     short = dataclasses.replace(
-        at(COLUMN, Resolution(cells=5.0, particles_per_axis=3, step_fraction=0.4, precision="f32")), duration=0.05
+        with_resolution(COLUMN, Resolution(cells=5.0, particles_per_axis=3, step_fraction=0.4, precision="f32")),
+        duration=0.05,
     )
     summary = simulate(short, threads=1).summary
     assert particle_steps(short) == summary["particles"] * summary["steps"]

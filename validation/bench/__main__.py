@@ -32,64 +32,74 @@ class Bench:
     """
 
     module: str
-    says: str
+    summary: str
 
 
 BENCHES = {
     "contact": Bench(
         module="validation.bench.contact.bench",
-        says="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
+        summary="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
     ),
     "experiments": Bench(
         module="validation.bench.experiments.bench",
-        says="measured experiments: forward with independently measured angles, backward from their fronts",
+        summary="measured experiments: forward with independently measured angles, backward from their fronts",
     ),
     "case-history": Bench(
         module="validation.bench.case_history.bench",
-        says="the friction of a bed back-analysed from a runout at field scale",
+        summary="the friction of a bed back-analysed from a runout at field scale",
     ),
     "transfer": Bench(
         module="validation.bench.columns.transfer",
-        says="fronts over stiffness, step, output interval, cell and transfer scheme",
+        summary="fronts over stiffness, step, output interval, cell and transfer scheme",
     ),
     "columns": Bench(
         module="validation.bench.columns.paper_columns",
-        says="the reference paper's four columns beside its runouts",
+        summary="the reference paper's four columns beside its runouts",
     ),
-    "codes": Bench(module="validation.bench.columns.codes", says="fronts of columns beside those of other codes"),
+    "codes": Bench(module="validation.bench.columns.codes", summary="fronts of columns beside those of other codes"),
     "scaling": Bench(
         module="validation.bench.columns.scaling",
-        says="runout and height over the aspect ratio, beside the laws of experiments",
+        summary="runout and height over the aspect ratio, beside the laws of experiments",
     ),
     "accuracy": Bench(
         module="validation.bench.accuracy.bench",
-        says="error against cost of the MPM over cell, step and particles; what --tolerance reads",
+        summary="error against cost of the MPM over cell, step and particles; what --tolerance reads",
     ),
     "tolerance": Bench(
         module="validation.bench.accuracy.tolerance",
-        says="whether --tolerance holds on scenes that it was not measured on",
+        summary="whether --tolerance holds on scenes that it was not measured on",
     ),
     "stability": Bench(
         module="validation.bench.stability.bench",
-        says="exact solutions, invariants and hard cases of the MPM",
+        summary="exact solutions, invariants and hard cases of the MPM",
     ),
     "problems": Bench(
         module="validation.bench.problems.bench",
-        says="the shipped inverse problems, beside their criteria and the reference paper",
+        summary="the shipped inverse problems, beside their criteria and the reference paper",
     ),
     "coverage": Bench(
         module="validation.bench.problems.coverage",
-        says="how often the intervals of an inverse problem hold the truth",
+        summary="how often the intervals of an inverse problem hold the truth",
     ),
-    "speed": Bench(module="validation.bench.speed.mpm", says="rates of the MPM and what its choices gain"),
-    "speed-gns": Bench(module="validation.bench.speed.gns", says="rates of the GNS: rollout, gradient, training step"),
-    "memory": Bench(module="validation.bench.speed.memory", says="memory of rollout and gradient, and what bounds it"),
+    "speed": Bench(
+        module="validation.bench.speed.mpm", summary="rates of the MPM, cost of its features, gain of shortcuts"
+    ),
+    "speed-gns": Bench(
+        module="validation.bench.speed.gns",
+        summary="rates of the GNS beside a textbook's network: rollout, gradient, training step",
+    ),
+    "memory": Bench(
+        module="validation.bench.speed.memory", summary="memory of a gradient through a rollout, over nodes and steps"
+    ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
-        says="cost and quality of a gradient by every method: on problems, over unknowns, over particles",
+        summary="cost and quality of a gradient by every method: on problems, over unknowns, over particles",
     ),
-    "surrogate": Bench(module="validation.bench.surrogate.bench", says="the shipped GNS weights against the MPM"),
-    "ablation": Bench(module="validation.bench.speed.ablation", says="what each part of the solver's speed is due to"),
+    "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
+    "ablation": Bench(
+        module="validation.bench.speed.ablation",
+        summary="which choices of the network and its training lower the error soonest",
+    ),
 }
 
 
@@ -97,10 +107,10 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
     """`bench` as a command: keep is a folder that goes at the end unless it is given; what it returns is printed."""
 
     @functools.wraps(bench)
-    def command(*, out: Path, keep: Path | None = None, **flags: Any) -> None:
+    def command(*, out: Path, quick: bool = False, keep: Path | None = None, **flags: Any) -> None:
         began = time.perf_counter()
         with TemporaryDirectory() if keep is None else nullcontext(keep) as folder:
-            print(bench(out, keep=Path(folder), **flags))
+            print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 
     flags = [each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()]
@@ -123,7 +133,7 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError(f"expected the name of a page, one of {', '.join(BENCHES)}", where=name or "bench")
 
     if name in ("--list", "--help", "-h"):
-        print(__doc__, *(f"{each}: {bench.says}" for each, bench in BENCHES.items()), sep="\n")
+        print(__doc__, *(f"{each}: {bench.summary}" for each, bench in BENCHES.items()), sep="\n")
         return 0
     if name not in BENCHES:
         return run(unknown, COMMAND, [])

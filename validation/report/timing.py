@@ -1,24 +1,26 @@
-"""Work timed in turn, so that what else the machine does meets all of it alike."""
+"""Work timed in turn, so that other load of the machine affects all of it alike."""
 
+import statistics
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from statistics import median
 from typing import TypeVar
 
 from tqdm import tqdm
 
 from datasets.scene import Scene
-from mpm import ALL, Recording, simulate_many
+from mpm import simulate_many
 from mpm.arrays.layout import Precision
+from mpm.output.request import ALL, Recording
 
 Key = TypeVar("Key")
 Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
-    """Scenes, and how they are simulated side by side."""
+class TimedRun:
+    """Scenes, and how the MPM runs them side by side."""
 
     scenes: tuple[Scene, ...]
     precision: Precision = "f32"
@@ -27,13 +29,13 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Took:
-    """What a run took."""
+class Timing:
+    """Of one run of the MPM."""
 
     seconds: float
     """Without compilation."""
     particle_steps: int
-    """Material points times steps, over all scenes."""
+    """Particles times steps, over all scenes."""
     front: float
     """Of the first scene's deposit [m]."""
     rest_time: float | None = None
@@ -41,60 +43,62 @@ class Took:
 
     @property
     def rate(self) -> float:
-        """Million point-steps a second."""
+        """Million particle-steps a second."""
         return self.particle_steps / self.seconds / 1.0e6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Least, middle and greatest of some measurements."""
+    """Minimum, median and maximum of some measurements."""
 
-    least: float
-    middle: float
-    greatest: float
-
-    @staticmethod
-    def of(values: Iterable[float]) -> "Spread":
-        """The spread of at least one value."""
-        values = list(values)
-        return Spread(least=min(values), middle=median(values), greatest=max(values))
+    minimum: float
+    median: float
+    maximum: float
 
     def written(self, digits: int) -> str:
         """The median, and the range where there is one."""
-        middle = f"{self.middle:.{digits}f}"
-        least, greatest = f"{self.least:.{digits}f}", f"{self.greatest:.{digits}f}"
-        return middle if least == greatest else f"{middle} ({least}-{greatest})"
+        middle = f"{self.median:.{digits}f}"
+        low, high = f"{self.minimum:.{digits}f}", f"{self.maximum:.{digits}f}"
+        return middle if low == high else f"{middle} ({low}-{high})"
 
 
-def in_turn(runs: Mapping[Key, Run], rounds: int, what: str) -> dict[Key, list[Took]]:
+def spread(values: Iterable[float]) -> Spread:
+    """The spread of at least one value."""
+    values = list(values)
+    return Spread(minimum=min(values), median=statistics.median(values), maximum=max(values))
+
+
+def in_turn(runs: Mapping[Key, TimedRun], rounds: int, what: str) -> dict[Key, list[Timing]]:
     """Every run once, then every run once more, `rounds` times in all."""
     # Taichi starts anew for another precision or number of threads.
     ordered = sorted(runs.items(), key=lambda item: (item[1].precision, item[1].threads))
-    took = turns({key: partial(timed, run) for key, run in ordered}, rounds, what)
-    return {key: took[key] for key in runs}
+    found = turns({key: partial(timed, run) for key, run in ordered}, rounds, what)
+    return {key: found[key] for key in runs}
 
 
 def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> dict[Key, list[Found]]:
     """All work once, then all of it once more, `rounds` times in all."""
     found: dict[Key, list[Found]] = {key: [] for key in work}
-    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as bar:
+    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
             for key, each in work.items():
                 found[key].append(each())
-                bar.update()
+                progress.update()
     return found
 
 
-def timed(run: Run) -> Took:
+def seconds_of(action: Callable[[], object]) -> float:
+    """Wall time of `action` [s]."""
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def timed(run: TimedRun) -> Timing:
     """Simulate once."""
-    flows = simulate_many(
-        run.scenes,
-        precision=run.precision,
-        threads=run.threads,
-        record=run.record,
-    )
+    flows = simulate_many(run.scenes, precision=run.precision, threads=run.threads, record=run.record)
     summaries = [flow.summary for flow in flows]
-    return Took(
+    return Timing(
         seconds=summaries[0]["wall_s"],
         particle_steps=sum(summary["particles"] * summary["steps"] for summary in summaries),
         front=summaries[0]["front"],
@@ -102,6 +106,6 @@ def timed(run: Run) -> Took:
     )
 
 
-def ratio(these: Sequence[Took], those: Sequence[Took]) -> Spread:
+def ratio(these: Sequence[Timing], those: Sequence[Timing]) -> Spread:
     """Seconds of these over seconds of those, round by round."""
-    return Spread.of(a.seconds / b.seconds for a, b in zip(these, those, strict=True))
+    return spread(a.seconds / b.seconds for a, b in zip(these, those, strict=True))

@@ -12,13 +12,12 @@ from datasets.library import read_scene
 from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.resolution import COVERAGE, Measurements, at, characteristic_length, resolved
+from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.accuracy import flows, lengths, studies, tolerance
 from validation.bench.accuracy.flows import Flow
 from validation.bench.accuracy.scores import Outcome, Score, equal_shares, reference, score
 from validation.bench.accuracy.studies import Findings, Study, prediction_limit
-from validation.report import pareto
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
 
@@ -35,11 +34,6 @@ def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
         scene=scene,
         summary={"steps": 7, "particles": 1000},
     )
-
-
-def test_the_pareto_front_holds_what_nothing_cheaper_beats() -> None:
-    choices = [(1.0, 9.0), (2.0, 9.0), (3.0, 4.0), (4.0, 5.0), (5.0, 4.0), (6.0, 1.0), (1.0, 10.0)]
-    assert pareto.front(choices, lambda each: each[0], lambda each: each[1]) == [(1.0, 9.0), (3.0, 4.0), (6.0, 1.0)]
 
 
 def test_equal_shares_of_an_even_layer_lie_evenly() -> None:
@@ -73,7 +67,7 @@ SCENES = [flow.scene() for group in (flows.MEASURED, flows.UNSEEN) for kind in g
 @pytest.mark.parametrize("cells", [4.0, 7.0, 14.0, 80.0])
 def test_every_whole_number_of_cells_fits_the_box_of_a_flow(cells: float) -> None:
     for scene in SCENES:
-        finer = at(scene, studies.own(cells))
+        finer = with_resolution(scene, studies.own(cells))
         assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
 
 
@@ -155,7 +149,7 @@ def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() ->
 
 def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() -> None:
     scenes = [flow.scene() for flow in flows.MEASURED[2].values()]
-    grids = [at(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0)]
+    grids = [with_resolution(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0)]
     errors = [(scene, scene.domain.cell / (0.05 * scene.masses[0].size[0])) for scene in grids]
     found = {name: lengths.fit(name, errors) for name in lengths.LENGTHS}
     assert found["length"].exponent == pytest.approx(-1.0)

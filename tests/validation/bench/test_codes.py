@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from mpm import AT_REST
 from validation.bench.columns.codes import ASPECTS, SEEDS, Front, Fronts, our_runs, read_codes, write
 
 
@@ -42,8 +43,7 @@ def test_our_transfers_differ_in_the_relaxation_time_alone() -> None:
     assert default.scene.relaxation_time is None
     assert apic.scene.relaxation_time == 0.0
     assert dataclasses.replace(apic.scene, relaxation_time=None) == default.scene
-    assert default.until_rest
-    assert apic.until_rest
+    assert default.record == apic.record == AT_REST
 
 
 def test_differences_are_computed(tmp_path: Path) -> None:

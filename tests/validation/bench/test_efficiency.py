@@ -17,10 +17,10 @@ from inverse.observations.target import Target
 from inverse.problem import Problem, read_problem
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import bench, columns, gradients, records
+from validation.bench.efficiency import page as efficiency_page
 from validation.bench.efficiency.columns import Size, Task, Usage, Work
 from validation.bench.efficiency.findings import best_of, crossing, particles_cost, unknowns_cosine, unknowns_cost
 from validation.bench.efficiency.methods import PAPER_STEP_DEG, ForwardModel, GradientBy, methods
-from validation.bench.efficiency.page import page
 from validation.bench.efficiency.records import (
     AD,
     FD_GNS,
@@ -37,6 +37,7 @@ from validation.bench.efficiency.records import (
     ProblemResult,
 )
 from validation.bench.efficiency.search import Iterate, Models, improvements, search, thinned
+from validation.report import plots
 
 TRUTH = 24.0
 ORIGIN = Origin(machine="a machine", date="2000-01-01", key="k")
@@ -192,17 +193,8 @@ def test_costs_are_multiplied_from_what_was_run() -> None:
 
     def run(task: Task) -> Usage:
         tasks.append(task)
-        steps = round(100 * task.duration)
-        mpm = task.work is Work.MPM
-        return Usage(
-            particles=3_200,
-            nodes=800,
-            steps=0 if mpm else steps,
-            forward=0.02 * steps,
-            rest=0.05 * task.runs if mpm else 0.04 * steps,
-            extra=1_000,
-            state=10,
-        )
+        rest = 0.05 * task.runs if task.work is Work.MPM else 4.0
+        return Usage(particles=3_200, nodes=800, forward=2.0, rest=rest, extra=1_000)
 
     def costs(size: Size) -> dict[tuple[str, int], Cost]:
         found = columns.over_particles(ORIGIN, sizes=(size,), run=run).costs
@@ -210,15 +202,10 @@ def test_costs_are_multiplied_from_what_was_run() -> None:
 
     whole = costs(Size(scale=1.0))
     assert whole[AD, 1].seconds == whole[AD, 10].seconds == pytest.approx(6.0)
-    assert whole[AD, 1].memory == 1_000
     assert whole[FD_GNS, 10].seconds == pytest.approx(21 * 2.0)
     assert whole[FD_MPM, 10].seconds == pytest.approx(2.0 + 1.0)
     assert [whole[key].measured for key in ((AD, 1), (FD_GNS, 1), (FD_MPM, 10))] == ["", "one rollout", ""]
-    part = costs(Size(scale=5.6, gns_s=0.1, most_runs=2))
-    assert part[AD, 1].seconds == pytest.approx(6.0)
-    assert part[AD, 1].memory == 1_000 + 90 * 10
-    assert part[AD, 1].measured == "10 steps forward and backward"
-    assert part[FD_GNS, 1].seconds == pytest.approx(3 * 2.0)
+    part = costs(Size(scale=5.6, most_runs=2))
     assert part[FD_MPM, 10].seconds == pytest.approx(2.0 + 1.0)
     assert (part[FD_MPM, 10].memory, part[FD_MPM, 10].measured) == (10_000, "2 of 20 runs side by side")
     # Two runs side by side are run once for both.
@@ -322,7 +309,7 @@ def test_sentences_follow_the_numbers() -> None:
 def test_the_page_marks_what_was_multiplied() -> None:
     rows = (row("AD, GNS", (12.0, 1e-3), ended="out of time"), row("other, GNS", (12.0, 1e-3)))
     parts = Parts(problems={"a": result(*rows)}, unknowns=over_unknowns(), particles=over_particles())
-    text = str(page(parts))
+    text = str(efficiency_page.page(parts))
     assert "≈ 90 s for 30" in text
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert any(line[:4] == ["100", FD_MPM, "≈ 100.00", "10 of 100"] for line in cells)
@@ -330,7 +317,7 @@ def test_the_page_marks_what_was_multiplied() -> None:
     assert any(line[0] == "100,000" and line[-1] == "10 steps" and line[4].startswith("≈") for line in cells)
     assert "2000-01-01, on a machine" in text
     quick = dataclasses.replace(ORIGIN, quick=True)
-    assert "--quick" in str(page(Parts(problems={"a": result(*rows, origin=quick)})))
+    assert "--quick" in str(efficiency_page.page(Parts(problems={"a": result(*rows, origin=quick)})))
 
 
 def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -347,6 +334,9 @@ def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
         return result(row("AD, GNS", (1.0, 0.1), (2.0, 0.01)), row("x, MPM", (1.0, 0.1)), problem=name, origin=origin)
 
     monkeypatch.setattr(bench, "measure", measure)
+    drawn: list[str] = []
+    for name in ("draw_problem", "draw_unknowns", "draw_particles"):
+        monkeypatch.setattr(efficiency_page, name, lambda path, _: drawn.append(path.name))
     keep, names = tmp_path / "keep", [*bench.LIMITS, "unknowns", "particles"]
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
@@ -360,13 +350,20 @@ def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     assert said in text
     assert all(name in text for name in bench.LIMITS)
     assert records.read(tmp_path) == records.read(keep)
-    for name in (*bench.LIMITS, "unknowns", "particles"):
-        assert (tmp_path / "pictures" / f"efficiency-{name}.png").stat().st_size > 10_000
+    assert drawn == [f"efficiency-{name}.png" for name in (*bench.LIMITS, "unknowns", "particles")]
     # What was measured with `--quick` is no part of the whole.
     done.clear()
     with pytest.raises(KeyboardInterrupt):
         bench.bench(tmp_path, quick=True, keep=keep)
     assert done == ["friction-tall-42", "unknowns"]
+
+
+def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plots, "DPI", 30)
+    efficiency_page.draw_problem(tmp_path / "a.png", result(row("AD, GNS", (1.0, 0.1), (2.0, 0.01))))
+    efficiency_page.draw_unknowns(tmp_path / "b.png", over_unknowns())
+    efficiency_page.draw_particles(tmp_path / "c.png", over_particles())
+    assert all((tmp_path / name).stat().st_size > 1_000 for name in ("a.png", "b.png", "c.png"))
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"race": {}}'])

@@ -45,11 +45,11 @@ def test_the_plan_stays_within_its_budget() -> None:
     assert len(columns) == len(set(columns))
     seconds = sum(particle_steps(column.scene()) / {2: 30e6, 3: 16e6}[column.dimension] for column in columns)
     assert seconds < 480.0
-    asked = set(plan.grid(plan.coarse, 1.0))
-    assert {(column.stiffness, column.step) for column in asked} == {
+    tried = set(plan.grid(plan.coarse, 1.0))
+    assert {(column.stiffness, column.step) for column in tried} == {
         (stiffness, step) for stiffness in plan.stiffnesses for step in plan.steps
     }
-    assert {column.interval for column in asked} == set(plan.intervals)
+    assert {column.interval for column in tried} == set(plan.intervals)
 
 
 def test_a_spread_is_of_the_extremes_over_the_mean() -> None:

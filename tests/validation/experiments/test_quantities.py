@@ -75,13 +75,7 @@ def test_profile_is_held_against_the_rows() -> None:
 def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
     with pytest.raises(InputError):
         Measured(
-            quantity=Quantity.PROFILE,
-            spread=0.01,
-            spread_from="",
-            status=Status.READ,
-            source="",
-            x=x,
-            heights=heights,
+            quantity=Quantity.PROFILE, spread=0.01, spread_from="", status=Status.READ, source="", x=x, heights=heights
         )
 
 

@@ -1,1 +1,1 @@
-"""Error against cost of the MPM, and whether --tolerance keeps its promise."""
+"""Error against cost of the MPM, and whether --tolerance holds."""

@@ -64,13 +64,13 @@ class Flow:
         length, height = (1.0, self.aspect) if self.aspect >= 1.0 else (1.0 / self.aspect, 1.0)
         weight = self.density * GRAVITY * height * unit
         time = math.sqrt(height * unit / GRAVITY)
-        sides: tuple[float, ...] = (length, height)
+        size: tuple[float, ...] = (length, height)
         box: tuple[float, ...] = (math.ceil(self.box), math.ceil(ROOM * height))
         if self.depth:
-            sides, box = (*sides, self.depth), (*box, math.ceil(self.walls_apart or self.box))
+            size, box = (*size, self.depth), (*box, math.ceil(self.walls_apart or self.box))
         along = max(0.0, 0.5 * (box[2] - self.depth)) if self.walls_apart else 0.0
-        lower = (self.gap, 0.0, along)[: len(sides)]
-        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: len(sides)]
+        lower = (self.gap, 0.0, along)[: len(size)]
+        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: len(size)]
         return Scene(
             domain=Domain(size=scaled(box, unit), cell=unit / OWN_CELLS),
             material=Material(
@@ -82,12 +82,10 @@ class Flow:
                 tension_cutoff=0.5 * self.cohesion * weight,
             ),
             masses=(
-                Mass(lower=scaled(lower, unit), size=scaled(sides, unit), velocity=speed if self.velocity else None),
+                Mass(lower=scaled(lower, unit), size=scaled(size, unit), velocity=speed if self.velocity else None),
             ),
             baffles=tuple(
-                Baffle(
-                    lower=scaled((x, 0.0, z)[: len(sides)], unit), size=scaled((long, high, long)[: len(sides)], unit)
-                )
+                Baffle(lower=scaled((x, 0.0, z)[: len(size)], unit), size=scaled((long, high, long)[: len(size)], unit))
                 for x, long, high, z in self.baffles
             ),
             duration=self.duration * time,

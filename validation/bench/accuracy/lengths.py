@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.scene import Scene
-from mpm.resolution import at, characteristic_length
+from mpm.resolution import characteristic_length, with_resolution
 from validation.bench.accuracy.studies import Findings, own
 
 SMALLEST = "smallest side"
@@ -33,7 +33,7 @@ def compare(findings: Findings) -> list[PowerOfCells]:
     """The errors of a study over the cells across each length, that with the smallest scatter first."""
     study = findings.study
     errors = [
-        (at(scene, own(cells)), findings.lasting(own(cells))[name])
+        (with_resolution(scene, own(cells)), findings.lasting(own(cells))[name])
         for name, scene in study.scenes.items()
         for cells in study.cells
     ]

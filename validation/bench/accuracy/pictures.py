@@ -51,6 +51,8 @@ def draw_scenes(path: Path, findings: Sequence[Findings]) -> None:
     """Signed error of the front over the cells, a pane per scene; error bars are the scatter over the jitters."""
     panes = [(each, name) for each in findings for name in each.study.scenes]
     with figure(path, rows=math.ceil(len(panes) / COLUMNS), columns=COLUMNS, size=(3.0, 2.8)) as axes:
+        for axis in axes.flat[1:]:
+            axis.sharey(axes[0, 0])
         for axis in axes.flat[len(panes) :]:
             axis.set_visible(False)
         for axis, (each, name) in zip(axes.flat, panes, strict=False):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.trajectory import Trajectory
-from inverse.observations.deposit import Profile
+from inverse.observations.profile import Profile
 from mpm.resolution import Resolution, characteristic_length
 
 STATIONS = 10.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from datasets.scene import Scene
-from mpm.resolution import COVERAGE, Measured, Resolution, at
+from mpm.resolution import COVERAGE, Measured, Resolution, with_resolution
 from validation.bench.accuracy.flows import MEASURED, OWN_STEP
 from validation.bench.accuracy.scores import Outcome, Reference, reference, score
 from validation.runs import Run, RunStore
@@ -142,7 +142,7 @@ def prediction_limit(errors: Sequence[float]) -> float:
 
 def runs(scene: Scene, resolution: Resolution, seeds: int = 1) -> list[Run]:
     """Runs of `scene` at a resolution, one per seed."""
-    finer = at(scene, resolution)
+    finer = with_resolution(scene, resolution)
     return [Run(scene=dataclasses.replace(finer, seed=seed), precision=resolution.precision) for seed in range(seeds)]
 
 

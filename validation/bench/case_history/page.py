@@ -99,12 +99,12 @@ def draw(path: Path, found: BackAnalysis) -> None:
     with figure(path, rows=2, size=(10.0, 3.2)) as axes:
         for axis in axes[:, 0]:
             axis.plot(ground[:, 0], ground[:, 1], color=GREY, linewidth=0.8)
-            for points, colour, name in (
+            for positions, colour, name in (
                 (found.start, INK, "release"),
                 (found.twin, ORANGE, "deposit of the twin"),
                 (found.deposit, BLUE, "deposit at the inferred friction"),
             ):
-                axis.plot(points[:, 0], points[:, 1], ".", color=colour, markersize=2, label=name)
+                axis.plot(positions[:, 0], positions[:, 1], ".", color=colour, markersize=2, label=name)
             axis.axvline(found.observed, color=GREY, linewidth=0.8, linestyle="--", label="observed runout")
             axis.set(xlabel="x [m]", ylabel="y [m]")
         axes[0, 0].legend(markerscale=4)

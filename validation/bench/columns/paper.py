@@ -8,7 +8,7 @@ from datasets.records import Record, from_mapping, read_toml
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Record):
-    """What the paper reports of one column."""
+    """The paper's results for one column."""
 
     name: str
     runout: float
@@ -20,7 +20,7 @@ class Scenario(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Velocity(Record):
-    """What the paper reports of ten layers: mean squared distances of the points [m^2]."""
+    """The paper's results for ten layers: mean squared distances of the particles [m^2]."""
 
     mse_initial: float
     mse_surrogate: float
@@ -31,7 +31,7 @@ class Velocity(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Baffles(Record):
-    """What the paper reports of two baffles: squared distances of the toe [m^2]."""
+    """The paper's results for two baffles: squared distances of the toe [m^2]."""
 
     loss_initial: float
     loss_surrogate: float

@@ -16,20 +16,9 @@ from validation.bench.columns.collapse import (
     quarter_cylinder,
     volume_error,
 )
-from validation.bench.columns.laws import (
-    HIGH,
-    LARGEST,
-    LOW,
-    SMALLEST,
-    Law,
-    Series,
-    aspect_axis,
-    draw_laws,
-    read_laws,
-)
+from validation.bench.columns.laws import HIGH, LARGEST, LOW, SMALLEST, Law, Series, aspect_axis, draw_laws, read_laws
 from validation.report.page import Page, Row, signed
 from validation.report.plots import BLUE, figure
-from validation.report.power_law import PowerLaw
 from validation.runs import Run, RunStore
 
 ASPECTS = {
@@ -77,13 +66,7 @@ def collapse(store: RunStore, dimension: int, cells: int, seeds: int, *, frictio
 
 
 def write(
-    out: Path,
-    main: Sequence[Series],
-    others: Sequence[Series],
-    laws: Sequence[Law],
-    seeds: int,
-    *,
-    quick: bool = False,
+    out: Path, main: Sequence[Series], others: Sequence[Series], laws: Sequence[Law], seeds: int, *, quick: bool = False
 ) -> str:
     """Write scaling.md and its picture, and return the conclusion. main: in 2D, then in 3D."""
     flat, cylinder = main
@@ -106,7 +89,18 @@ def write(
     draw(out / "scaling.png", main, laws)
     page.picture("scaling.png", "runout and height over the aspect ratio")
     page.section("Exponents")
-    page.table([exponent_row(series, laws, high=high) for series in main for high in (False, True)])
+    page.table(
+        [
+            {
+                "exponent of (d - L) / L": f"{NAMES[series.dimension]}, {span(high)}",
+                "published": published(series, laws, high=high),
+                "front": exponent(series, "front", laws, high=high),
+                "furthest particle": exponent(series, "runout", laws, high=high),
+            }
+            for series in main
+            for high in (False, True)
+        ]
+    )
     page.text("""
         An exponent agrees where the published range is within its half-width at 95 %. Known causes of differences: side
         walls brake the experiments in channels (Lube, Lajeunesse), not those of discs and rods; a low column sends out
@@ -116,7 +110,7 @@ def write(
     """)
     for series in main:
         page.section(NAMES[series.dimension])
-        page.table(law_rows(series, laws))
+        page.table(law_rows(series, laws), formats=dict.fromkeys(LAW_HEADS, ""))
         page.text("""
             ± is the half-width at 95 % of the fitted exponent. The last columns are the prefactor of our fronts (or
             heights) with the exponent held at the published one, and its ratio to the published prefactor.
@@ -135,7 +129,10 @@ def write(
                 "": NAMES[each.dimension],
                 "cells": each.cells,
                 "friction": f"{each.friction_deg:g}°",
-                **{span(high): fitted(each.fit("front", high=high)) for high in (False, True)},
+                **{
+                    span(high): f"{law.prefactor:.2f} a^({law.exponent:.2f} ± {law.half_width:.2f})"
+                    for high, law in ((high, each.fit("front", high=high)) for high in (False, True))
+                },
             }
             for each in (*main, *others)
         ]
@@ -147,113 +144,81 @@ def conclusion(flat: Series, cylinder: Series, others: Sequence[Series], laws: S
     """What was found, each sentence from its numbers."""
     lines = []
     for series in (flat, cylinder):
-        parts = []
-        for high in (False, True):
-            low_end, high_end = published_range(series, laws, high=high)
-            law = series.fit("front", high=high)
-            agrees = agreement(law, low_end, high_end)
-            parts.append(
-                f"{law.exponent:.2f} ± {law.half_width:.2f} for {span(high)} (published {low_end:.2f}"
-                + (f" to {high_end:.2f}" if high_end > low_end else "")
-                + f": {agrees})"
-            )
-        lines.append(f"**{NAMES[series.dimension]}**: the front's exponent is {', '.join(parts)}.")
-    for quantity, of_law, name in (("front", "runout", "fronts"), ("height", "height", "heights")):
+        parts = [
+            f"{exponent(series, 'front', laws, high=high)}"
+            f" (published {published(series, laws, high=high)}, {span(high)})"
+            for high in (False, True)
+        ]
+        lines.append(f"**{NAMES[series.dimension]}**: the front's exponent is {'; '.join(parts)}.")
+    for quantity, kind in (("front", "runout"), ("height", "height")):
         ratios = [
             series.prefactor(quantity, law) / law.prefactor
             for series in (flat, cylinder)
             for law in laws
-            if (law.dimension, law.quantity) == (series.dimension, of_law)
-            if law.prefactor is not None and (law.high or quantity == "front")
+            if (law.dimension, law.quantity) == (series.dimension, kind) and law.prefactor is not None
         ]
         lines.append(
-            f"At the published exponents our {name} are {min(ratios):.2f} to {max(ratios):.2f} of the published ones."
+            f"At the published exponents our {quantity}s are {min(ratios):.2f} to {max(ratios):.2f} of the published."
         )
-    half = next(each for each in others if (each.dimension, each.friction_deg) == (2, flat.friction_deg))
-    angles = sorted((each for each in others if each.dimension == 2), key=lambda each: each.friction_deg)
-    changes = [
-        half.fit("front", high=high).prefactor / flat.fit("front", high=high).prefactor - 1.0 for high in (False, True)
-    ]
-    friction = [
-        angles[-1].fit("front", high=high).prefactor / angles[0].fit("front", high=high).prefactor - 1.0
-        for high in (False, True)
-    ]
+    in_2d = sorted((each for each in others if each.dimension == 2), key=lambda each: each.friction_deg)
+    half = next(each for each in in_2d if each.friction_deg == flat.friction_deg)
     lines.append(
         f"**Grid and friction**, 2D, low and tall columns: half the cells change the front's prefactor by"
-        f" {signed(changes[0])} and {signed(changes[1])}; from {angles[0].friction_deg:g}° to"
-        f" {angles[-1].friction_deg:g}° it changes by {signed(friction[0])} and {signed(friction[1])}."
+        f" {changes(flat, half)}; from {in_2d[0].friction_deg:g}° to {in_2d[-1].friction_deg:g}° it changes by"
+        f" {changes(in_2d[0], in_2d[-1])}."
     )
     return lines
 
 
-def published_range(series: Series, laws: Sequence[Law], *, high: bool) -> tuple[float, float]:
-    """Smallest and largest published exponent of the runout."""
-    exponents = [
-        law.exponent for law in laws if (law.dimension, law.quantity, law.high) == (series.dimension, "runout", high)
-    ]
-    return min(exponents), max(exponents)
+def changes(first: Series, second: Series) -> str:
+    """Changes of the front's prefactor, of low and of tall columns."""
+    return " and ".join(
+        signed(second.fit("front", high=high).prefactor / first.fit("front", high=high).prefactor - 1.0)
+        for high in (False, True)
+    )
 
 
-def agreement(law: PowerLaw, smallest: float, largest: float) -> str:
-    """Whether an exponent agrees with the published range within its half-width."""
-    off = max(smallest - law.exponent, law.exponent - largest, 0.0)
-    if off <= law.half_width:
-        return "agrees"
-    return f"{'above' if law.exponent > largest else 'below'} by {off:.2f}"
+def exponents(series: Series, laws: Sequence[Law], *, high: bool) -> list[float]:
+    """The published exponents of the runout, ascending."""
+    of_series = (series.dimension, "runout", high)
+    return sorted(law.exponent for law in laws if (law.dimension, law.quantity, law.high) == of_series)
+
+
+def published(series: Series, laws: Sequence[Law], *, high: bool) -> str:
+    """The range of the published exponents."""
+    some = exponents(series, laws, high=high)
+    return " to ".join(dict.fromkeys(f"{each:.2f}" for each in (some[0], some[-1])))
+
+
+def exponent(series: Series, quantity: str, laws: Sequence[Law], *, high: bool) -> str:
+    """An exponent, and whether it agrees with the published range within its half-width."""
+    law, some = series.fit(quantity, high=high), exponents(series, laws, high=high)
+    off = max(some[0] - law.exponent, law.exponent - some[-1], 0.0)
+    way = "agrees" if off <= law.half_width else f"{'above' if law.exponent > some[-1] else 'below'} by {off:.2f}"
+    return f"{law.exponent:.2f} ± {law.half_width:.2f}, {way}"
 
 
 def span(high: bool) -> str:
-    """The aspect ratios of a branch."""
+    """The aspect ratios of low or of tall columns."""
     return f"a >= {HIGH:g}" if high else f"a <= {LOW:g}"
 
 
-def fitted(law: PowerLaw) -> str:
-    """A law with the half-width of its exponent."""
-    return f"{law.prefactor:.2f} a^({law.exponent:.2f} ± {law.half_width:.2f})"
-
-
-def exponent_row(series: Series, laws: Sequence[Law], *, high: bool) -> Row:
-    """Exponents of front and furthest particle against the published ones."""
-    smallest, largest = published_range(series, laws, high=high)
-    row: dict[str, object] = {
-        "exponent of (d - L) / L": f"{NAMES[series.dimension]}, {span(high)}",
-        "published": f"{smallest:.2f}" + (f" to {largest:.2f}" if largest > smallest else ""),
-    }
-    for quantity, name in (("front", "front"), ("runout", "furthest particle")):
-        law = series.fit(quantity, high=high)
-        row[name] = f"{law.exponent:.2f} ± {law.half_width:.2f}, {agreement(law, smallest, largest)}"
-    return row
+LAW_HEADS = ("", "aspect ratios", "exponent", "prefactor", "ours at this exponent", "ratio")
 
 
 def law_rows(series: Series, laws: Sequence[Law]) -> list[Row]:
     """Our power laws of low and of tall columns, and the published ones."""
     rows: list[Row] = []
-    for quantity, of_law in (("front", "runout"), ("runout", "runout"), ("height", "height")):
-        for high in (True,) if quantity == "height" else (False, True):
-            ours = series.fit(quantity, high=high)
-            rows.append(
-                {
-                    "": f"Talus: {'h / L' if quantity == 'height' else f'(d - L) / L, {quantity}'}",
-                    "aspect ratios": span(high),
-                    "exponent": f"**{ours.exponent:.2f}** ± {ours.half_width:.2f}",
-                    "prefactor": f"{ours.prefactor:.2f}",
-                    "ours at this exponent": None,
-                    "ratio": None,
-                }
-            )
-            for law in laws:
-                if quantity != "runout" and (law.dimension, law.quantity, law.high) == (series.dimension, of_law, high):
-                    held = series.prefactor(quantity, law)
-                    rows.append(
-                        {
-                            "": law.source,
-                            "aspect ratios": law.range,
-                            "exponent": f"{law.exponent:.3g}",
-                            "prefactor": "-" if law.prefactor is None else f"{law.prefactor:g}",
-                            "ours at this exponent": f"{held:.2f}",
-                            "ratio": None if law.prefactor is None else f"{held / law.prefactor:.2f}",
-                        }
-                    )
+    for quantity, high in (("front", False), ("front", True), ("runout", False), ("runout", True), ("height", True)):
+        ours, label = series.fit(quantity, high=high), "h / L" if quantity == "height" else f"(d - L) / L, {quantity}"
+        width = f"**{ours.exponent:.2f}** ± {ours.half_width:.2f}"
+        rows.append((f"Talus: {label}", span(high), width, f"{ours.prefactor:.2f}", None, None))
+        kind = {"front": "runout", "height": "height"}.get(quantity)
+        for law in laws:
+            if (law.dimension, law.quantity, law.high) == (series.dimension, kind, high):
+                held = series.prefactor(quantity, law)
+                known = ("-", None) if law.prefactor is None else (f"{law.prefactor:g}", f"{held / law.prefactor:.2f}")
+                rows.append((law.source, law.range, f"{law.exponent:.3g}", known[0], f"{held:.2f}", known[1]))
     return rows
 
 

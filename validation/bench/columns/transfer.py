@@ -180,8 +180,8 @@ def conclusion(plan: Plan, found: Found) -> list[str]:
     parts = []
     for cells in plan.cells[:-1]:
         ours, apic = (deviation(cells, plan, found, each) for each in NAMES)
-        judged = f"{criterion(abs(ours), CONVERGENCE_CRITERIA[cells])}; " if cells in CONVERGENCE_CRITERIA else ""
-        parts.append(f"{signed(ours)} on {cells} cells ({judged}APIC's {signed(apic)})")
+        result = f"{criterion(abs(ours), CONVERGENCE_CRITERIA[cells])}; " if cells in CONVERGENCE_CRITERIA else ""
+        parts.append(f"{signed(ours)} on {cells} cells ({result}APIC's {signed(apic)})")
     lines.append(f"**Cell**: against {plan.cells[-1]} cells across the column the front is {', '.join(parts)}.")
     some = [each for each in plan.relaxed(plan.coarse) if 0.0 < each.relaxation < INFINITE]
     corrected = [found[on].front / found[off].front - 1.0 for off, on in plan.corrected() if off.relaxation == DEFAULT]

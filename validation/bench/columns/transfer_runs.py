@@ -8,7 +8,7 @@ from itertools import product
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm.resolution import Resolution, at, particle_steps
+from mpm.resolution import Resolution, particle_steps, with_resolution
 from validation.bench.accuracy.flows import Flow
 
 YOUNG = 2.0e6
@@ -57,7 +57,7 @@ class Column:
             )
         else:
             stiff = dataclasses.replace(CUBE, stiffness=CUBE.stiffness * self.stiffness).scene()
-            scene = at(
+            scene = with_resolution(
                 stiff, Resolution(cells=self.cells, particles_per_axis=2, step_fraction=self.step, precision="f32")
             )
         return dataclasses.replace(

@@ -216,12 +216,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     page.section("Sliding")
     page.table(
         sliding,
-        formats={
-            "slope [°]": "g",
-            "offset [cells]": "g",
-            "acceleration [m/s²]": ".4f",
-            "g (sin θ - μ cos θ)": ".4f",
-        },
+        formats={"slope [°]": "g", "offset [cells]": "g", "acceleration [m/s²]": ".4f", "g (sin θ - μ cos θ)": ".4f"},
     )
     share = f"{100.0 * BULK:g} % of the sand"
     page.table(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
+from gns.inference import shipped
 from gns.model import checkpoint
-from gns.rollout import shipped
 from inverse.problem import Problem, read_problem
 from mpm.process import processors
 from validation.bench.columns.paper import read_paper

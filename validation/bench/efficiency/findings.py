@@ -43,11 +43,11 @@ def crossing(first: Curve, second: Curve) -> float:
 
 def cheaper(first: str, second: str, curves: dict[str, Curve], what: str) -> str:
     """From which number of `what` on the first method is the cheaper one."""
-    at, (least, *_), most = crossing(curves[first], curves[second]), curves[first][0], curves[first][-1][0]
+    at, (fewest, *_), most = crossing(curves[first], curves[second]), curves[first][0], curves[first][-1][0]
     if math.isinf(at):
         return f"{first} is not cheaper than {second} up to {most:,.0f} {what}"
-    if at == least:
-        return f"{first} is cheaper than {second} from {least:,.0f} to {most:,.0f} {what}"
+    if at == fewest:
+        return f"{first} is cheaper than {second} from {fewest:,.0f} to {most:,.0f} {what}"
     return f"{first} is cheaper than {second} from about {math.ceil(float(f'{at:.2g}')):,} {what} on"
 
 

@@ -17,12 +17,12 @@ from gns.model.simulator import Simulator
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Differentiable, Forward
 from inverse.forward.mpm import MpmForward
-from inverse.gradient import automatic
-from inverse.observations import deposit as observations
-from inverse.observations.deposit import Values
-from inverse.observations.target import read_target
-from inverse.parameters.parameters import Vector
-from inverse.problem import Observable, ObservationSettings, Problem, TargetSettings, Unknown
+from inverse.jacobian import automatic
+from inverse.observations import Values
+from inverse.observations.reading import read_target
+from inverse.parameters import Vector
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings, Parameter, TargetSettings
 from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.records import AD, FD_GNS, FD_JITTER, FD_MPM, Gradient, Origin, OverUnknowns
 from validation.bench.efficiency.search import WARM_UP_S
@@ -58,13 +58,13 @@ class Models:
     @staticmethod
     def build(problem: Problem, simulator: Simulator) -> "Models":
         """GNS and MPM of one cut."""
-        observation = observations.build(problem.observation, problem.scene)
-        target = read_target(problem, observation, simulate).values
+        made = read_target(problem, simulate)
+        observation, target = made.observation, made.values
         gns = GnsSource(simulator, problem, observation).start(None)
         other = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=OTHER_SEED))
         return Models(
             gns=gns,
-            gns_target=gns.wanted(target),
+            gns_target=gns.select(target),
             mpm=MpmForward(problem, observation, simulate_many),
             other_jitter=MpmForward(other, observation, simulate_many),
             target=target,
@@ -103,8 +103,8 @@ def blocks_problem(columns: int, layers: int, *, duration: float | None = None) 
         name=f"blocks-{len(scene.masses)}",
         folder=Path(),
         scene=scene,
-        unknowns=tuple(
-            Unknown(
+        parameters=tuple(
+            Parameter(
                 name=f"masses[{index}].velocity_x",
                 initial=FRACTION * (mass.velocity or (0.0,))[0],
                 lower=-BOUND,
@@ -113,8 +113,8 @@ def blocks_problem(columns: int, layers: int, *, duration: float | None = None) 
             )
             for index, mass in enumerate(scene.masses)
         ),
-        observation=ObservationSettings(kind=Observable.DEPOSIT),
-        target=TargetSettings(hidden=True),
+        observation=ObservationSettings(kind="deposit"),
+        target=TargetSettings(twin=True),
     )
 
 
@@ -131,7 +131,7 @@ def sampled(count: int, most: int = MOST_COLUMNS) -> NDArray[np.int64]:
 
 def gradients(problem: Problem, models: Models, *, most: int = MOST_COLUMNS) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's differences."""
-    start, unknowns = problem.initial, len(problem.unknowns)
+    start, unknowns = problem.initial, len(problem.parameters)
     chosen = sampled(unknowns, most)
     evaluated = automatic(models.gns, models.gns_target, components=models.components)(start)
     found = {AD: (evaluated.forward_s + evaluated.backward_s, evaluated.slope[chosen])}
@@ -161,7 +161,7 @@ def differences(
 ) -> tuple[float, Vector]:
     """Seconds of a whole gradient by central differences, and the loss's slope in the `chosen` unknowns.
 
-    d/du of the loss is 2 sum (y - y*) dy/du over the number of points, as in `inverse.finite_difference`.
+    d/du of the loss is 2 sum (y - y*) dy/du over the number of points, as in `inverse.jacobian`.
     """
     start, steps = problem.initial, problem.steps[chosen]
     moves = np.diag(problem.steps)[chosen]
@@ -186,5 +186,5 @@ def over_unknowns(
     for columns, layers in tqdm(cuts, desc="unknowns", unit="cut", dynamic_ncols=True):
         problem = blocks_problem(columns, layers, duration=duration)
         found += gradients(problem, Models.build(problem, simulator))
-        steps[str(len(problem.unknowns))] = float(problem.steps[0])
+        steps[str(len(problem.parameters))] = float(problem.steps[0])
     return OverUnknowns(origin=origin, particles=particle_count(problem.scene), steps=steps, gradients=tuple(found))

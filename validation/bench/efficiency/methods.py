@@ -4,8 +4,8 @@ import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 
-from inverse.parameters.parameters import kind
-from inverse.problem import Method, OptimiserSettings, Problem, Unknown
+from inverse.problem import Problem
+from inverse.settings import Method, OptimiserSettings, Parameter
 from validation.bench.columns.paper import Paper
 
 PAPER_STEP_DEG = 0.05
@@ -42,12 +42,19 @@ class SearchMethod:
     """With the optimiser and the steps of this row."""
     paper: float | None = None
     """The paper's seconds per iteration."""
+    gauss_newton: bool = False
+    """Minimise by Gauss-Newton, whatever the problem says: differences have the Jacobian of any observation."""
+
+    @property
+    def settings(self) -> OptimiserSettings:
+        """How it is minimised, and when that ends."""
+        settings = self.problem.optimiser
+        return dataclasses.replace(settings, method=Method.GAUSS_NEWTON) if self.gauss_newton else settings
 
     @property
     def optimiser(self) -> str:
         """What minimises."""
-        settings = self.problem.optimiser
-        return str(settings.sampler if self.gradient is GradientBy.NONE else settings.method)
+        return str(self.settings.sampler if self.gradient is GradientBy.NONE else self.settings.method)
 
 
 def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
@@ -57,7 +64,8 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     number: where the file names it, the others use L-BFGS-B, and the MPM's differences run both.
     """
     if problem.optimiser.method is Method.GAUSS_NEWTON:
-        problem = with_optimiser(problem, Method.LBFGSB)
+        settings = dataclasses.replace(problem.optimiser, method=Method.LBFGSB)
+        problem = dataclasses.replace(problem, optimiser=settings)
     is_paper = problem.name == PAPER_PROBLEM
     seconds = paper.seconds_per_iteration if is_paper else {}
     found = [_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns"))]
@@ -71,9 +79,9 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
             found.append(_row("", model, GradientBy.DIFFERENCES, fine, seconds.get(key)))
         found.append(_row("", model, GradientBy.DIFFERENCES, wide, None))
     # With a single number and a single unknown L-BFGS-B's first step is Gauss-Newton's already.
-    if len(problem.unknowns) > 1:
-        newton = with_optimiser(wide, Method.GAUSS_NEWTON)
-        found.append(_row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, newton, None))
+    if len(problem.parameters) > 1:
+        newton = _row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, wide, None)
+        found.append(dataclasses.replace(newton, gauss_newton=True))
     return found + [_row("", model, GradientBy.NONE, problem, None) for model in ForwardModel]
 
 
@@ -82,25 +90,20 @@ def _row(suffix: str, model: ForwardModel, gradient: GradientBy, problem: Proble
     return SearchMethod(name=f"{by}, {model}{suffix}", model=model, gradient=gradient, problem=problem, paper=paper)
 
 
-def with_optimiser(problem: Problem, method: Method) -> Problem:
-    """`problem` minimised by another method."""
-    return dataclasses.replace(problem, optimiser=dataclasses.replace(problem.optimiser, method=method))
-
-
 def with_steps(problem: Problem, step: float | None) -> Problem:
     """`problem` with this step of its differences, or with that of `STEPS`; its bounds are a step narrower.
 
     So no difference leaves them.
     """
 
-    def with_step(unknown: Unknown) -> Unknown:
-        h = STEPS[kind(unknown.name).unit] if step is None else step
-        return dataclasses.replace(unknown, step=h, lower=unknown.lower + h, upper=unknown.upper - h)
+    def with_step(each: Parameter) -> Parameter:
+        h = STEPS[each.kind.unit] if step is None else step
+        return dataclasses.replace(each, step=h, lower=each.lower + h, upper=each.upper - h)
 
-    return dataclasses.replace(problem, unknowns=tuple(with_step(unknown) for unknown in problem.unknowns))
+    return dataclasses.replace(problem, parameters=tuple(map(with_step, problem.parameters)))
 
 
 def steps_text(problem: Problem) -> str:
     """The steps with their units, each once."""
-    steps = {f"{h:g} {kind(name).unit}": None for name, h in zip(problem.names, problem.steps, strict=True)}
+    steps = {f"{h:g} {kind.unit}": None for kind, h in zip(problem.kinds, problem.steps, strict=True)}
     return " and ".join(steps)

@@ -33,8 +33,8 @@ PROBLEM_TEXT = """
 PARTICLES_TEXT = """
     The paper's tall column on the same cells, longer and higher with its box; a second of flow. Each case is a process
     of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
-    two rollouts for each unknown and one more; steps to a second's, with the states that the missing ones leave behind;
-    runs of the MPM side by side, with their memory. AD's pass is the same for any number of unknowns.
+    two rollouts for each unknown and one more; runs of the MPM side by side, with their memory. AD's pass is the same
+    for any number of unknowns.
 """
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping
-from gns.rollout import shipped
+from gns.inference import shipped
 from mpm.process import processors
 from validation.report.machine import GNS, MPM, machine
 

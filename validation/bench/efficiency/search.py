@@ -9,18 +9,16 @@ import numpy as np
 from tqdm import tqdm
 
 from gns.model.simulator import Simulator
-from inverse.finite_difference import central
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
-from inverse.gradient import Evaluate, automatic
-from inverse.gradient_free import explore
-from inverse.observations import deposit as observations
-from inverse.observations.deposit import Values, loss
-from inverse.observations.target import Target, read_target
-from inverse.optimise import Bounds, minimise
-from inverse.parameters.parameters import Vector, kind, with_unknowns
-from inverse.problem import Method, Problem
+from inverse.jacobian import Evaluate, automatic, central
+from inverse.observations import Observation, Target, Values
+from inverse.observations.reading import read_target
+from inverse.optimise import Bounds, explore, minimise
+from inverse.parameters import Vector
+from inverse.problem import Problem
+from inverse.settings import Method
 from mpm.process import processors
 from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.methods import ForwardModel, GradientBy, SearchMethod
@@ -54,17 +52,17 @@ class Models:
     @staticmethod
     def build(problem: Problem, simulator: Simulator) -> "Models":
         """Of a shipped problem; the surrogate is compiled on a short flow before."""
-        observation = observations.build(problem.observation, problem.scene)
-        target = read_target(problem, observation, simulate)
+        target = read_target(problem, simulate)
+        observation = target.observation
         short = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=WARM_UP_S))
         for each in (short, problem):
             source = GnsSource(simulator, each, observation)
-            frames = source.first_frames(with_unknowns(each.scene, problem.names, problem.initial))
+            frames = source.first_frames(each.scene_at(problem.initial))
             began = time.perf_counter()
             beginning = None if frames is None else simulate(frames)
             start_s = 0.0 if beginning is None else time.perf_counter() - began
             gns = source.start(beginning)
-            gns_target = gns.wanted(target.values)
+            gns_target = gns.select(target.values)
             if each is short:
                 automatic(gns, gns_target, components=observation.components)(problem.initial)
         other = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=CHECK_SEED))
@@ -80,7 +78,7 @@ class Models:
 
     def checked(self, points: Sequence[Vector]) -> list[float]:
         """Losses that the MPM shows at `points`."""
-        return [loss(values, self.target.values, self.components) for values in self.check.observe(points)]
+        return [self.target.misfit(values) for values in self.check.observe(points)]
 
     def floor(self, problem: Problem) -> float | None:
         """Loss that the MPM shows at the truth: its scatter over the jitter."""
@@ -165,14 +163,14 @@ class TimedForward:
     inner: Forward
     stopwatch: Stopwatch
     target: Values
-    components: int
+    observation: Observation
 
-    def observe(self, unknowns: Sequence[Vector]) -> list[Values]:
+    def observe(self, unknowns: Sequence[Vector], /) -> list[Values]:
         """The observation [M] for each vector of unknowns [U]."""
         before = self.stopwatch.begin()
         found = self.inner.observe(unknowns)
         each_s = (self.stopwatch.elapsed - before) / len(unknowns)
-        losses = [loss(values, self.target, self.components) for values in found]
+        losses = [self.observation.misfit(values, self.target) for values in found]
         self.stopwatch.end(before, [(u, value, each_s, 0.0) for u, value in zip(unknowns, losses, strict=True)])
         return found
 
@@ -182,9 +180,9 @@ def search_all(
 ) -> tuple[MethodResult, ...]:
     """Every method, one after the other, `limit` seconds each."""
     rows = []
-    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as bar:
-        for method in bar:
-            bar.set_postfix_str(method.name)
+    with tqdm(methods, desc=methods[0].problem.name, unit="method", dynamic_ncols=True) as progress:
+        for method in progress:
+            progress.set_postfix_str(method.name)
             rows.append(search(method, models, limit, checks=checks))
     return tuple(rows)
 
@@ -197,10 +195,10 @@ def search(
     stopwatch = Stopwatch(limit=limit, spent=models.gns_start_s if gns else 0.0, clock=clock)
     ended = _minimise(method, models, stopwatch)
     seconds, count = stopwatch.elapsed, len(stopwatch.iterates)
-    runs_each = 1 + 2 * len(problem.unknowns) if method.gradient is GradientBy.DIFFERENCES else 1
+    runs_each = 1 + 2 * len(problem.parameters) if method.gradient is GradientBy.DIFFERENCES else 1
     best = thinned(improvements(stopwatch.iterates), checks)
     losses = models.checked([iterate.unknowns for iterate in best])
-    settings = problem.optimiser
+    settings = method.settings
     return MethodResult(
         method=method.name,
         optimiser=method.optimiser,
@@ -221,14 +219,16 @@ def search(
 
 def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str:
     """Run the search to its end; returns why it ended."""
-    problem, settings = method.problem, method.problem.optimiser
+    problem, settings = method.problem, method.settings
     gns = method.model is ForwardModel.GNS
     forward, target = (models.gns, models.gns_target) if gns else (models.mpm, models.target.values)
     components = models.components
     try:
         if method.gradient is GradientBy.NONE:
             trials = dataclasses.replace(settings, max_trials=UNLIMITED)
-            timed = TimedForward(inner=forward, stopwatch=stopwatch, target=target, components=components)
+            timed = TimedForward(
+                inner=forward, stopwatch=stopwatch, target=target, observation=models.target.observation
+            )
             unlimited = dataclasses.replace(problem, optimiser=trials)
             explore(timed, target, unlimited, components=components, at_once=1 if gns else processors())
         else:
@@ -236,9 +236,9 @@ def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str
             if method.gradient is GradientBy.AD:
                 evaluate = automatic(models.gns, target, components=components, with_jacobian=with_jacobian)
             else:
-                evaluate = central(forward, target, problem, components=components, with_jacobian=with_jacobian)
+                evaluate = central(forward, target, problem.steps, components=components, with_jacobian=with_jacobian)
             lower, upper = np.array(problem.bounds).T
-            rates = [unknown.learning_rate for unknown in problem.unknowns]
+            rates = [each.learning_rate for each in problem.parameters]
             bounds = Bounds(lower=lower, upper=upper)
             minimise(stopwatch.timed(evaluate), problem.initial, bounds, settings, method.name, rates)
     except OutOfTime:
@@ -273,7 +273,7 @@ def thinned(iterates: Sequence[Iterate], most: int) -> list[Iterate]:
 def rms_errors(problem: Problem, target: Target, answer: Vector) -> dict[str, float]:
     """Root mean square error of the unknowns, by unit; empty where the truth is not known."""
     squares: dict[str, list[float]] = {}
-    for name, value in zip(problem.names, answer, strict=True):
+    for each, value in zip(problem.parameters, answer, strict=True):
         if target.truth:
-            squares.setdefault(kind(name).unit, []).append(float(value - target.truth[name]) ** 2)
+            squares.setdefault(each.kind.unit, []).append(float(value - target.truth[each.name]) ** 2)
     return {unit: float(np.sqrt(np.mean(values))) for unit, values in squares.items()}

@@ -221,7 +221,7 @@ def draw_lengths(axis: Axes, scores: list[Score]) -> None:
 def draw_angles(axis: Axes, scores: tuple[AngleScore, ...]) -> None:
     """Angles in degrees."""
     rows = range(len(scores))
-    bars = {"capsize": 3, "ms": 4, "linestyle": "none"}
+    style = {"capsize": 3, "ms": 4, "linestyle": "none"}
     for number, marker, fill, name in (
         (0, "s", INK, "measured, computed with"),
         (1, "d", "none", "measured, the other"),
@@ -235,7 +235,7 @@ def draw_angles(axis: Axes, scores: tuple[AngleScore, ...]) -> None:
             mfc=fill,
             color=INK,
             label=name,
-            **bars,  # type: ignore[arg-type]
+            **style,  # type: ignore[arg-type]
         )
     for name, colour in (("coarse", LIGHT_BLUE), ("fine", BLUE)):
         found = [(row, getattr(each, name)) for row, each in zip(rows, scores, strict=True)]
@@ -247,7 +247,7 @@ def draw_angles(axis: Axes, scores: tuple[AngleScore, ...]) -> None:
             marker="o",
             color=colour,
             label=f"inferred from the front, {name} cells",
-            **bars,  # type: ignore[arg-type]
+            **style,  # type: ignore[arg-type]
         )
     axis.set_yticks(rows, [each.label for each in scores])
     axis.set(xlabel="angle of friction [deg]", title="Backward")

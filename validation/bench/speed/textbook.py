@@ -1,11 +1,11 @@
-"""The graph network simulator as the literature writes it, plainly: what ours is measured against.
+"""The graph network simulator as the literature writes it, plainly.
 
 Sanchez-Gonzalez et al. 2020 (Learning to simulate complex physics with graph networks, ICML), the network of the
 reference paper: encode, process, decode. In each of the process's layers, with residual connections for both,
 
     e_ij' = f([x_i, x_j, e_ij])            x_i' = g([x_i, sum_j e_ij'])
 
-  x_i    latents of a point [N, C]         f, g  perceptrons with a LayerNorm at their end, one pair per layer
+  x_i    latents of a node [N, C]          f, g  perceptrons with a LayerNorm at their end, one pair per layer
   e_ij   latents of an edge [E, C]
 
 It is never trained here. Its times and its memory are those of any weights.
@@ -19,45 +19,45 @@ from torch import Tensor, nn
 from gns.model.state import Conditions, State
 
 
-def perceptron(inputs: int, width: int, hidden: int, outputs: int, *, norm: bool = True) -> nn.Sequential:
-    """A network of `hidden` hidden layers, normalised at its end unless it decodes."""
+def perceptron(inputs: int, width: int, hidden_layers: int, outputs: int, *, norm: bool = True) -> nn.Sequential:
+    """A network of `hidden_layers` hidden layers, normalised at its end unless it decodes."""
     modules: list[nn.Module] = []
-    for _ in range(hidden):
+    for _ in range(hidden_layers):
         modules += [nn.Linear(inputs, width), nn.ReLU()]
         inputs = width
     return nn.Sequential(*modules, nn.Linear(inputs, outputs), *([nn.LayerNorm(outputs)] if norm else []))
 
 
-class Hop(nn.Module):
+class MessagePassing(nn.Module):
     """One layer of message passing."""
 
-    def __init__(self, width: int, hidden: int) -> None:
+    def __init__(self, width: int, hidden_layers: int) -> None:
         super().__init__()
-        self.edge = perceptron(3 * width, width, hidden, width)
-        self.node = perceptron(2 * width, width, hidden, width)
+        self.edge = perceptron(3 * width, width, hidden_layers, width)
+        self.node = perceptron(2 * width, width, hidden_layers, width)
 
     def forward(self, x: Tensor, e: Tensor, senders: Tensor, receivers: Tensor) -> tuple[Tensor, Tensor]:
-        """Latents of points [N, C] and of edges [E, C], after one hop."""
+        """Latents of nodes [N, C] and of edges [E, C], after one layer."""
         message = self.edge(torch.cat((x[receivers], x[senders], e), dim=1))
-        heard = torch.zeros_like(x).index_add(0, receivers, message)
-        return x + self.node(torch.cat((x, heard), dim=1)), e + message
+        received = torch.zeros_like(x).index_add(0, receivers, message)
+        return x + self.node(torch.cat((x, received), dim=1)), e + message
 
 
 class Textbook(nn.Module):
-    """One step of a flow: x(t + dt) from x(t) and the last displacements, with the interface of `gns.model.simulator`."""
+    """One step of a flow: x(t + dt) from x(t) and the last displacements; the interface of `gns.model.simulator`."""
 
     def __init__(
-        self, *, dimension: int, radius: float, history: int, width: int = 128, layers: int = 10, hidden: int = 2
+        self, *, dimension: int, radius: float, history: int, width: int = 128, layers: int = 10, hidden_layers: int = 2
     ) -> None:
-        """radius: [m]; history: past displacements; hidden: hidden layers of every perceptron."""
+        """radius: [m]; history: past displacements; hidden_layers: of every perceptron."""
         super().__init__()
         self.radius = radius
         # displacements, distances to the walls, tan(phi)
         features = history * dimension + 2 * dimension + 1
-        self.encode_points = perceptron(features, width, hidden, width)
-        self.encode_edges = perceptron(dimension + 1, width, hidden, width)
-        self.hops = nn.ModuleList(Hop(width, hidden) for _ in range(layers))
-        self.decoder = perceptron(width, width, hidden, dimension, norm=False)
+        self.encode_nodes = perceptron(features, width, hidden_layers, width)
+        self.encode_edges = perceptron(dimension + 1, width, hidden_layers, width)
+        self.layers = nn.ModuleList(MessagePassing(width, hidden_layers) for _ in range(layers))
+        self.decoder = perceptron(width, width, hidden_layers, dimension, norm=False)
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step. Differentiable in the state and in friction; its output is small, for it is never trained."""
@@ -67,10 +67,10 @@ class Textbook(nn.Module):
         distance = (offset.square().sum(dim=1, keepdim=True) + 1.0e-12).sqrt()
         walls = torch.cat((positions, positions.new_tensor(conditions.size) - positions), dim=1) / self.radius
         motion = state.displacements.movedim(0, 1).flatten(1) / self.radius
-        x = self.encode_points(torch.cat((motion, walls.clamp(max=1.0), conditions.friction.unsqueeze(1)), dim=1))
+        x = self.encode_nodes(torch.cat((motion, walls.clamp(max=1.0), conditions.friction.unsqueeze(1)), dim=1))
         e = self.encode_edges(torch.cat((offset, distance), dim=1))
-        for hop in self.hops:
-            x, e = hop(x, e, senders, receivers)
+        for layer in self.layers:
+            x, e = layer(x, e, senders, receivers)
         moved = state.displacements[-1] + 1.0e-3 * self.radius * self.decoder(x)
         return State(
             positions=positions + moved, displacements=torch.cat((state.displacements[1:], moved.unsqueeze(0)))
@@ -80,10 +80,10 @@ class Textbook(nn.Module):
 def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Senders and receivers of all pairs closer than `radius` [m], by SciPy's tree, anew in each step; [E] each.
 
-    batch: the sample that each point belongs to, shape [N]; samples never meet.
+    batch: the sample that each node belongs to, shape [N]; no edge joins two samples.
     """
-    apart = positions.detach().double().numpy()
+    separated = positions.detach().double().numpy()
     if batch is not None:
-        apart = np.column_stack((apart, 2.0 * radius * batch.numpy()))
-    pairs = torch.from_numpy(cKDTree(apart).query_pairs(radius, output_type="ndarray"))
+        separated = np.column_stack((separated, 2.0 * radius * batch.numpy()))
+    pairs = torch.from_numpy(cKDTree(separated).query_pairs(radius, output_type="ndarray"))
     return torch.cat((pairs[:, 0], pairs[:, 1])), torch.cat((pairs[:, 1], pairs[:, 0]))

@@ -13,17 +13,17 @@ REST = 1.0e-3
 BASE = 8
 """Cells over which a slope is measured."""
 REPOSE_MARGIN_DEG = 4.0
-"""The surface is known to a third of a cell (the topmost point of each column): 2.6 degrees over 8 cells, and then the
-steepest of all places is asked for."""
+"""The surface is known to a third of a cell (the topmost particle of each column): 2.6 degrees over 8 cells, and the
+steepest of all places counts."""
 CUBE = 2
-"""Cells along an edge of the cubes (in 2D squares) in which points are counted."""
-FEWEST_CUBES = 10
-"""Whose mean says something: single cubes scatter by a tenth."""
+"""Cells along an edge of the cubes (in 2D squares) in which particles are counted."""
+MIN_CUBES = 10
+"""Cubes from which a mean is taken: single ones scatter by a tenth."""
 VOLUME = 0.05
 AGREEMENT = 0.1
-"""Cells between the fronts in f32 and f64: less than what another jitter of the points does to a front."""
+"""Cells between the fronts in f32 and f64: less than what another jitter of the particles does to a front."""
 JITTERS = 4
-"""Whose fronts' standard deviation says what a jitter does to the front of a flow that sprays ..."""
+"""Jitters whose fronts give the standard deviation of the front of a flow that sprays ..."""
 DEVIATIONS = 3.0
 """... and how many of these may lie between its fronts in f32 and f64."""
 
@@ -31,14 +31,14 @@ DEVIATIONS = 3.0
 def rest(flow: Trajectory) -> Finding:
     """Kinetic energy in the last frame over the largest of all frames."""
     kinetic = flow.summary["energy"]["kinetic"]
-    return Finding(check="motion left", value=kinetic[-1] / max(kinetic), most=REST)
+    return Finding(check="motion left", value=kinetic[-1] / max(kinetic), maximum=REST)
 
 
 def repose(flow: Trajectory) -> Finding:
     """Steepest slope of the final surface [deg], against the largest angle of friction in the scene and a margin."""
     scene = flow.scene
     angle = max(scene.material_of(mass).friction_deg for mass in scene.masses)
-    return Finding(check="slope", value=steepest(flow), unit="deg", most=angle + REPOSE_MARGIN_DEG)
+    return Finding(check="slope", value=steepest(flow), unit="deg", maximum=angle + REPOSE_MARGIN_DEG)
 
 
 def steepest(flow: Trajectory) -> float:
@@ -56,17 +56,18 @@ def steepest(flow: Trajectory) -> float:
 
 
 def volume(flow: Trajectory) -> Finding | None:
-    """Volume of the core of the deposit over what its points had at the start, minus 1.
+    """Volume of the core of the deposit over what its particles had at the start, minus 1.
 
-    From the points in cubes of two cells that lie at least a cube under the surface, their own and their neighbours',
-    and beside no wall. Sand at psi = 0 flows at constant volume. None where there are fewer than ten such cubes.
+    From the particles in cubes of two cells that lie at least a cube under the surface, their own and their
+    neighbours', and beside no wall. Sand at psi = 0 flows at constant volume. None where there are fewer than
+    ten such cubes.
     """
     sand, core = core_volumes(flow)
-    if core.sum() < FEWEST_CUBES:
+    if core.sum() < MIN_CUBES:
         return None
     full = (CUBE * flow.scene.domain.cell) ** flow.scene.dimension
     held = max(sand[core].sum(), flow.scene.particle_volume)
-    return Finding(check="volume", value=float(full * core.sum() / held - 1.0), least=-VOLUME, most=VOLUME)
+    return Finding(check="volume", value=float(full * core.sum() / held - 1.0), minimum=-VOLUME, maximum=VOLUME)
 
 
 def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -79,20 +80,20 @@ def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool
     ranges = [(0.0, count * edge) for count in counts]
     positions = flow.positions[-1].astype(np.float64)
     sand, _ = np.histogramdd(positions, bins=counts, range=ranges, weights=particle_volumes(scene, len(positions)))
-    lowest = np.nan_to_num(topmost(flow))
+    surface = np.nan_to_num(topmost(flow))
     for axis, count in enumerate([counts[0], *counts[2:]]):
-        parts = np.split(np.take(lowest, range(count * CUBE), axis=axis), count, axis=axis)
-        lowest = np.stack([part.min(axis=axis) for part in parts], axis=axis)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(lowest, 1), (3,) * lowest.ndim)
-    level = np.expand_dims(around.min(axis=tuple(range(lowest.ndim, 2 * lowest.ndim))), 1)
+        parts = np.split(np.take(surface, range(count * CUBE), axis=axis), count, axis=axis)
+        surface = np.stack([part.min(axis=axis) for part in parts], axis=axis)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(surface, 1), (3,) * surface.ndim)
+    level = np.expand_dims(around.min(axis=tuple(range(surface.ndim, 2 * surface.ndim))), 1)
     cover = (np.arange(counts[1]) + 2.0) * edge
-    return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (lowest.ndim - 1)))
+    return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (surface.ndim - 1)))
 
 
 def topmost(flow: Trajectory) -> NDArray[np.float64]:
-    """Height of the final surface [m], the topmost point of every column of one cell; shape [cells in x(, in z)].
+    """Height of the final surface [m], the topmost particle of every column of one cell; shape [cells in x(, in z)].
 
-    NaN where a baffle stands and beside it, 0 where there is no point.
+    NaN where a baffle stands and beside it, 0 where there is no particle.
     """
     scene, cell = flow.scene, flow.scene.domain.cell
     level = [axis for axis in range(scene.dimension) if axis != 1]
@@ -110,4 +111,4 @@ def topmost(flow: Trajectory) -> NDArray[np.float64]:
 def agreement(single: Trajectory, double: Trajectory, *, within: float) -> Finding:
     """Distance between the fronts of a flow in f32 and in f64 [cells]."""
     apart = abs(front(single.positions[-1]) - front(double.positions[-1])) / single.scene.domain.cell
-    return Finding(check="f32 to f64", value=apart, unit="cells", most=within)
+    return Finding(check="f32 to f64", value=apart, unit="cells", maximum=within)

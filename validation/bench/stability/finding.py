@@ -12,24 +12,27 @@ class Finding:
     """Which one; the same name for every flow."""
     value: float
     unit: str = ""
-    least: float = -math.inf
-    """The least value that passes."""
-    most: float = math.inf
-    """The greatest value that passes."""
+    minimum: float = -math.inf
+    """The smallest value that passes."""
+    maximum: float = math.inf
+    """The largest value that passes."""
 
     @property
     def ok(self) -> bool:
         """Whether it passes; NaN does not."""
-        return self.least <= self.value <= self.most
+        return self.minimum <= self.value <= self.maximum
 
     @property
     def range(self) -> str:
-        """What was asked for, to be read."""
-        if math.isinf(self.most):
-            return f"≥ {self.least:.4g}"
-        return f"≤ {self.most:.4g}" if math.isinf(self.least) else f"{self.least:.4g} to {self.most:.4g}"
+        """The range, to be read."""
+        if math.isinf(self.maximum):
+            return f"≥ {self.minimum:.4g}"
+        return f"≤ {self.maximum:.4g}" if math.isinf(self.minimum) else f"{self.minimum:.4g} to {self.maximum:.4g}"
 
     @property
     def excess(self) -> float:
         """How far outside the range it lies; at most 0 where it passes."""
-        return max(self.least - self.value, self.value - self.most)
+        return max(self.minimum - self.value, self.value - self.maximum)
+
+    def __str__(self) -> str:
+        return f"{self.check} {self.value:.4g} {self.unit}".strip() + f" (required {self.range})"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datasets.particles import particle_volumes
 from datasets.scene import TOLERANCE
 from datasets.trajectory import Trajectory
+from mpm.exact_solutions import total_energy
 from validation.bench.stability.finding import Finding
 
 ROUNDING = 1.0e-4
@@ -28,22 +29,22 @@ def finite(flow: Trajectory) -> Finding:
     """How many of all recorded numbers are NaN or infinite."""
     recorded = [flow.positions, flow.velocities, flow.pressure, flow.plastic_strain, flow.solid_impulse]
     arrays = [array for array in recorded if array is not None] + [total_energy(flow), wall_impulse(flow)]
-    return Finding(check="not finite", value=sum(int((~np.isfinite(array)).sum()) for array in arrays), most=0)
+    return Finding(check="not finite", value=sum(int((~np.isfinite(array)).sum()) for array in arrays), maximum=0)
 
 
 def inside_box(flow: Trajectory) -> Finding:
-    """How far any point in any frame is outside the box [cells]."""
+    """How far any particle in any frame is outside the box [cells]."""
     domain = flow.scene.domain
     beyond = np.maximum(-flow.positions, flow.positions - np.array(domain.size))
     return Finding(
-        check="outside the box", value=max(0.0, float(beyond.max())) / domain.cell, unit="cells", most=ROUNDING
+        check="outside the box", value=max(0.0, float(beyond.max())) / domain.cell, unit="cells", maximum=ROUNDING
     )
 
 
 def outside_baffles(flow: Trajectory) -> Finding | None:
-    """How deep any point in any frame is inside a baffle [cells].
+    """How deep any particle in any frame is inside a baffle [cells].
 
-    A face that lies on a wall of the box is none: there is no way out under a baffle that stands on the floor.
+    A face on a wall of the box does not count: below a baffle on the floor is no outside.
     """
     scene, deepest = flow.scene, 0.0
     if not scene.baffles:
@@ -55,60 +56,60 @@ def outside_baffles(flow: Trajectory) -> Finding | None:
         upper = np.where(upper >= size - TOLERANCE, np.inf, upper)
         depth = np.minimum(flow.positions - lower, upper - flow.positions).min(axis=2)
         deepest = max(deepest, float(depth.max()))
-    return Finding(check="inside a baffle", value=deepest / scene.domain.cell, unit="cells", most=ROUNDING)
+    return Finding(check="inside a baffle", value=deepest / scene.domain.cell, unit="cells", maximum=ROUNDING)
 
 
 def mass(flow: Trajectory) -> Finding:
-    """Relative difference between the points' volume and the boxes', the worst of all masses; and points in no box."""
+    """Relative error of the volume of the particles of a mass, the worst; share of particles in no mass."""
     scene = flow.scene
     inside = in_masses(flow)
     boxes = np.array([np.prod(mass.size) for mass in scene.masses])
     worst = np.abs(inside @ particle_volumes(scene, inside.shape[1]) / boxes - 1.0).max()
-    astray = np.abs(inside.sum(axis=0) - 1).mean()
-    return Finding(check="mass", value=float(max(worst, astray)), most=EXACT_MASS)
+    error = np.abs(inside.sum(axis=0) - 1).mean()
+    return Finding(check="mass", value=float(max(worst, error)), maximum=EXACT_MASS)
 
 
 def momentum(flow: Trajectory) -> Finding | None:
-    """Momentum that nobody gave or took: P(t) - P(0) - M g t + impulses on walls and baffles, the worst frame.
+    """Error of the balance P(t) - P(0) - M g t + impulses on walls and baffles, the worst frame.
 
     Relative to the larger of M g t and the largest momentum of the flow; in free space, where a body that spins or
-    rings has none, to the sum of m |v| at the start. Damping takes momentum, so a damped flow has no such balance.
+    rings has none, to the sum of m |v| at the start. A damped flow has no such balance.
     """
     if flow.scene.damping > 0.0:
         return None
     assert flow.velocities is not None
-    weights = point_masses(flow)
+    weights = particle_masses(flow)
     total = np.einsum("n, tnd -> td", weights, flow.velocities.astype(np.float64))
     gravity = weights.sum() * np.array(flow.scene.gravity_vector)
     # Frames after the end repeat the last one that was computed.
     end = flow.summary.get("end_time") or flow.summary.get("rest_time")
     time = flow.time if end is None else np.minimum(flow.time, end)
-    taken = wall_impulse(flow)
+    given = wall_impulse(flow)
     if flow.solid_impulse is not None:
-        taken = taken + flow.solid_impulse.sum(axis=1)
-    astray = np.linalg.norm(total - total[0] - time[:, None] * gravity + taken, axis=1)
+        given = given + flow.solid_impulse.sum(axis=1)
+    error = np.linalg.norm(total - total[0] - time[:, None] * gravity + given, axis=1)
     scale = np.maximum(time * np.linalg.norm(gravity), np.linalg.norm(total, axis=1).max())
     if flow.scene.gravity == 0.0:
         scale = np.full_like(scale, weights @ np.linalg.norm(flow.velocities[0].astype(np.float64), axis=1))
-    worst = np.max(np.divide(astray, scale, out=np.zeros_like(astray), where=astray > 0.0))
-    return Finding(check="momentum", value=float(worst), most=MOMENTUM[flow.summary["precision"]])
+    worst = np.max(np.divide(error, scale, out=np.zeros_like(error), where=error > 0.0))
+    return Finding(check="momentum", value=float(worst), maximum=MOMENTUM[flow.summary["precision"]])
 
 
 def energy(flow: Trajectory) -> Finding:
     """Largest rise of kinetic + potential + elastic energy above that of any earlier frame, relative.
 
     To the initial kinetic energy plus the potential energy that the flow could give up in its box, down to the lowest
-    corner. Stricter than a bound from frame to frame, since small rises add up. Stress is half a step ahead of the
+    corner. Small rises add up, unlike under a bound from frame to frame. Stress is half a step ahead of the
     velocity, so that where sand is thrown at solids half a step of their power, force times the throw's speed, shows
     before the motion has lost it.
     """
     series = total_energy(flow)
     gravity = np.array(flow.scene.gravity_vector)
     corners = np.array(list(itertools.product(*((0.0, length) for length in flow.scene.domain.size))))
-    bottom = -point_masses(flow).sum() * (corners @ gravity).max()
+    bottom = -particle_masses(flow).sum() * (corners @ gravity).max()
     rise = (series - np.minimum.accumulate(series)).max()
     most = ENERGY + half_step_work(flow) / (series[0] - bottom)
-    return Finding(check="energy", value=float(rise / (series[0] - bottom)), most=float(most))
+    return Finding(check="energy", value=float(rise / (series[0] - bottom)), maximum=float(most))
 
 
 def half_step_work(flow: Trajectory) -> float:
@@ -125,7 +126,7 @@ INVARIANTS = (finite, inside_box, outside_baffles, mass, momentum, energy)
 
 
 def in_masses(flow: Trajectory) -> NDArray[np.bool_]:
-    """Which points start in which mass's box, shape [masses, N]."""
+    """Which particles start in which mass's box, shape [masses, N]."""
     start = flow.positions[0].astype(np.float64)
     slack = ROUNDING * flow.scene.domain.cell
     return np.array(
@@ -136,18 +137,12 @@ def in_masses(flow: Trajectory) -> NDArray[np.bool_]:
     )
 
 
-def point_masses(flow: Trajectory) -> NDArray[np.float64]:
-    """Mass of each point [kg, per metre of width in 2D], shape [N]: its box's density times its volume."""
+def particle_masses(flow: Trajectory) -> NDArray[np.float64]:
+    """Mass of each particle [kg, per metre of width in 2D], shape [N]: its box's density times its volume."""
     scene = flow.scene
     density = np.array([scene.material_of(box).density for box in scene.masses])
     inside = in_masses(flow)
     return np.asarray(particle_volumes(scene, inside.shape[1]) * density[inside.argmax(axis=0)])
-
-
-def total_energy(flow: Trajectory) -> NDArray[np.float64]:
-    """Kinetic + potential + elastic energy [J, per metre of width in 2D], shape [T]."""
-    kinds = flow.summary["energy"]
-    return np.asarray(np.sum([kinds[kind] for kind in ("kinetic", "potential", "elastic")], axis=0), np.float64)
 
 
 def wall_impulse(flow: Trajectory) -> NDArray[np.float64]:

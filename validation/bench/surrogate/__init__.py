@@ -1,1 +1,1 @@
-"""The learned simulator on scenes that it never saw: what it gets wrong, and when it is worth its seconds."""
+"""The shipped GNS weights against the MPM, on scenes that are in no training set."""

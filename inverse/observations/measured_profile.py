@@ -1,0 +1,218 @@
+"""A measured profile: rows x and height of a CSV, made heights above the floor and held against what was released.
+
+    h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
+
+What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
+"""
+
+import csv
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from datasets.errors import InputError
+from inverse.settings import Heights, LengthUnit
+
+Floats = NDArray[np.float64]
+
+EDGE = 0.01
+"""Height over the largest, below which a deposit has ended."""
+FURTHEST = 2.0
+"""Distances of the last two rows over which a profile is extrapolated."""
+ALONG = 4
+"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
+BELOW = 0.05
+"""Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
+RARE = 0.05
+"""A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
+MINIMUM_FREEDOM = 4
+"""Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
+AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
+"""Area of a profile over the released one: what a measurement may miss, and of a surface also what loosening adds.
+
+Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredProfile:
+    """Heights above the floor at ascending x, from the edge of the deposit, or a wall, to the other."""
+
+    x: Floats
+    """[m], shape [R]."""
+    height: Floats
+    """[m], shape [R]."""
+
+    def at(self, stations: Floats) -> Floats:
+        """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
+        return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
+
+    def deviation(self, *, share: float, noise: float) -> Floats:
+        """Standard deviation [m] of each height, shape [R]: a `share` of it and, for all alike, `noise` [m].
+
+        Where the ground is bare, and beside it, there is no deposit to be mistaken about.
+        """
+        covered = self.height > 0.0
+        edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
+        return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
+
+    def roughness(self, deviation: Floats) -> float:
+        """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
+
+        e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
+        Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
+        625-633), without a model. Only what chance explains less often than `RARE` counts: their sum of squares
+        has half as many degrees of freedom as a sum of independent ones, roughly.
+        """
+        if len(self.x) < 3:
+            return 1.0
+        before, after = self.x[1:-1] - self.x[:-2], self.x[2:] - self.x[1:-1]
+        left, right = after / (before + after), before / (before + after)
+        residual = self.height[1:-1] - left * self.height[:-2] - right * self.height[2:]
+        variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
+        # Where the ground is bare on both sides nothing scatters.
+        scattering = (self.height[1:-1] > 0.0) & (variance > 0.0)
+        freedom = 0.5 * int(scattering.sum())
+        if freedom < MINIMUM_FREEDOM:
+            return 1.0
+        square = float(np.mean(residual[scattering] ** 2 / variance[scattering]))
+        return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
+
+
+def profile_of(
+    path: Path,
+    *,
+    unit: LengthUnit,
+    datum: float,
+    heights: Heights,
+    length: float,
+    released: float | None,
+    ground: Callable[[Floats], Floats],
+) -> MeasuredProfile:
+    """The profile in the CSV `path`, in a box of `length` [m], of a mass of the area `released` [m^2].
+
+    unit: of both columns; datum: height of the floor in the file [unit]. Where the released area is not known, it is
+    not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises InputError,
+    which names the file, for rows that are no profile, lie outside of the box, end in the middle of the deposit, or
+    hold another area than was released.
+    """
+    x, height = read_columns(path, ("x", "height"))
+    try:
+        if not np.all(np.diff(x) > 0.0):
+            raise InputError("expected x in ascending order")
+        x, height = x * unit.metres, (height - datum) * unit.metres
+        check_box(x, length)
+        if heights is Heights.ELEVATION:
+            height = height - ground(x)
+        check_heights(height)
+        profile = closed(x, np.maximum(height, 0.0), length)
+        if released is not None:
+            check_area(profile, heights, released)
+        return profile
+    except InputError as error:
+        raise error.at(str(path)) from None
+
+
+def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = ()) -> list[Floats]:
+    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
+
+    Raises InputError, which names the file.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except FileNotFoundError:
+        raise InputError("expected a measurement (CSV), there is none", where=str(path)) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
+    expected = f"the columns {' and '.join(names)}"
+    if len(rows) < 2 or not set(names) <= rows[0].keys():
+        raise InputError(f"expected {expected} and at least two rows", where=str(path))
+    asked = [*names, *(name for name in optional if name in rows[0])]
+    try:
+        columns = [np.array([float(row[name]) for row in rows]) for name in asked]
+    except (TypeError, ValueError):
+        raise InputError(f"expected numbers in {expected}", where=str(path)) from None
+    if not all(np.all(np.isfinite(column)) for column in columns):
+        raise InputError("expected finite numbers", where=str(path))
+    return columns
+
+
+def check_box(x: Floats, length: float) -> None:
+    """Raise InputError for an x [m] outside of the box."""
+    slack = 1e-9 * length
+    outside = x[(x < -slack) | (x > length + slack)]
+    if len(outside):
+        raise InputError(
+            f"expected x between the walls, 0 and {length:g} m, got {outside[-1]:g} m; unit says in what unit the "
+            "file is"
+        )
+
+
+def check_heights(height: Floats) -> None:
+    """Raise InputError for heights [m] that are below the floor by more than noise, or nowhere above it."""
+    if height.max() <= 0.0:
+        raise InputError("expected a height above the floor, got none; target.datum is the floor's in the file")
+    if height.min() < -BELOW * height.max():
+        raise InputError(
+            f"expected heights above the floor, got {height.min():g} m; target.datum is the floor's in the file"
+        )
+
+
+def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
+    """The profile with its ends at a wall or at the deposit's edge. Raises InputError where they are too far.
+
+    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
+    """
+    first = extrapolated(x[0], height[0], slope_of(x[:ALONG], height[:ALONG]), x[1] - x[0], height.max())
+    slope = slope_of(x[-ALONG:], height[-ALONG:])
+    last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
+    for end, last_x, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
+        if end is None:
+            raise InputError(
+                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
+                f"x = {last_x:g} m with a height of {value:g} m"
+            )
+    before = [(x[0] - step, h) for step, h in first or []]
+    beyond = [(x[-1] + step, h) for step, h in last or []]
+    rows = np.array([*before, *zip(x, height, strict=True), *beyond])
+    return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
+
+
+def slope_of(x: Floats, height: Floats) -> float:
+    """Least-squares slope [-] of a few rows [m]."""
+    off = x - x.mean()
+    return float(off @ height / (off @ off))
+
+
+def extrapolated(
+    gap: float, height: float, fall: float, spacing: float, largest: float
+) -> list[tuple[float, float]] | None:
+    """Rows (distance from the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
+
+    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the
+    last rows [m]; largest: height of the deposit [m].
+    """
+    if height <= EDGE * largest or gap <= 0.0:
+        return []
+    step = min(gap, height / fall) if fall > 0.0 else gap
+    if step > FURTHEST * spacing * (1.0 + 1e-9):
+        return None
+    return [(step, max(0.0, height - fall * step))]
+
+
+def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> None:
+    """Raise InputError for a profile whose area is not what was released."""
+    area = float(np.trapezoid(profile.height, profile.x))
+    minimum, maximum = AREA[heights]
+    if not minimum * released <= area <= maximum * released:
+        raise InputError(
+            f"expected {minimum:g} to {maximum:g} times the area that was released, {released:.4g} m^2, for {heights} "
+            f"heights, got {area:.4g} m^2, {area / released:.3g} times; target.unit, datum and heights say what "
+            "stands in the file"
+        )

@@ -1,0 +1,73 @@
+"""The outline of a deposit in plan (3D)."""
+
+from typing import Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets import measures
+from datasets.errors import InputError
+from datasets.particles import mass_centroids, mass_volumes
+from datasets.scene import Scene
+from inverse.observations.measured_profile import read_columns
+from inverse.observations.observation import Context, DepositObservation, Measurement, Values, harrell_davis
+from inverse.observations.sampling import require_count, require_inside
+from inverse.settings import ObservationSettings
+
+DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
+"""Of an outline, where none are named."""
+
+
+class Outline(DepositObservation):
+    """The extent of a deposit in 3D from the centroid of its masses along directions of the plan.
+
+    Along a direction n it is the quantile of (p - c) . n over the particles that a front is along x, c the centroid of
+    the masses in plan: the support function of the deposit's outline, robust against single particles.
+    """
+
+    kind = "outline"
+    label = "the outline of the deposit in plan"
+    sources = ("csv", "values")
+    source = "csv, or values in directions_deg"
+    options = ("directions_deg", "unit")
+    alone = False
+
+    def __init__(self, scene: Scene, directions_deg: Values) -> None:
+        """directions_deg: from +x towards +z, shape [M]."""
+        angles = np.deg2rad(directions_deg)
+        self.directions = np.stack([np.cos(angles), np.sin(angles)])
+        volumes = mass_volumes(scene)
+        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
+
+    @classmethod
+    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+        if scene.dimension != 3:
+            raise InputError("expected a scene in 3D for an outline", key="kind")
+        named = settings.directions_deg
+        return cls(scene, DIRECTIONS_DEG if named is None else np.array(named))
+
+    @classmethod
+    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
+        if settings.csv is None:
+            return super().read(settings, context)
+        observation, path = cls.build(settings, context.scene), context.folder / settings.csv
+        vertices = np.stack(read_columns(path, ("x", "z")), axis=1) * settings.unit.metres
+        require_inside(vertices[:, 0], context.scene.domain.size[0], path)
+        return Measurement(observation=observation, values=observation.of_line(vertices))
+
+    def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
+        return require_count(super().stated(settings, scene), self.directions.shape[1])
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
+        return np.asarray(np.quantile(extent, measures.FRONT_QUANTILE, axis=0))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
+        return torch.stack([harrell_davis(each, volumes, measures.FRONT_QUANTILE) for each in extent.T])
+
+    def of_line(self, vertices: NDArray[np.float64]) -> Values:
+        """Of a measured outline, vertices x and z [m], shape [V, 2], in any order; shape [M]."""
+        return np.asarray(((vertices - self.centre) @ self.directions).max(axis=0))

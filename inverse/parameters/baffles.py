@@ -1,0 +1,120 @@
+"""Positions and extents of baffles; and the boxes that they may occupy within the bounds of their parameters."""
+
+import dataclasses
+import itertools
+import math
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.scene import Baffle, Mass, Scene
+from gns.initial import MPM_SECONDS, InitialState
+from inverse.parameters.kind import UP, Kind, Parts, T, replaced, require_axis, require_index
+
+CLEAR_CELLS = 2.0
+"""Distance from a baffle up to which a flow may depend on it, in cells of the MPM's grid."""
+
+
+@dataclass(frozen=True)
+class BaffleKind(Kind):
+    """A length of a baffle along an axis [m]."""
+
+    baffle: int
+    axis: int
+
+    unit = "m"
+    digits = 4
+    step = 0.002
+    differentiable = True
+
+    def check(self, scene: Scene) -> None:
+        require_index("baffles", self.baffle, len(scene.baffles))
+        require_axis(self.axis, scene)
+
+    def put(self, parts: Parts, value: float) -> None:
+        baffle = parts.baffles[self.baffle]
+        low, size = self.changed(baffle.lower[self.axis], baffle.size[self.axis], value)
+        lower = replaced(baffle.lower, self.axis, low)
+        parts.baffles[self.baffle] = dataclasses.replace(
+            baffle, lower=lower, size=replaced(baffle.size, self.axis, size)
+        )
+
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        boxes = initial.conditions.baffles
+        assert boxes is not None, "the scene has baffles, and so has the model"
+        number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
+        own = (number == self.baffle) & (axis == self.axis)
+        lower, upper = boxes[0, self.baffle, :, self.axis]
+        low, size = self.changed(lower, upper - lower, value.to(boxes.dtype))
+        return initial.with_conditions(baffles=torch.where(own, low + corner * size, boxes))
+
+    @abstractmethod
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        """Lower end and extent along the axis [m] with this value."""
+
+
+@dataclass(frozen=True)
+class Centre(BaffleKind):
+    """The centre of a baffle [m]."""
+
+    def read(self, scene: Scene) -> float:
+        baffle = scene.baffles[self.baffle]
+        return baffle.lower[self.axis] + 0.5 * baffle.size[self.axis]
+
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        return value - 0.5 * size, size
+
+
+@dataclass(frozen=True)
+class Extent(BaffleKind):
+    """Extent of a baffle [m]: upwards from its foot, else about its centre."""
+
+    def read(self, scene: Scene) -> float:
+        return scene.baffles[self.baffle].size[self.axis]
+
+    def changed(self, low: T, size: T, value: T) -> tuple[T, T]:
+        return (low if self.axis == UP else low + 0.5 * size - 0.5 * value), value
+
+
+def swept(scene: Scene, kinds: Sequence[Kind], bounds: Sequence[tuple[float, float]]) -> dict[int, Baffle]:
+    """The box that each baffle with a parameter may occupy, while each parameter stays in its (lower, upper)."""
+    moving = [(kind, ends) for kind, ends in zip(kinds, bounds, strict=True) if isinstance(kind, BaffleKind)]
+    boxes = {}
+    for index in sorted({kind.baffle for kind, _ in moving}):
+        own = [(kind, ends) for kind, ends in moving if kind.baffle == index]
+        corners = []
+        for values in itertools.product(*(ends for _, ends in own)):
+            parts = Parts.split(scene)
+            for (kind, _), value in zip(own, values, strict=True):
+                kind.put(parts, value)
+            baffle = parts.baffles[index]
+            corners.append((np.array(baffle.lower), np.array(baffle.lower) + baffle.size))
+        lower = np.min([low for low, _ in corners], axis=0).round(9)
+        upper = np.max([high for _, high in corners], axis=0).round(9)
+        boxes[index] = Baffle(lower=tuple(lower.tolist()), size=tuple((upper - lower).round(9).tolist()))
+    return boxes
+
+
+def clear_of_start(scene: Scene, boxes: Iterable[Baffle]) -> bool:
+    """Whether the MPM's first frames of `scene` do not depend on baffles anywhere in `boxes`.
+
+    Until then no particle gets further than |v| t + g t^2, twice as far as in a free fall.
+    """
+    cells = CLEAR_CELLS * scene.domain.cell
+    return all(
+        gap(mass, box) > math.hypot(*(mass.velocity or (0.0,))) * MPM_SECONDS + scene.gravity * MPM_SECONDS**2 + cells
+        for mass in scene.masses
+        for box in boxes
+    )
+
+
+def gap(mass: Mass, baffle: Baffle) -> float:
+    """Distance of two boxes along the axis on which it is largest [m]; negative where they overlap."""
+    return max(
+        max(low_b - (low_m + size_m), low_m - (low_b + size_b))
+        for low_m, size_m, low_b, size_b in zip(mass.lower, mass.size, baffle.lower, baffle.size, strict=True)
+    )

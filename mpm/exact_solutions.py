@@ -1,0 +1,186 @@
+"""Closed forms that the solver is tested against, each an object made from its scene.
+
+    slide = SlidingBlock.of_scene(scene)
+    error = centre(trajectory)[-1, 0] - slide.displacement(scene.duration)
+
+Tests (`tests/mpm`) and the stability page (`python -m validation.bench stability`) take them from here. Positions and
+lengths in m, times in s, angles in radians; trajectories are read, never simulated.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+CRACKS = 0.1
+"""Tension limit over cohesion below which soil counts as cracking freely in `critical_height`."""
+
+
+def centre_displacement(flow: Trajectory) -> Floats:
+    """Displacement of the centre [m], shape [T, D]: the mean of displacements, which rounds less than that of means."""
+    return np.asarray((flow.positions.astype(np.float64) - flow.positions[0].astype(np.float64)).mean(axis=1))
+
+
+def total_energy(flow: Trajectory) -> Floats:
+    """Kinetic + potential + elastic energy [J, per metre of width in 2D], shape [T]."""
+    kinds = flow.summary["energy"]
+    return np.asarray(np.sum([kinds[kind] for kind in ("kinetic", "potential", "elastic")], axis=0), np.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeFlight:
+    """x = v t + g t (t + dt) / 2: a throw, in steps of symplectic Euler ahead of the parabola by g t dt / 2."""
+
+    velocity: tuple[float, ...]
+    """Initial [m/s], shape [D]."""
+    gravity: tuple[float, ...]
+    """[m/s^2], shape [D]."""
+    step: float
+    """Time step [s]."""
+
+    @staticmethod
+    def of_flow(flow: Trajectory, mass: int = 0) -> "FreeFlight":
+        """That of one mass of a flow, with its mean time step."""
+        scene = flow.scene
+        return FreeFlight(
+            velocity=tuple(scene.masses[mass].velocity or (0.0,) * scene.dimension),
+            gravity=tuple(scene.gravity_vector),
+            step=float(flow.time[-1] / flow.summary["steps"]),
+        )
+
+    def displacement(self, time: Floats) -> Floats:
+        """[m] at `time` [s], shape [T]; shape [T, D]."""
+        t = np.asarray(time, np.float64)[:, None]
+        return np.asarray(t * np.array(self.velocity) + 0.5 * np.array(self.gravity) * t * (t + self.step))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlidingBlock:
+    """A rigid block on an incline with Coulomb friction, let go at rest: a = g max(0, sin theta - mu cos theta)."""
+
+    acceleration: float
+    """Down the incline [m/s^2]."""
+
+    @staticmethod
+    def of_scene(scene: Scene, friction: float | None = None) -> "SlidingBlock":
+        """That of a tilted box with the friction of its floor, or another coefficient [-]."""
+        slope = math.radians(scene.slope_deg)
+        coefficient = scene.floor_friction if friction is None else friction
+        return SlidingBlock(
+            acceleration=scene.gravity * max(0.0, math.sin(slope) - coefficient * math.cos(slope)),
+        )
+
+    def displacement(self, time: float) -> float:
+        """[m] after `time` [s]."""
+        return 0.5 * self.acceleration * time**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandingWave:
+    """The lowest mode of an elastic body: velocity and displacement of one shape that swing at omega without decay."""
+
+    axis: int
+    """Along which it moves."""
+    omega: float
+    """Angular frequency [1/s]."""
+    shape: Floats
+    """Of the particles at the start [-], shape [N]."""
+
+    @staticmethod
+    def of_bar(flow: Trajectory) -> "StandingWave":
+        """Free bar of length L along x, nu = 0: cos(pi x / L), omega = pi / L sqrt(E / rho)."""
+        masses, material = flow.scene.masses, flow.scene.material
+        length = sum(mass.size[0] for mass in masses)
+        x = flow.positions[0, :, 0].astype(np.float64) - masses[0].lower[0]
+        omega = math.pi / length * math.sqrt(material.young / material.density)
+        return StandingWave(axis=0, omega=omega, shape=np.cos(math.pi * x / length))
+
+    @staticmethod
+    def of_layer(flow: Trajectory) -> "StandingWave":
+        """Layer of height H between smooth walls: sin(pi y / (2 H)), omega = pi / (2 H) sqrt((lambda + 2 mu) / rho)."""
+        height = sum(mass.size[1] for mass in flow.scene.masses)
+        shape = np.sin(0.5 * math.pi * flow.positions[0, :, 1].astype(np.float64) / height)
+        return StandingWave(axis=1, omega=0.5 * math.pi / height * flow.scene.material.wave_speed, shape=shape)
+
+    def decrement(self, flow: Trajectory) -> float:
+        """Decay per period of the amplitude in `flow` [-], -d ln a / d(t / T): 2 pi times the damping ratio, exactly 0.
+
+        The amplitude a^2 = <v>^2 + omega^2 <u>^2 of velocity and displacement projected on the shape does not swing.
+        """
+        assert flow.velocities is not None
+        x = flow.positions[:, :, self.axis].astype(np.float64)
+        speed = flow.velocities[:, :, self.axis].astype(np.float64) @ self.shape
+        amplitude = np.hypot(speed, self.omega * ((x - x[0]) @ self.shape))
+        return -float(np.polyfit(flow.time * self.omega / (2.0 * math.pi), np.log(amplitude), 1)[0])
+
+
+def settlement(scene: Scene) -> float:
+    """How far layers settle under their own weight [m], if they stay elastic and walls keep them from bulging.
+
+    u = sum over the layers of (w + rho g h / 2) h / M, with w the weight above and M the modulus of one-dimensional
+    compression. The lateral stress is nu / (1 - nu) of the vertical, less than Mohr-Coulomb requires: nothing yields.
+    """
+    load = total = 0.0
+    for mass in sorted(scene.masses, key=lambda each: -each.lower[1]):
+        material, height = scene.material_of(mass), mass.size[1]
+        weight = material.density * scene.gravity * height
+        total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)
+        load += weight
+    return total
+
+
+def geostatic_pressure(scene: Scene, depth: Floats) -> Floats:
+    """Mean stress (1 + 2 K0) / 3 rho g z [Pa] of a bed with a number for `k0`, at depths [m] below its surface."""
+    k0 = scene.masses[0].k0
+    assert isinstance(k0, float)
+    return (1.0 + 2.0 * k0) / 3.0 * scene.material.density * scene.gravity * depth
+
+
+def critical_height(scene: Scene) -> float:
+    """Critical height [m] of a vertical cut, N c / gamma tan(45 + phi / 2).
+
+    N = 2 for soil without tension: a slice beside the face, cut off by a crack, stands on its unconfined strength
+    (Drucker 1953); N = 4, a wedge on a plane, for soil with tension up to the apex of its cone (Fellenius 1927).
+    Soil with a limit below `CRACKS` of its cohesion, as by default, counts as soil without (`datasets.material`: the
+    default raises the height by some per cent).
+    """
+    material = scene.material
+    angle = math.radians(45.0 + 0.5 * material.friction_deg)
+    carries = material.tension_limit >= CRACKS * material.cohesion
+    unit_weight = material.density * scene.gravity
+    return (4.0 if carries else 2.0) * material.cohesion / unit_weight * math.tan(angle)
+
+
+def stability_number(friction_deg: float, tension: float) -> float:
+    """Gamma H / c of a slice beside the face that is held over its crack by `tension`, over c [-]; 2 t without it.
+
+    With t = tan(45 + phi / 2) the root h of h = 2 t + t sqrt(2 T h / c) - t^2 T / c (`datasets.material`).
+    """
+    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
+    half = 0.5 * t * math.sqrt(2.0 * tension)
+    return (half + math.sqrt(half**2 + 2.0 * t - t**2 * tension)) ** 2
+
+
+def landing_time(scene: Scene) -> float:
+    """When a mass that is thrown up at v from the height h comes down, (v + sqrt(v^2 + 2 g h)) / g [s]."""
+    mass = scene.masses[0]
+    up = mass.velocity[1] if mass.velocity else 0.0
+    return (up + math.sqrt(up**2 + 2.0 * scene.gravity * mass.lower[1])) / scene.gravity
+
+
+def repose_front(scene: Scene) -> float:
+    """Front [m] of a pile at the angle of friction, of the area of a column L x H at the wall.
+
+    A trapezoid, L + H / (2 tan phi), where H <= 2 L tan phi, else a triangle, sqrt(2 L H / tan phi).
+    """
+    tan_phi = scene.material.friction
+    length, height = scene.masses[0].size[0], sum(mass.size[1] for mass in scene.masses)
+    if height <= 2.0 * length * tan_phi:
+        return length + height / (2.0 * tan_phi)
+    return math.sqrt(2.0 * length * height / tan_phi)

@@ -1,0 +1,221 @@
+"""Multiple observations in one problem: each with its own numbers, positions, times and noise."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datasets import measures
+from datasets.errors import InputError
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import Rollout
+from inverse.observations.front import FrontOverTime
+from inverse.observations.gauges import Gauges
+from inverse.observations.impulse import Impulse, PeakForce
+from inverse.observations.joint import Joint
+from inverse.observations.outline import Outline
+from inverse.observations.reading import read_target
+from inverse.problem import Problem, read_problem
+
+HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
+
+
+def problem(folder: Path, text: str, scene: str = "column-tall-42") -> Problem:
+    path = folder / "problem.toml"
+    path.write_text(HEAD.replace("column-tall-42", scene) + text)
+    return read_problem(str(path))
+
+
+def joint(folder: Path, text: str) -> tuple[Joint, np.ndarray]:
+    """Operator and the target's values in their own units."""
+    target = read_target(problem(folder, text), never)
+    assert isinstance(target.observation, Joint)
+    return target.observation, target.observation.raw(target.values)
+
+
+def never(scene: Scene) -> Trajectory:
+    raise AssertionError("measured numbers need no simulation")
+
+
+def flow(scene: Scene, frames: int = 11) -> Trajectory:
+    """400 particles that run 0.1 to 0.5 m, thin out, and push a baffle with 2 N s in all."""
+    rng = np.random.default_rng(1)
+    start = rng.random((400, scene.dimension)) * 0.2
+    time = np.linspace(0.0, scene.duration, frames)
+    positions = np.stack([start * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
+    impulse = np.zeros((frames, len(scene.baffles), scene.dimension))
+    impulse[:, :1, 0] = 2.0 * (time[:, None] / scene.duration) ** 2
+    return Trajectory(
+        positions=positions.astype(np.float32),
+        time=time,
+        velocity0=np.zeros_like(positions[0], np.float32),
+        friction=np.full(400, 0.5, np.float32),
+        scene=scene,
+        solid_impulse=impulse,
+    )
+
+
+def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
+    (tmp_path / "camera.csv").write_text("time,front\n0.2,30\n0.4,52.5\n")
+    (tmp_path / "gauge.csv").write_text("x,height,time\n0.1,1.2,0.3\n0.3,1.1,1.0\n")
+    observation, values = joint(
+        tmp_path,
+        '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
+        '[[observations]]\nkind = "front-over-time"\ncsv = "camera.csv"\nunit = "cm"\nnoise = "4%"\n'
+        '[[observations]]\nkind = "height"\nname = "mast"\ncsv = "gauge.csv"\ndatum = 1.0\nnoise = 0.005\n'
+        '[[observations]]\nkind = "passed"\nline = 0.5\nvalue = 0.1\n',
+    )
+    np.testing.assert_allclose(values, [0.7, 0.3, 0.525, 0.2, 0.1, 0.1], rtol=1e-12)
+    assert [part.name for part in observation.parts] == ["front", "front-over-time", "mast", "passed"]
+    assert [part.numbers for part in observation.parts] == [slice(0, 1), slice(1, 3), slice(3, 5), slice(5, 6)]
+    chance = 0.25 * 0.01
+    expected = np.hypot([0.01, 0.012, 0.021, 0.005, 0.005, 0.0], [*[chance] * 5, 0.005])
+    np.testing.assert_allclose(observation.scale, expected)
+    assert observation.over_time
+    assert observation.differentiable
+
+
+def test_the_misfit_is_weighted_by_one_over_the_noise(tmp_path: Path) -> None:
+    asked = problem(
+        tmp_path,
+        '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
+        '[[observations]]\nkind = "passed"\nline = 0.5\nvalue = 0.1\nnoise = 0.02\n',
+    )
+    target = read_target(asked, never)
+    observation = target.observation
+    run = flow(asked.scene)
+    seen = observation.observe(run)
+    deposit = run.positions[-1]
+    residual = [(measures.front(deposit) - 0.7) / np.hypot(0.01, 0.0025)]
+    residual.append((np.mean(deposit[:, 0] > 0.5) - 0.1) / np.hypot(0.02, 0.005))
+    np.testing.assert_allclose(seen - target.values, residual, rtol=1e-6)
+    assert target.covariance is not None
+    np.testing.assert_allclose(np.diag(target.covariance), [1e-4 / (1e-4 + 6.25e-6), 4e-4 / (4e-4 + 2.5e-5)])
+
+
+def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
+    asked = problem(
+        tmp_path,
+        "[target]\ntwin = true\ntruth = { friction_deg = 24.0 }\n"
+        '[[observations]]\nkind = "front-over-time"\ntimes = [0.25, 0.5, 1.0]\nnoise = "3%"\n'
+        '[[observations]]\nkind = "height"\nx = [0.05, 0.1]\ntimes = [0.5]\nnoise = "3%"\n'
+        '[[observations]]\nkind = "profile"\nnoise = "3%"\n',
+    )
+    target = read_target(asked, flow)
+    observation = target.observation
+    assert target.truth == {"friction_deg": 24.0}
+    assert len(target.values) == 3 + 2 + 21
+    assert isinstance(observation, Joint)
+    assert observation.raw(target.values)[2] == pytest.approx(measures.front(flow(asked.scene).positions[-1]), rel=1e-6)
+    np.testing.assert_allclose(observation.observe(flow(asked.scene)), target.values)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "message"),
+    [
+        ('[[observations]]\nkind = "front"\n', "observations[0]", "expected what was measured for front: value"),
+        (
+            '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = "3 per cent"\n',
+            "observations[0].noise",
+            "percentage",
+        ),
+        ('[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = -1.0\n', "observations[0].noise", "at least 0"),
+        ('[[observations]]\nkind = "passed"\nvalue = 0.1\n', "observations[0].line", "a length in"),
+        ('[[observations]]\nkind = "toe"\nvalues = [0.1]\n', "observations[0].values", "expected 2 coordinates"),
+        ('[[observations]]\nkind = "impulse"\nvalue = 1.0\n', "observations[0].solid", "the scene has no solids"),
+        ('[[observations]]\nkind = "outline"\nvalues = [1.0]\n', "observations[0].kind", "in 3D"),
+        ('[[observations]]\nkind = "height"\nvalues = [1.0]\n', "observations[0].x", "the x [m] of the gauges"),
+        (
+            '[[observations]]\nkind = "front-over-time"\ntimes = [0.5, 1.5]\nvalues = [0.1, 0.2]\n',
+            "observations[0].times",
+            "got 1.5",
+        ),
+        ('[[observations]]\nkind = "heights"\nvalue = 1.0\n', "observations[0].kind", "front-over-time"),
+        ('[observation]\nkind = "front"\n[[observations]]\nkind = "front"\nvalue = 1.0\n', "observation", "got both"),
+        ('[observation]\nkind = "joint"\n[target]\nvalue = 1.0\n', "observation.kind", "[[observations]]"),
+        ('[[observations]]\nkind = "front"\nvalue = 0.7\n[target]\nvalue = 0.7\n', "target.value", "bring the rest"),
+        ('[[observations]]\nkind = "front"\nvalue = 0.7\n[target]\ntwin = true\n', "observations[0]", "no numbers"),
+    ],
+)
+def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_target(problem(tmp_path, text), flow)
+    assert caught.value.key == key
+    assert message in caught.value.message
+
+
+@pytest.mark.parametrize(
+    "rows", ["time,front\n0.1,0.3\n2.0,0.5\n", "time,front\n0.1,0.3\n0.2,1.5\n", "t,front\n0,1\n0,1\n"]
+)
+def test_a_wrong_csv_names_its_file(tmp_path: Path, rows: str) -> None:
+    (tmp_path / "camera.csv").write_text(rows)
+    with pytest.raises(InputError) as caught:
+        read_target(problem(tmp_path, '[[observations]]\nkind = "front-over-time"\ncsv = "camera.csv"\n'), never)
+    assert caught.value.where.endswith("camera.csv")
+
+
+SCENE = Scene(
+    domain=Domain(size=(1.0, 0.4), cell=0.02),
+    material=read_problem("friction-tall-42").scene.material,
+    masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
+    baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),),
+)
+
+
+def rolled(run: Trajectory) -> Rollout:
+    volumes = torch.full((400,), 0.08 / 400, dtype=torch.float64)  # Of the masses, as the MPM's.
+    return Rollout(positions=torch.from_numpy(run.positions).double(), times=run.time, volumes=volumes)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda scene: FrontOverTime(np.array([0.05, 0.33, 1.0])),
+        lambda scene: Gauges(scene, np.array([0.0, 0.1, 0.3]), spacing=0.05),
+        lambda scene: Gauges(scene, np.array([0.1, 0.3]), spacing=0.05, times=np.array([0.12, 0.5])),
+    ],
+)
+def test_the_smooth_form_is_the_exact_one(make: Callable[[Scene], FrontOverTime | Gauges]) -> None:
+    run, observation = flow(SCENE), make(SCENE)
+    exact = observation.observe(run)
+    np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
+    assert len(exact) > 1
+
+
+def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
+    rng = np.random.default_rng(2)
+    run = flow(SCENE, 2)
+    layer = rng.random((400, 2)) * [1.0, 0.08]
+    layer[:, 0] = (np.arange(400) + 0.5) / 400
+    run.positions[-1] = layer
+    gauges = Gauges(SCENE, np.array([0.0, 0.5, 0.99]), spacing=0.1)
+    np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
+
+
+def test_impulse_and_peak_force_are_those_of_the_solid() -> None:
+    run = flow(SCENE, 101)
+    np.testing.assert_allclose(Impulse(0, 0).observe(run), [2.0])
+    np.testing.assert_allclose(Impulse(0, 0, np.array([0.5])).observe(run), [0.5])
+    # I = 2 t^2: the force grows to 4 N; its mean over the last 0.1 s is that at 0.95 s.
+    np.testing.assert_allclose(PeakForce(0, 0, 0.1).observe(run), [3.8], rtol=1e-6)
+    assert not Impulse(0, 0).differentiable
+    with pytest.raises(InputError, match="solid 1"):
+        Impulse(1, 0).observe(run)
+
+
+def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.5, 1.0), cell=0.05),
+        material=SCENE.material,
+        masses=(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)),),
+    )
+    outline = Outline(scene, np.array([0.0, 90.0, 180.0, 270.0]))
+    angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
+    rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
+    np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)
+    np.testing.assert_allclose(outline.of_line(rim[::100, [0, 2]]), [0.3, 0.2, 0.3, 0.2], rtol=0.01)
+    smooth = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
+    np.testing.assert_allclose(smooth, outline.exact(rim), atol=0.001)

@@ -1,0 +1,211 @@
+"""Measured profiles: one deposit written down in many ways is one target; what is none is refused with the reason."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.errors import InputError
+from datasets.geometry.solid import Solid
+from inverse.observations import Target
+from inverse.observations.measured_profile import closed
+from inverse.observations.profile import REPRESENTATION, Profile, SampledProfile, SurfaceProfile
+from inverse.observations.reading import read_each, read_target
+from inverse.problem import Problem, read_problem
+from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
+
+X = np.linspace(0.0, 0.48, 25)
+HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))
+"""A triangle of 0.084 m^2, a twentieth more than the column of 0.2 m x 0.4 m that was released."""
+
+
+def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **settings: object) -> Problem:
+    """The problem whose target is a CSV of these rows."""
+    rows = "".join(f"{a:.9g},{b:.9g}\n" for a, b in zip(x, height, strict=True))
+    (folder / "profile.csv").write_text("x,height\n" + rows)
+    problem = read_problem("friction-tall-42")
+    return dataclasses.replace(
+        problem,
+        observation=ObservationSettings(kind="profile"),
+        folder=folder,
+        target=TargetSettings(csv="profile.csv", **settings),  # type: ignore[arg-type]
+    )
+
+
+def target_of(problem: Problem) -> Target:
+    def never(scene: object) -> None:
+        raise AssertionError("a measured target needs no simulation")
+
+    return read_target(problem, never)  # type: ignore[arg-type]
+
+
+def operator_of(problem: Problem) -> Profile:
+    """The operator of a measured profile."""
+    operator = read_each(problem)[0].observation
+    assert isinstance(operator, Profile)
+    return operator
+
+
+@pytest.mark.parametrize(
+    ("x", "height", "settings"),
+    [
+        (1000.0 * X, 1000.0 * HEIGHT, {"unit": LengthUnit.MILLIMETRE}),
+        (100.0 * X, 100.0 * HEIGHT, {"unit": LengthUnit.CENTIMETRE}),
+        (X, HEIGHT + 12.5, {"datum": 12.5}),
+        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": LengthUnit.FOOT, "datum": -3.0}),
+        (X[2:], HEIGHT[2:], {}),
+        (X[:21], HEIGHT[:21], {}),
+        (X, HEIGHT, {"heights": Heights.SURFACE}),
+    ],
+)
+def test_a_profile_is_the_same_target_however_it_is_written(
+    x: np.ndarray, height: np.ndarray, settings: dict[str, object], tmp_path: Path
+) -> None:
+    plain = target_of(measured(tmp_path))
+    np.testing.assert_allclose(target_of(measured(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("x", "height", "settings", "message"),
+    [
+        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; unit says"),
+        (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
+        (X, 1000.0 * HEIGHT, {}, r"times; target.unit, datum and heights say"),
+        (X, 1.15 * HEIGHT, {}, r"1.21 times"),
+        (X, HEIGHT, {"datum": 0.1}, r"expected heights above the floor, got -0.1 m; target.datum"),
+        (X, HEIGHT, {"datum": 1.0}, r"expected a height above the floor, got none"),
+        (X[6:], HEIGHT[6:], {}, r"wall at x = 0 m or the edge .* ends at x = 0.12 m"),
+        (X[:12], HEIGHT[:12], {}, r"wall at x = 1 m or the edge .* ends at x = 0.22 m"),
+        (np.array([0.0]), np.array([0.4]), {}, r"at least two rows"),
+    ],
+)
+def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
+    x: np.ndarray, height: np.ndarray, settings: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        target_of(measured(tmp_path, x, height, **settings))
+    assert caught.value.where.endswith("profile.csv")
+
+
+def test_a_surface_may_be_looser_than_what_was_released(tmp_path: Path) -> None:
+    loose = measured(tmp_path, X, 1.15 * HEIGHT, heights=Heights.SURFACE)
+    np.testing.assert_allclose(target_of(loose).values, target_of(measured(tmp_path)).values, atol=1e-9)
+
+
+def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
+    profile = closed(np.array([0.02, 0.04, 0.06]), np.array([0.3, 0.2, 0.1]), 1.0)
+    np.testing.assert_allclose(profile.x, [0.0, 0.02, 0.04, 0.06, 0.08])
+    np.testing.assert_allclose(profile.height, [0.4, 0.3, 0.2, 0.1, 0.0], atol=1e-12)
+
+
+def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
+    """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
+    problem = measured(tmp_path, noise="3%")
+    observation = operator_of(problem)
+    assert isinstance(observation, SampledProfile)
+    target = target_of(problem)
+    assert target.covariance is not None
+    rng = np.random.default_rng(7)
+    deviation = np.where(X < 0.43, np.hypot(0.03 * HEIGHT, REPRESENTATION * problem.scene.domain.cell), 0.0)
+    seen = []
+    for _ in range(400):
+        heights = np.maximum(0.0, HEIGHT + deviation * rng.standard_normal(len(X)))
+        seen.append(observation.of_heights(np.interp(observation.stations, X, heights, right=0.0)))
+    drawn = np.cov(seen, rowvar=False)
+    np.testing.assert_allclose(np.sqrt(np.diag(target.covariance)), np.sqrt(np.diag(drawn)), rtol=0.15)
+    # No combination of the numbers scatters by more than the stated one, and one by as much.
+    assert target.noise == pytest.approx(np.sqrt(np.linalg.eigvalsh(drawn)[-1]), rel=0.15)
+    assert 0.002 < target.noise < 0.02
+
+
+@pytest.mark.parametrize("rows", [9, 25])
+def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, tmp_path: Path) -> None:
+    """A profile that is hollow between its rows: refined it would be another deposit than the one that was measured."""
+    rng = np.random.default_rng(3)
+    deposit = np.stack([0.6 * (1.0 - rng.random(200_000) ** (1.0 / 3.0)), np.full(200_000, 0.01)], axis=1)
+    scene = measured(tmp_path).scene
+    x = np.linspace(0.0, 0.56, rows)
+    # Of the height 3 A / L (1 - x / L)^2 with A = 0.08 m^2, L = 0.6 m.
+    problem = measured(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
+    sampled, refined = operator_of(problem), Profile(scene, 0.02)
+    target = target_of(problem)
+    assert target.profile is not None
+    whole = refined.of_heights(np.interp(refined.stations, *target.profile))
+    off = np.abs(sampled.exact(deposit) - target.values)
+    assert off.max() < 0.004
+    if rows == 9:
+        assert np.abs(refined.exact(deposit) - whole).max() > 2.0 * off.max()
+
+
+def test_a_sampled_profile_is_seen_alike_by_the_surrogate(tmp_path: Path) -> None:
+    observation = operator_of(measured(tmp_path))
+    rng = np.random.default_rng(4)
+    deposit = np.stack([0.5 * rng.random(3200) ** 1.5, 0.1 * rng.random(3200)], axis=1)
+    smooth = observation.smooth(torch.from_numpy(deposit), torch.full((3200,), 1e-5)).numpy()
+    np.testing.assert_allclose(smooth, observation.exact(deposit), rtol=1e-6)
+
+
+@pytest.mark.parametrize("text", ['"3 percent"', '"0%"', '"100%"', '"%"', '"-3%"', '"nan%"'])
+def test_a_noise_that_is_no_percentage_names_the_key(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"target\.noise: expected a number or a percentage"):
+        read_problem(str(with_target(tmp_path, f"value = 0.5\nnoise = {text}")))
+
+
+def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
+    problem = read_problem(str(with_target(tmp_path, 'value = 0.5\nnoise = "3%"')))
+    assert target_of(problem).noise == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(
+    "target", ['twin = true\nnoise = "3%"', 'value = 0.5\nunit = "mm"', "value = 0.5\ndatum = 1.0"]
+)
+def test_what_only_a_measurement_has_is_refused_elsewhere(target: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"target\.(noise|unit|datum)"):
+        read_problem(str(with_target(tmp_path, target)))
+
+
+def with_target(folder: Path, target: str) -> Path:
+    """A problem file with this target."""
+    path = folder / "problem.toml"
+    path.write_text(
+        'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
+        f'[observation]\nkind = "front"\n[target]\n{target}\n'
+    )
+    return path
+
+
+def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
+    """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
+    observation = operator_of(measured(tmp_path, heights=Heights.SURFACE))
+    assert isinstance(observation, SurfaceProfile)
+    rng = np.random.default_rng(6)
+    x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
+    surface = 0.4 * (1.0 - x / 0.42) * (1.0 + x / 0.42)
+    deposit = np.stack([x, surface * rng.random(40_000)], axis=1)
+    rows = observation.stations
+    expected = np.maximum(0.0, 0.4 * (1.0 - rows / 0.42) * (1.0 + rows / 0.42))
+    np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
+    exact = observation.exact(deposit)
+    np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
+    assert np.abs(SampledProfile(observation.scene, 0.02, rows).exact(deposit) - exact).max() > 0.02
+
+
+def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
+    plain = measured(tmp_path, heights=Heights.SURFACE)
+    line = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)), friction=0.4)
+    (mass,) = plain.scene.masses
+    scene = dataclasses.replace(
+        plain.scene, solids=(line,), masses=(dataclasses.replace(mass, lower=(0.0, 0.32), size=(0.2, 0.4)),)
+    )
+    expected = target_of(plain)
+    (tmp_path / "slope").mkdir()
+    over = measured(tmp_path / "slope", X, HEIGHT + 0.3 - 0.2 * X + 5.0, heights=Heights.ELEVATION, datum=5.0)
+    over = dataclasses.replace(over, scene=scene)
+    np.testing.assert_allclose(target_of(over).values, expected.values, atol=1e-6)
+    rng = np.random.default_rng(8)
+    deposit = np.stack([0.4 * rng.random(20_000), 0.05 * rng.random(20_000)], axis=1)
+    moved = deposit + np.stack([np.zeros(20_000), 0.3 - 0.2 * deposit[:, 0]], axis=1)
+    seen = operator_of(over).exact(moved)
+    np.testing.assert_allclose(seen, operator_of(plain).exact(deposit), atol=1e-6)

@@ -1,0 +1,165 @@
+"""Parameters: into a scene and out again, into the surrogate's initial state, and never into an impossible scene."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.training.samples import corners
+from gns.initial import Start
+from inverse.checks import check_parameters
+from inverse.forward.gns import GnsForward
+from inverse.observations import build
+from inverse.parameters import kind, with_parameters
+from inverse.parameters.baffles import clear_of_start, swept
+from inverse.settings import Parameter
+
+NAMES = {
+    2: (
+        "friction_deg",
+        "cohesion",
+        "masses[1].friction_deg",
+        "masses[1].velocity_y",
+        "baffles[0].x",
+        "baffles[0].height",
+    ),
+    3: ("masses[0].velocity_z", "baffles[1].z", "baffles[1].width", "baffles[0].x", "baffles[0].length"),
+}
+MOVES = {"deg": 3.0, "Pa": 40.0, "m/s": 0.25, "m": 0.004}
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_is_written_is_read(make_problem: Any, dimension: int) -> None:
+    scene = make_problem(dimension, *NAMES[dimension]).scene
+    for name in NAMES[dimension]:
+        value = kind(name).read(scene) + MOVES[kind(name).unit]
+        changed = with_parameters(scene, [name], [value])
+        assert kind(name).read(changed) == pytest.approx(value)
+        others = [other for other in NAMES[dimension] if other != name]
+        np.testing.assert_allclose(*([kind(other).read(each) for other in others] for each in (changed, scene)))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_initial_state_is_that_of_the_scene(
+    make_problem: Any, make_simulator: Any, dimension: int, turned: bool
+) -> None:
+    """The initial state with parameters is that of the scene with these parameters, in whatever order they stand."""
+    names = NAMES[dimension][::-1] if turned else NAMES[dimension]
+    problem = make_problem(dimension, *names)
+    simulator = make_simulator(dimension)
+    observation = build(problem.observation, problem.scene)
+    values = np.array([kind(name).read(problem.scene) + MOVES[kind(name).unit] for name in names])
+    scene = with_parameters(problem.scene, names, values)
+    direct = GnsForward(simulator, None, dataclasses.replace(problem, scene=scene), observation).initial
+    entered = GnsForward(simulator, None, problem, observation).entered(torch.from_numpy(values))
+    for part in ("friction", "cohesion", "baffles"):
+        got, required = getattr(entered.conditions, part), getattr(direct.conditions, part)
+        torch.testing.assert_close(got, required, rtol=1e-6, atol=1e-7)
+    torch.testing.assert_close(entered.state.displacements, direct.state.displacements, rtol=1e-6, atol=1e-9)
+
+
+def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: Any) -> None:
+    problem = make_problem(2, "friction_deg", start=Start.FROM_REST)
+    observation = build(problem.observation, problem.scene)
+    forward = GnsForward(make_simulator(2), None, problem, observation)
+    changed = forward.entered(torch.tensor([20.0], dtype=torch.float64)).conditions.friction
+    own = forward.initial.of_mass(1)
+    assert 0 < own.sum() < len(own)
+    torch.testing.assert_close(changed[own], forward.initial.conditions.friction[own])
+    assert (changed[~own] - np.tan(np.radians(20.0))).abs().max() < 1e-12
+
+
+def test_a_material_is_that_of_the_particles_of_its_mass(make_problem: Any) -> None:
+    problem = make_problem(2, "friction_deg")
+    points = initial_particles(problem.scene)
+    first = problem.scene.masses[0]
+    inside = (points.positions[:, 1] < first.size[1]).sum()
+    scene = with_parameters(problem.scene, ["masses[1].friction_deg"], [15.0])
+    assert (initial_particles(scene).friction[inside:] < 0.27).all()
+    assert (initial_particles(scene).friction[:inside] > 0.5).all()
+
+
+def test_the_cutoff_changes_with_the_cohesion(make_problem: Any) -> None:
+    scene = make_problem(2, "cohesion").scene
+    changed = with_parameters(scene, ["cohesion", "masses[1].cohesion"], [400.0, 900.0])
+    assert (changed.material.cohesion, changed.material.tension_cutoff) == (400.0, 200.0)
+    own = changed.masses[1].material
+    assert own is not None
+    assert (own.cohesion, own.tension_cutoff) == (900.0, 150.0)
+    none = dataclasses.replace(scene, material=Material(friction_deg=30.0))
+    assert with_parameters(none, ["cohesion"], [50.0]).material.tension_limit == 0.003 * 50.0
+    default = dataclasses.replace(scene, material=Material(friction_deg=30.0, cohesion=100.0))
+    followed = with_parameters(default, ["cohesion"], [400.0]).material
+    assert (followed.tension_cutoff, followed.tension_limit) == (None, 0.003 * 400.0)
+    zero = dataclasses.replace(scene, material=dataclasses.replace(default.material, tension_cutoff=0.0))
+    assert with_parameters(zero, ["cohesion"], [400.0]).material.tension_limit == 0.0
+
+
+def test_a_baffle_grows_about_its_centre_and_up_from_its_foot(make_problem: Any) -> None:
+    scene = make_problem(3, "baffles[1].z").scene
+    before = scene.baffles[1]
+    names, values = ["baffles[1].width", "baffles[1].height", "baffles[1].z"], [0.06, 0.2, 0.2]
+    after = with_parameters(scene, names, values).baffles[1]
+    assert after.lower == pytest.approx((before.lower[0], before.lower[1], 0.17))
+    assert after.size == pytest.approx((before.size[0], 0.2, 0.06))
+    box = corners(with_parameters(scene, names, values))[1]
+    np.testing.assert_allclose(box[1] - box[0], after.size, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "upper", "key"),
+    [
+        ("baffles[0].x", 0.1, 0.2, r"unknowns\[0\]\.lower.*baffles\[0\]: expected a box clear of masses\[0\]"),
+        ("baffles[0].x", 0.13, 0.39, r"unknowns\[0\]\.upper.*inside the domain"),
+        ("baffles[0].height", -0.1, 0.1, r"unknowns\[0\]\.lower.*positive lengths"),
+        ("masses[1].friction_deg", 20.0, 90.0, r"unknowns\[0\]\.upper.*\[0, 90\) degrees"),
+        ("cohesion", -1.0, 200.0, r"unknowns\[0\]\.lower.*at least 0 Pa"),
+    ],
+)
+def test_bounds_at_which_nothing_could_flow_are_refused(
+    make_problem: Any, name: str, lower: float, upper: float, key: str
+) -> None:
+    scene = make_problem(2, "friction_deg").scene
+    unknown = Parameter(name=name, initial=kind(name).read(scene), lower=lower, upper=upper)
+    with pytest.raises(InputError, match=key):
+        check_parameters(scene, [unknown])
+
+
+def test_a_mass_between_the_bounds_is_refused(make_problem: Any) -> None:
+    """Clear at both ends, not on the way."""
+    scene = make_problem(2, "friction_deg").scene
+    scene = dataclasses.replace(
+        scene, masses=(dataclasses.replace(scene.masses[0], lower=(0.2, 0.0)),), baffles=scene.baffles
+    )
+    unknown = Parameter(name="baffles[0].x", initial=0.1, lower=0.1, upper=0.35)
+    with pytest.raises(InputError, match=r"unknowns: .*clear of masses\[0\]"):
+        check_parameters(scene, [unknown])
+
+
+def test_a_baffle_sweeps_the_bounds_of_its_parameters(make_problem: Any) -> None:
+    scene = make_problem(3, "baffles[0].x").scene
+    names = ["baffles[0].x", "baffles[0].length", "friction_deg"]
+    (box,) = swept(scene, [kind(name) for name in names], [(0.22, 0.3), (0.02, 0.06), (10.0, 20.0)]).values()
+    assert (box.lower[0], box.size[0]) == pytest.approx((0.19, 0.14))
+    assert box.lower[1:] == scene.baffles[0].lower[1:]
+
+
+def test_frames_are_used_where_they_do_not_depend_on_the_parameter(make_problem: Any) -> None:
+    assert make_problem(2, "friction_deg").start is Start.FROM_MPM_FRAMES
+    assert make_problem(2, "masses[0].velocity_x").start is Start.FROM_REST
+    # The flow runs into it within the first frames.
+    assert make_problem(2, "baffles[0].x").start is Start.FROM_REST
+    problem = make_problem(2, "friction_deg")
+    slow = dataclasses.replace(problem.scene, masses=(dataclasses.replace(problem.scene.masses[0], velocity=None),))
+    far = [dataclasses.replace(problem.scene.baffles[0], lower=(0.2, 0.0))]
+    assert clear_of_start(slow, far)
+    assert not clear_of_start(slow, slow.baffles)
+    assert make_problem(2, "friction_deg", start=Start.FROM_REST).start is Start.FROM_REST
+    with pytest.raises(InputError, match=r"optimiser\.start"):
+        make_problem(2, "masses[0].velocity_x", start=Start.FROM_MPM_FRAMES)

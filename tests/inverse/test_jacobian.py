@@ -1,0 +1,97 @@
+"""AD through the unrolled surrogate against central differences in double precision: all unknowns, all observations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gns.initial import Start
+from inverse.forward.gns import GnsForward
+from inverse.observations import KINDS, DepositObservation, build
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings
+
+NAMES = {
+    2: (
+        "friction_deg",
+        "cohesion",
+        "masses[1].friction_deg",
+        "masses[1].cohesion",
+        "masses[0].velocity_x",
+        "masses[1].velocity_y",
+        "baffles[0].x",
+        "baffles[0].length",
+        "baffles[0].height",
+    ),
+    3: (
+        "friction_deg",
+        "cohesion",
+        "masses[0].velocity_x",
+        "masses[0].velocity_z",
+        "baffles[0].x",
+        "baffles[1].z",
+        "baffles[0].length",
+        "baffles[1].width",
+        "baffles[0].height",
+    ),
+}
+STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7}
+"""Short, because a profile has a kink wherever a point passes a station."""
+
+
+def step_of(name: str) -> float:
+    return next(step for part, step in STEPS.items() if part in name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rollouts:
+    """One rollout that autograd looks through, and two beside it per unknown."""
+
+    problem: Problem
+    volumes: torch.Tensor
+    point: torch.Tensor
+    """The unknowns, with a gradient."""
+    deposit: torch.Tensor
+    steps: np.ndarray
+    ahead: list[torch.Tensor]
+    behind: list[torch.Tensor]
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
+    problem = make_problem(request.param, *NAMES[request.param])
+    assert problem.start is Start.FROM_REST
+    observation = build(problem.observation, problem.scene)
+    forward = GnsForward(make_simulator(request.param), None, problem, observation)
+    assert forward.kept_steps == forward.steps
+    point = torch.tensor(problem.initial, requires_grad=True)
+    steps = np.array([step_of(name) for name in problem.names])
+    return Rollouts(
+        problem=problem,
+        volumes=forward.initial.conditions.volume,
+        point=point,
+        deposit=forward.predict(point).view(-1, request.param),
+        steps=steps,
+        ahead=[torch.from_numpy(forward.deposit(problem.initial + move)) for move in np.diag(steps)],
+        behind=[torch.from_numpy(forward.deposit(problem.initial - move)) for move in np.diag(steps)],
+    )
+
+
+@pytest.mark.parametrize("kind", [name for name, each in KINDS.items() if each.alone])
+def test_every_parameter_through_every_observation(rollouts: Rollouts, kind: str) -> None:
+    settings = ObservationSettings(kind=kind, line=0.15 if kind == "passed" else None)
+    observation = build(settings, rollouts.problem.scene)
+    assert isinstance(observation, DepositObservation)
+    seen = observation.smooth(rollouts.deposit, rollouts.volumes)
+    weights = torch.from_numpy(np.random.default_rng(3).normal(size=len(seen)))
+    (by_ad,) = torch.autograd.grad(weights @ seen, rollouts.point, retain_graph=True)
+
+    def total(deposit: torch.Tensor) -> float:
+        return float(weights @ observation.smooth(deposit, rollouts.volumes))
+
+    pairs = zip(rollouts.ahead, rollouts.behind, rollouts.steps, strict=True)
+    by_differences = np.array([(total(ahead) - total(behind)) / (2.0 * step) for ahead, behind, step in pairs])
+    assert np.abs(by_differences).min() > 0.0
+    np.testing.assert_allclose(by_ad.numpy(), by_differences, rtol=1e-4)

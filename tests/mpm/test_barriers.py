@@ -1,0 +1,184 @@
+"""Masses behind barriers: retained until their time, or until they have settled, and then let go."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from mpm import AT_REST, WITH_FIELDS, simulate, simulate_many
+from mpm import simulation as runs
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import PADDING
+from mpm.initial.barriers import barriers, inside
+
+CELL = 0.02
+SAND = Material(friction_deg=30.0)
+COLUMN = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), release=0.05)
+SCENE = Scene(domain=Domain(size=(1.0, 0.4), cell=CELL), material=SAND, masses=(COLUMN,), duration=0.2)
+BLOCK = Mass(lower=(0.1, 0.0, 0.06), size=(0.1, 0.1, 0.08), release=0.02)
+SCENE_3D = Scene(domain=Domain(size=(0.3, 0.2, 0.2), cell=CELL), material=SAND, masses=(BLOCK,), duration=0.06)
+
+
+def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
+    return dataclasses.replace(scene, masses=masses, **changes)  # type: ignore[arg-type]
+
+
+def momentum(flow: Trajectory) -> NDArray[np.float64]:
+    """Of all particles in every frame [N s], shape [T, D]."""
+    particles = initial_particles(flow.scene)
+    assert flow.velocities is not None
+    return np.einsum("n, tnd -> td", particles.volume * particles.density, flow.velocities.astype(np.float64))
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize(("scene", "frame"), [(SCENE, 20), (SCENE_3D, 8)], ids=["2D", "3D"])
+def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, precision: str) -> None:
+    flow = simulate(scene, precision=precision, threads=1, record=WITH_FIELDS)  # type: ignore[arg-type]
+    mass = scene.masses[0]
+    assert flow.summary["release_time"] == [mass.release]
+    for axis in (0, 2)[: scene.dimension - 1]:
+        held = flow.positions[: frame + 1, :, axis]
+        assert held.min() > mass.lower[axis] - 0.01 * CELL
+        assert held.max() < mass.lower[axis] + mass.size[axis] + 0.01 * CELL
+        free = flow.positions[-1, :, axis]
+        assert free.min() < held.min() - 0.1 * CELL
+        assert free.max() > held.max() + 0.1 * CELL
+    # It is let go with the first step after the frame of its release, not later.
+    before, after = flow.positions[frame + 1 : frame + 3, :, 0].max(axis=1)
+    assert after - before > 0.2 * (before - flow.positions[frame, :, 0].max()) >= 0.0
+    assert before > flow.positions[frame, :, 0].max()
+
+
+@pytest.mark.double
+def test_smooth_barriers_carry_no_weight() -> None:
+    # Behind barriers the floor carries everything: sand in a silo whose walls are smooth.
+    flow = simulate(
+        with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, record=WITH_FIELDS
+    )
+    impulse = np.array(flow.summary["wall_impulse"])
+    weight = 0.2 * 0.3 * SAND.density * 9.81
+    np.testing.assert_allclose(-impulse[20, 1] / (20 * 0.0025), weight, rtol=1e-5)
+    assert flow.velocities is not None
+    assert np.abs(flow.velocities[:21]).max() < 1e-9
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("release", [0.05, "settled"])
+def test_what_barriers_and_damping_take_is_in_the_balance(release: float | str) -> None:
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
+    total = momentum(flow)
+    mass = 0.2 * 0.3 * SAND.density
+    gravity = mass * flow.time[:, None] * np.array(scene.gravity_vector)
+    astray = total - gravity + np.array(flow.summary["wall_impulse"])
+    assert np.abs(astray).max() < 1e-5 * mass * 9.81 * flow.time[-1]
+
+
+@pytest.mark.double
+def test_a_mass_settles_before_it_is_let_go() -> None:
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.5)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
+    (release,) = flow.summary["release_time"]
+    assert 0.01 < release < 0.4
+    frame = round(release / scene.frame_dt)
+    kinetic = flow.summary["energy"]["kinetic"]
+    weight = 0.2 * 0.3 * SAND.density
+    assert kinetic[frame] < 2e-6 * 0.5 * weight * (9.81 * 0.3 / SAND.wave_speed) ** 2 < kinetic[1]
+    # At its own weight, and it flows at once.
+    assert flow.pressure is not None
+    depth = 0.3 - flow.positions[frame, :, 1]
+    vertical = SAND.density * 9.81 * depth
+    assert np.polyfit(vertical, flow.pressure[frame], 1)[0] == pytest.approx((1.0 + 2 * 0.43) / 3.0, rel=0.1)
+    assert kinetic[frame + 8] > 1e3 * kinetic[frame]
+
+
+@pytest.mark.double
+def test_without_damping_it_would_swing_much_longer() -> None:
+    swings = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release=0.15)), precision="f64", threads=1)
+    settles = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release="settled")), precision="f64", threads=1)
+    at = slice(30, 50)
+    assert max(settles.summary["energy"]["kinetic"][at]) < 0.01 * max(swings.summary["energy"]["kinetic"][at])
+
+
+@pytest.mark.double
+def test_a_mass_in_equilibrium_settles_at_once() -> None:
+    flow = simulate(
+        with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release="settled")), precision="f64", threads=1
+    )
+    assert flow.summary["release_time"] == [2 * SCENE.frame_dt]
+
+
+@pytest.mark.double
+def test_masses_have_their_own_times() -> None:
+    first = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, release=0.05)
+    second = Mass(lower=(0.8, 0.0), size=(0.2, 0.2), k0=0.5, release=0.1)
+    third = Mass(lower=(0.4, 0.2), size=(0.1, 0.1))
+    settling = Mass(lower=(0.55, 0.0), size=(0.1, 0.1), release="settled")
+    # Without volume correction, which the falling mass would ask for: gaps that close slowly keep a mass from settling.
+    scene = with_masses(SCENE, first, second, third, settling, duration=0.15, jitter=0.4, volume_correction=False)
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
+    particles = initial_particles(flow.scene)
+    times = flow.summary["release_time"]
+    assert times[:3] == [0.05, 0.1, 0.0]
+    assert 0.0 < times[3] < 0.15
+    assert flow.velocities is not None
+    for number, frame in ((0, 20), (1, 40)):
+        speed = np.linalg.norm(flow.velocities[:, particles.mass == number], axis=2).max(axis=1)
+        assert speed[: frame + 1].max() < 1e-9
+        assert speed[frame + 1] > 1e-2
+    # The free one falls meanwhile.
+    falling = flow.velocities[20, particles.mass == 2, 1].mean()
+    assert falling == pytest.approx(-9.81 * 0.05, rel=0.01)
+
+
+def test_rest_waits_for_the_release() -> None:
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
+    flow = simulate(scene, threads=1, record=AT_REST)
+    assert flow.summary["rest_time"] > 0.5
+    settling = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=3.0, floor_friction=0.4)
+    flow = simulate(settling, threads=1, record=AT_REST)
+    assert flow.summary["rest_time"] > flow.summary["release_time"][0] + 0.3
+
+
+@pytest.mark.double
+def test_on_two_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
+    alone = simulate(scene, precision="f64", threads=1)
+    monkeypatch.setattr(runs, "PARTICLES_PER_WORKER", 300)
+    both = simulate(scene, precision="f64", threads=2)
+    np.testing.assert_allclose(both.positions, alone.positions, atol=1e-6)
+    assert both.summary["release_time"] == alone.summary["release_time"]
+
+
+def test_beside_other_scenes_as_alone() -> None:
+    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=None))
+    held, free = simulate_many([SCENE, plain], threads=1)
+    np.testing.assert_array_equal(held.positions, simulate(SCENE, threads=1).positions)
+    np.testing.assert_array_equal(free.positions, simulate(plain, threads=1).positions)
+    assert "release_time" not in free.summary
+
+
+def test_other_scenes_have_no_gates() -> None:
+    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=0.5))
+    assert not Batch([plain], precision="f32").features.barriers
+    assert Batch([SCENE], precision="f32").features.barriers
+
+
+def test_barriers_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
+    low, high = barriers(SCENE, COLUMN)
+    assert (low.axis, high.axis) == (0, 0)
+    assert low.nodes[:, 0].tolist() == [PADDING + 18, PADDING + 21]
+    assert high.nodes[:, 0].tolist() == [PADDING + 30, PADDING + 33]
+    # From below the floor to beyond what the topmost particles reach.
+    assert low.nodes[:, 1].tolist() == [PADDING - 2, PADDING + 15 + 3]
+    assert inside(low.nodes, np.array([[PADDING + 20, PADDING], [PADDING + 21, PADDING]])).tolist() == [True, False]
+    # A face on a wall has none, and off the lines of the grid the next line beyond the face is the first.
+    (only,) = barriers(SCENE, dataclasses.replace(COLUMN, lower=(0.0, 0.1), size=(0.21, 0.1)))
+    assert only.nodes[:, 0].tolist() == [PADDING + 11, PADDING + 14]
+    assert only.nodes[0, 1] == PADDING + 5
+    assert [barrier.axis for barrier in barriers(SCENE_3D, BLOCK)] == [0, 0, 2, 2]

@@ -1,0 +1,92 @@
+"""Gaps of sand that has come apart: what the grid sees of them, and what they do in 3D, on threads, and at rest."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from mpm import LAST, simulate
+
+SAND = Material(friction_deg=30.0)
+BED = Scene(
+    domain=Domain(size=(0.4, 0.5), cell=0.02),
+    material=SAND,
+    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.2), k0=0.5),),
+    duration=0.2,
+    frame_dt=0.01,
+)
+DROPPED = Scene(
+    domain=Domain(size=(0.125, 0.5, 0.1), cell=0.025),
+    material=SAND,
+    masses=(Mass(lower=(0.0, 0.15, 0.0), size=(0.125, 0.15, 0.1)),),
+    duration=1.0,
+    frame_dt=0.01,
+)
+
+
+@pytest.mark.double
+def test_a_bed_at_rest_has_no_gaps() -> None:
+    """Nothing has opened, so what the grid sees of its surface and of the floor must not count."""
+    plain, mindful = (
+        simulate(dataclasses.replace(BED, volume_correction=corrected), precision="f64", threads=1)
+        for corrected in (False, True)
+    )
+    np.testing.assert_allclose(mindful.positions, plain.positions, rtol=0.0, atol=1e-9)
+
+
+def test_a_bed_dropped_in_3d_is_as_dense_as_before() -> None:
+    """It fell six cells and bounced."""
+    flow = simulate(DROPPED, record=LAST)
+    assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
+
+
+def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of two grids holds a part of the mass: what is compared with the density is their sum."""
+    monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 100)
+    flat = dataclasses.replace(
+        DROPPED,
+        domain=Domain(size=(0.25, 0.5), cell=0.025),
+        masses=(Mass(lower=(0.0, 0.15), size=(0.25, 0.15)),),
+    )
+    flow = simulate(flat, threads=2, record=LAST)
+    assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
+
+
+def test_gaps_are_remembered_where_a_body_is_in_flight() -> None:
+    box = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
+
+    def remembers(*masses: Mass, correction: bool | None = None) -> bool:
+        return dataclasses.replace(BED, masses=masses, volume_correction=correction).remembers_gaps
+
+    assert not remembers(box)
+    assert not remembers(box, Mass(lower=(0.2, 0.1), size=(0.2, 0.1)))
+    assert remembers(Mass(lower=(0.1, 0.02), size=(0.2, 0.1)))
+    assert not remembers(Mass(lower=(0.1, 0.01), size=(0.2, 0.1)))
+    assert remembers(box, Mass(lower=(0.32, 0.1), size=(0.08, 0.1)))
+    # An overhang belongs to the body that it touches, however many masses are between it and the floor.
+    ledge = (Mass(lower=(0.1, 0.1), size=(0.25, 0.1)), Mass(lower=(0.35, 0.15), size=(0.05, 0.05)))
+    assert not remembers(box, *ledge)
+    assert remembers(*ledge)
+    # v^2 / (2 g) = 0.051 m, two and a half cells.
+    assert remembers(dataclasses.replace(box, velocity=(0.0, 1.0)))
+    assert not remembers(dataclasses.replace(box, velocity=(3.0, -1.0)))
+    assert not remembers(Mass(lower=(0.1, 0.2), size=(0.2, 0.1)), correction=False)
+    assert remembers(box, correction=True)
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("offset", [0.25, 0.5, 0.75])
+def test_the_floor_is_met_where_it_is(offset: float) -> None:
+    """A bed that falls a few cells and a fraction settles to its height within a fifth of a cell.
+
+    Without volume correction its centre would stay two cells too high, and by the fraction more.
+    """
+    scene = dataclasses.replace(
+        BED,
+        masses=(Mass(lower=(0.0, 0.02 * (3.0 + offset)), size=(0.4, 0.1)),),
+        duration=1.5,
+    )
+    flow = simulate(scene, precision="f64", threads=1, record=LAST)
+    assert flow.positions[-1, :, 1].mean() == pytest.approx(0.05, abs=0.2 * 0.02)

@@ -1,0 +1,136 @@
+"""The pages of `docs` and README: links, names of code, commands, blocks of TOML and Python; the site as a whole."""
+
+import dataclasses
+import importlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gns
+from datasets.library import read_scene
+from inverse.problem import read_problem
+from tests.commands import DOCS, README, ROOT, blocks, commands, measured_pages, status, written_pages
+
+PAGES = written_pages()
+NAME = re.compile(r"`((?:datasets|mpm|gns|inverse|validation|tests)(?:/[\w./-]+|(?:\.\w+)+))`")
+
+
+def named(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", [*PAGES, *sorted(measured_pages())], ids=named)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        target, _, anchor = link.partition("#")
+        if target.startswith(("http:", "https:")):
+            continue
+        there = (page.parent / target).resolve() if target else page
+        assert there.exists(), link
+        if anchor and there.suffix == ".md":
+            titles = re.findall(r"^#+ (.*)$", there.read_text(), re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}, link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_code_that_a_page_names_exists(page: Path) -> None:
+    for name in NAME.findall(page.read_text()):
+        if "/" in name:
+            assert (ROOT / name).exists() or "NAME" in name, name
+            continue
+        parts = name.split(".")
+        for count in range(len(parts), 0, -1):
+            try:
+                found = importlib.import_module(".".join(parts[:count]))
+            except ModuleNotFoundError:
+                continue
+            for part in parts[count:]:
+                found = getattr(found, part)
+            break
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    sorted({(module, tuple(arguments)) for page in PAGES for module, arguments in commands(page)}),
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_a_command_takes_its_arguments(module: str, arguments: tuple[str, ...]) -> None:
+    assert status(module, list(arguments), works=False) == 0
+
+
+@pytest.fixture
+def deposit(tmp_path: Path) -> Path:
+    """A folder with the files of the page on one's own deposit."""
+    page = DOCS / "how-to" / "deposit.md"
+    scene, problem = blocks(page, "toml")
+    (survey,) = blocks(page, "csv")
+    for name, text in (("site.toml", scene), ("site-problem.toml", problem), ("survey.csv", survey)):
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def test_the_problem_of_a_deposit_is_read(deposit: Path) -> None:
+    problem = read_problem(str(deposit / "site-problem.toml"))
+    rows = np.loadtxt(deposit / "survey.csv", delimiter=",", skiprows=1)
+    assert np.trapezoid(rows[:, 1], rows[:, 0]) == pytest.approx(problem.released, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_deposit_is_explained(deposit: Path) -> None:
+    """The page says that its survey is a twin's, of 27 degrees."""
+    for block in blocks(DOCS / "how-to" / "deposit.md", "sh"):
+        command = block.replace("python", sys.executable, 1)
+        subprocess.run(command, shell=True, check=True, cwd=deposit, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    result = json.loads((deposit / "out" / "site-problem" / "result.json").read_text())
+    found, width = result["unknowns"]["friction_deg"], result["certainty"]["friction_deg"]
+    assert abs(found - 27.0) <= width
+
+
+def test_the_scene_on_terrain_is_read(tmp_path: Path) -> None:
+    (text,) = blocks(DOCS / "how-to" / "terrain.md", "toml")
+    (tmp_path / "scene.toml").write_text(text)
+    size = tomllib.loads(text)["domain"]["size"]
+    columns, rows = int(size[0] / 2) + 2, int(size[2] / 2) + 2
+    head = f"ncols {columns}\nnrows {rows}\nxllcorner 0\nyllcorner 0\ncellsize 2\nNODATA_value -9999\n"
+    slope = " ".join(f"{12.0 - 0.25 * column:g}" for column in range(columns))
+    release = " ".join("2" if 2 <= column <= 6 else "0" for column in range(columns))
+    for name, row in (("dem.asc", slope), ("release.asc", release)):
+        (tmp_path / name).write_text(head + "\n".join([row] * rows) + "\n")
+    scene = read_scene(str(tmp_path / "scene.toml"))
+    assert scene.dimension == 3
+    assert scene.solids[0].name == "ground"
+
+
+def test_every_key_of_a_model_is_described() -> None:
+    text = (DOCS / "formats.md").read_text().partition("## A model\n")[2].partition("\n## ")[0]
+    simulator = gns.load("flow2d")
+    buffers = [name for name, _ in simulator.named_buffers() if "." not in name]
+    keys = [field.name for field in dataclasses.fields(simulator.settings)]
+    assert {f"`{key}`" for key in (*keys, *buffers)} <= set(re.findall(r"`\w+`", text))
+
+
+@pytest.mark.slow
+def test_the_site_builds(tmp_path: Path) -> None:
+    """Strict: a link, an anchor or a name of the API that does not exist is an error."""
+    mkdocs = shutil.which("mkdocs", path=Path(sys.executable).parent)
+    assert mkdocs is not None
+    command = [mkdocs, "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
+    formula = (tmp_path / "theory" / "transfer.html").read_text()
+    assert formula.count("<math") > 10
+    assert "arithmatex" not in formula
+    assert "<h2" in (tmp_path / "api" / "datasets.html").read_text()
+
+
+def test_the_front_page_begins_with_a_picture() -> None:
+    text = README.read_text()
+    assert text.index("![") < 200
+    assert text.count("\n") <= 130

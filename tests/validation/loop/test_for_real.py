@@ -1,0 +1,41 @@
+"""The whole thing: our MPM, the shipped surrogate, a secret angle that is found again. Minutes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from datasets.command_line import run
+from inverse.__main__ import main as inverse
+from inverse.problem import PROBLEMS
+from validation.demo import main as demo
+from validation.loop.__main__ import main as loop
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
+    assert run(demo, "demo", ["--out", str(tmp_path), "--seed", "11"]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["verdict"] == "confirmed"
+    assert result["error_pct"]["front"] <= 0.5
+    found, truth = result["unknowns"]["friction_deg"], result["truth"]["friction_deg"]
+    assert abs(found - truth) <= result["certainty"]["friction_deg"]
+    assert result["peak_memory_mib"] < 2048.0
+
+
+def test_a_profile_finds_the_angle_within_two_per_cent(tmp_path: Path) -> None:
+    assert run(loop, "loop", ["friction-short-21-profile", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["error_pct"]["friction_deg"] <= 2.0
+
+
+def test_the_mpm_inverts_itself_by_differences(tmp_path: Path) -> None:
+    text = (PROBLEMS / "friction-tall-42.toml").read_text()
+    path = tmp_path / "wide.toml"
+    path.write_text(text.replace("upper = 52.0", "upper = 52.0\nstep = 2.0") + "\n[optimiser]\nmax_iterations = 6\n")
+    assert run(inverse, "inverse", [str(path), "--out", str(tmp_path / "out"), "--forward", "mpm"]) == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["verdict"] == "unconfirmed"
+    assert result["error_pct"]["friction_deg"] <= 3.0
+    assert result["loss"]["surrogate"] < result["loss"]["initial"]
