@@ -67,7 +67,7 @@ class Flow:
         if scene.slope_deg != 0.0:
             raise InputError("expected a level floor, a model knows no other", where=name, key="slope_deg")
         if any(mass.release is not None for mass in scene.masses):
-            raise InputError("expected masses that are free from the start, a model knows no gates", where=name)
+            raise InputError("expected masses that are free from the start, a model knows no barriers", where=name)
         return Flow(
             name=name,
             positions=trajectory.positions[::stride],

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.definitions.channel3d import CHANNEL3D
-from datasets.definitions.definition import Definition
+from datasets.definitions import DEFINITIONS
+from datasets.definitions.definition import Definition, Split
 from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.layers2d import LAYERS2D
-from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D
 from datasets.forces import write_forces
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
@@ -135,13 +132,11 @@ def test_every_key_of_the_metadata() -> None:
     assert f"{MOVING_SPEED:g} m/s" in PAGE
 
 
-@pytest.mark.parametrize(
-    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D], ids=lambda definition: definition.name
-)
+@pytest.mark.parametrize("definition", DEFINITIONS.values(), ids=DEFINITIONS)
 def test_the_sizes_of_the_datasets(definition: Definition) -> None:
-    entries = definition.entries(seed=0)
-    parts = [sum(entry.split == split for entry in entries) for split in ("train", "valid", "test")]
-    assert f"| `{definition.name}` | {len(entries)} ({', '.join(map(str, parts))}) |" in PAGE
+    splits = [definition.split(index) for index in range(definition.size)]
+    parts = [splits.count(split) for split in Split]
+    assert f"| `{definition.name}` | {definition.size} ({', '.join(map(str, parts))}) |" in PAGE
 
 
 def test_every_file_and_key_of_the_maps(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_a_flow_on_a_slope_is_refused(trajectory: Trajectory) -> None:
         Flow.of(tilted, 0.0025, "a")
 
 
-def test_cohesion_goes_with_the_points_of_the_masses(scene: Scene) -> None:
+def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     stiff = dataclasses.replace(scene.material, cohesion=500.0)
     masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
     two = dataclasses.replace(scene, masses=masses)
@@ -57,7 +57,9 @@ def test_cohesion_goes_with_the_points_of_the_masses(scene: Scene) -> None:
     found = point_cohesion(two, len(points.positions), "a")
     assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
     assert set(found) == {0.0, 500.0}
-    with pytest.raises(InputError, match="a: positions: expected the 68 points of masses that differ in cohesion, got"):
+    with pytest.raises(
+        InputError, match="a: positions: expected the 68 particles of masses that differ in cohesion, got"
+    ):
         point_cohesion(two, 60, "a")
     # Where all are alike, any number of points will do: an imported trajectory has its own.
     assert point_cohesion(dataclasses.replace(scene, material=stiff), 3, "a").tolist() == [500.0] * 3
