@@ -1,1 +1,29 @@
-"""Whether to believe it: the loop in which the MPM confirms or corrects, certainty, comparisons, reports."""
+"""Validation: the loop in which the MPM confirms or refuses an inversion, experiments, and benchmarks.
+
+from validation import solve
+
+result = solve("friction-tall-42", "out/loop")
+print(result.verdict, result.unknowns, result.certainty)
+result.plot().savefig("found.png")
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from validation.loop.result import Result
+    from validation.loop.solve import solve
+
+__all__ = ["Result", "solve"]
+
+
+def __getattr__(name: str) -> Any:
+    # Benchmarks import this package too; torch and matplotlib take seconds.
+    if name == "solve":
+        from validation.loop.solve import solve
+
+        return solve
+    if name == "Result":
+        from validation.loop.result import Result
+
+        return Result
+    raise AttributeError(name)

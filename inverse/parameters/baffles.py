@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from gns.initial import MPM_SECONDS, InitialState
 from torch import Tensor
 
 from datasets.scene import Baffle, Mass, Scene
+from gns.initial import MPM_SECONDS, InitialState
 from inverse.parameters.kind import UP, Kind, Parts, T, replaced, require_axis, require_index
 
 CLEAR_CELLS = 2.0

@@ -5,11 +5,11 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import torch
-from gns.initial import InitialState
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.scene import Mass, Scene
+from gns.initial import InitialState
 from inverse.parameters.kind import UP, Kind, Parts, replaced, require_axis, require_index
 
 

@@ -5,12 +5,12 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import torch
-from gns.initial import InitialState
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Scene
+from gns.initial import InitialState
 from inverse.parameters.kind import Kind, Parts, require_index
 
 

@@ -1,4 +1,4 @@
-"""Kept runs: what succeeded beside a scene that failed is not done again."""
+"""Stored MPM runs: what has been run with the same options is read, everything else is run."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import ScenesFailed
-from mpm.output.request import ALL, Recording
-from tests.validation.conftest import FakeMpm
-from validation.loop.runs import KeptRuns
+from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
+from tests.validation.loop.flows import FakeMpm
+from validation import runs
+from validation.runs import SHARE, Run, RunStore
 
 SCENE = Scene(
     domain=Domain(size=(1.0, 1.0), cell=0.01),
@@ -34,15 +34,52 @@ class Fragile(FakeMpm):
         return flows
 
 
-def test_survivors_are_kept(tmp_path: Path) -> None:
+def test_survivors_of_a_failure_are_stored(tmp_path: Path) -> None:
     scenes = [dataclasses.replace(SCENE, seed=seed) for seed in (1, 2, 3)]
     mpm = Fragile()
-    runs = KeptRuns(tmp_path, mpm, deposit_only=True)
     with pytest.raises(ScenesFailed, match="scene 1 of 3 failed: it blew up"):
-        runs(scenes)
-    assert len(list(tmp_path.iterdir())) == 2
-    again = KeptRuns(tmp_path, mpm, deposit_only=True)
-    kept = again([scenes[0], scenes[2]])
-    assert [flow.scene.seed for flow in kept] == [1, 3]
+        RunStore(tmp_path, mpm, label="ensemble-")(scenes, record=LAST)
+    again = RunStore(tmp_path, mpm)
+    flows = again([scenes[0], scenes[2], scenes[0]], record=LAST)
+    assert [flow.scene.seed for flow in flows] == [1, 3, 1]
     assert [scene.seed for scene in mpm.scenes] == [1, 2, 3]
-    np.testing.assert_array_equal([flow.time for flow in kept], [[1.0], [1.0]])
+    np.testing.assert_array_equal([flow.time for flow in flows], [[1.0]] * 3)
+    assert again.file(flows[1], LAST).name.startswith("ensemble-02-")
+
+
+def test_what_is_returned_is_what_is_stored(tmp_path: Path) -> None:
+    store = RunStore(tmp_path, FakeMpm(scatter=0.01))
+    (first,), (second,) = store([SCENE]), store([SCENE])
+    assert first.summary == second.summary
+    assert first.summary[SHARE] >= 0.0
+    assert first.scene == second.scene
+    for name in ("positions", "time", "velocity0", "friction"):
+        one, other = getattr(first, name), getattr(second, name)
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_other_options_another_version_and_a_broken_file_are_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mpm = FakeMpm()
+    store = RunStore(tmp_path, mpm)
+    store([SCENE])
+    (last,) = store([SCENE], record=LAST)
+    assert len(mpm.scenes) == 2
+    assert len(last.time) == 1
+    base = Run(scene=SCENE)
+    others = [
+        dataclasses.replace(base, precision="f64"),
+        dataclasses.replace(base, record=AT_REST),
+        dataclasses.replace(base, record=ALL),
+        Run(scene=dataclasses.replace(SCENE, duration=0.5)),
+    ]
+    assert len({run.digest for run in (base, *others)}) == 5
+    store.file(last, LAST).write_bytes(b"no archive")
+    store([SCENE], record=LAST)
+    assert len(mpm.scenes) == 3
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(runs, "__version__", "another")
+    store([SCENE])
+    assert len(mpm.scenes) == 4

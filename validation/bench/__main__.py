@@ -107,10 +107,10 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
     """`bench` as a command: keep is a folder that goes at the end unless it is given; what it returns is printed."""
 
     @functools.wraps(bench)
-    def command(*, out: Path, keep: Path | None = None, **flags: Any) -> None:
+    def command(*, out: Path, quick: bool = False, keep: Path | None = None, **flags: Any) -> None:
         began = time.perf_counter()
         with TemporaryDirectory() if keep is None else nullcontext(keep) as folder:
-            print(bench(out, keep=Path(folder), **flags))
+            print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 
     flags = [each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()]

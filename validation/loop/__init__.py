@@ -1,1 +1,1 @@
-"""The confirmed inversion: the surrogate proposes, the MPM confirms or corrects, and a verdict ends it."""
+"""The loop: the surrogate proposes, the MPM checks and corrects it, and gives the verdict."""

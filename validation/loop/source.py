@@ -1,36 +1,41 @@
-"""Which model proposes in the loop: the learned surrogate where it knows the flow, else the MPM by differences."""
+"""The forward model that proposes: the learned surrogate where it was trained for the flow, else the linearised MPM."""
 
+from functools import partial
 from pathlib import Path
 
 from datasets.errors import InputError
+from gns import card
 from gns.inference import shipped
 from gns.initial import check
-from gns.model import card, checkpoint
-from inverse.forward.gns import GnsSource
+from gns.model import checkpoint
+from inverse.forward.gns import MEMORY_GIB, GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.forward.linearised import MpmSource
-from inverse.observations.deposit import Observation
-from inverse.parameters.parameters import kind, with_unknowns
-from inverse.problem import Problem, Surrogate
+from inverse.observations import Target
+from inverse.problem import Problem
+from inverse.settings import Surrogate
+from mpm import ALL, LAST
 
 
 def choose(
-    problem: Problem, observation: Observation, simulate: Simulate, *, model: Path | None = None, memory_gib: float
+    problem: Problem, target: Target, simulate: Simulate, *, model: Path | None = None, memory_gib: float = MEMORY_GIB
 ) -> tuple[SurrogateSource, str | None]:
-    """What proposes, and why it is no learned surrogate; None where it is one.
+    """The source of surrogates, and the reason why it is no learned one; None where it is.
 
-    simulate: the MPM for differences. model: weights, those that ship where absent.
+    simulate: the MPM for differences. model: weights, those that ship where absent. Raises InputError.
     """
+    observation = target.observation
+    record = ALL if observation.over_time else LAST
+    by_mpm = MpmSource(problem, observation, partial(simulate, record=record))
     if problem.surrogate is Surrogate.NONE:
-        return MpmSource(problem, observation, simulate), "none was asked for"
-    strange = [name for name in problem.names if not kind(name).by_surrogate]
-    if strange:
-        return MpmSource(problem, observation, simulate), f"it knows nothing of {', '.join(strange)}"
-    if not observation.by_surrogate:
-        return MpmSource(problem, observation, simulate), "it tells no forces"
+        return by_mpm, "the problem asks for none"
+    if without := [each.name for each in problem.parameters if not each.kind.differentiable]:
+        return by_mpm, f"{', '.join(without)} is no input of it"
+    if not observation.differentiable:
+        return by_mpm, f"it does not predict {observation.label}"
     weights = model or shipped(problem.scene.dimension)
     simulator = checkpoint.load(weights).simulator
-    scene = with_unknowns(problem.scene, problem.names, problem.initial)
+    scene = problem.scene_at(problem.initial)
     known = card.read(weights)
     outside = known.outside(scene) if known is not None else []
     try:
@@ -38,6 +43,5 @@ def choose(
     except InputError as error:
         outside = outside or [str(error)]
     if outside:
-        reason = f"{weights.name} has not learnt such a flow: {'; '.join(outside)}"
-        return MpmSource(problem, observation, simulate), reason
+        return by_mpm, f"{weights.name} was not trained on such a flow: {'; '.join(outside)}"
     return GnsSource(simulator, problem, observation, memory_gib), None

@@ -1,64 +1,53 @@
-"""`python -m validation.bench.problems.bench --runs DIR --out DIR`: every inverse problem that ships, gathered in one document."""
+"""`python -m validation.bench problems`: every shipped inverse problem, solved where it has no result yet."""
 
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.library import find
 from inverse.problem import PROBLEMS, Problem, read_problem
 from validation.bench.columns.paper import read_paper
-from validation.bench.problems import page as problems_page
-from validation.bench.problems import targets as bars
-from validation.loop import outcomes
-from validation.loop.outcomes import Origin, Outcome
+from validation.bench.problems.outcome import RESULT, Origin, Outcome, is_current, read, write_origin
+from validation.bench.problems.page import page
+from validation.bench.problems.targets import read_families
 
-SOLVED = (0, 1)
+ENDED = (0, 1)
 """Exit statuses of a loop that came to an end: confirmed, and not."""
+QUICK = ("friction-short-21",)
+"""Problems of a quick page."""
 
 
-def main(*, runs: Path = Path("out/problems"), out: Path = Path("docs"), only: tuple[str, ...] = ()) -> None:
-    """Solve every shipped problem that has no result yet, and write OUT/problems.md with its pictures.
+def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
+    """Solve every shipped problem that has no result in `keep`, write OUT/problems.md, and return its conclusion.
 
-    Each problem is a `python -m validation.loop` of its own in RUNS/NAME. What was solved is kept, unless the problem
-    or the surrogate's weights have changed since; a command that was interrupted goes on where it stopped. Exit status
-    1 where a problem could not be run; an answer that the MPM does not confirm is part of the document.
-
-    Parameters
-    ----------
-    runs
-        Folder of the results, one more for each problem.
-    out
-        Folder for the document.
-    only
-        Solve these shipped problems alone; the document has all that is there.
+    Each problem is a `python -m validation.loop` of its own in KEEP/NAME: memory and seconds are its own. A result is
+    kept unless the problem or the surrogate's weights have changed since. An answer that the MPM does not confirm is
+    part of the page. only: solve these alone; the page has all that there are. Raises WorkFailed, once the page is
+    written, where a problem could not be run.
     """
+    names = sorted(path.stem for path in PROBLEMS.glob("*.toml"))
     for name in only:
-        if find(name, PROBLEMS, "problem").parent != PROBLEMS:
+        if name not in names:
             raise InputError("expected the name of a shipped problem", where=name, key="--only")
-    problems = {name: read_problem(name) for name in sorted(path.stem for path in PROBLEMS.glob("*.toml"))}
+    requested = only or (QUICK if quick else tuple(names))
     found, failed = {}, []
-    for name, problem in problems.items():
-        outcome = current(problem, runs / name)
-        if outcome is None and (not only or name in only):
-            outcome = solve(problem, runs / name)
+    for name in names:
+        problem = read_problem(name)
+        outcome = read(problem, keep / name)
+        if outcome is not None and not is_current(outcome):
+            outcome = None
+        if outcome is None and name in requested:
+            outcome = solve(problem, keep / name)
             failed += [name] if outcome is None else []
         if outcome is not None:
             found[name] = outcome
-    problems_page.write(out, bars.read_families(), problems, found, read_paper())
-    print(f"{len(found)} of {len(problems)} problems, gathered in {out / 'problems.md'}")
+    result = page(out, read_families(), found, read_paper(), quick=quick)
+    conclusion = result.write(out / "problems.md")
     if failed:
-        raise WorkFailed(f"not solved: {', '.join(failed)}")
-
-
-def current(problem: Problem, folder: Path) -> Outcome | None:
-    """The outcome in `folder`, if it is of `problem` as it is now and, as far as is known, of today's surrogate."""
-    outcome = outcomes.read(problem, folder)
-    if outcome is None or outcome.origin is None:
-        return outcome
-    return outcome if outcome.origin.same(Origin.of(problem, "", folder)) else None
+        raise WorkFailed(f"could not be run: {', '.join(failed)}")
+    return conclusion
 
 
 def solve(problem: Problem, folder: Path) -> Outcome | None:
@@ -66,18 +55,14 @@ def solve(problem: Problem, folder: Path) -> Outcome | None:
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
     origin = Origin.of(problem, f"python {shlex.join(arguments)}", folder)
     # An older result is not this one's, should this one fail.
-    (folder / outcomes.RESULT).unlink(missing_ok=True)
+    (folder / RESULT).unlink(missing_ok=True)
     print(f"\n{origin.command}", flush=True)
-    if run_loop(arguments) not in SOLVED:
+    if run_loop(arguments) not in ENDED:
         return None
-    origin.write(folder)
-    return outcomes.read(problem, folder)
+    write_origin(origin, folder)
+    return read(problem, folder)
 
 
 def run_loop(arguments: list[str]) -> int:
-    """Run Python with `arguments` and return its exit status: memory and seconds are those of one problem alone."""
+    """Run Python with `arguments` and return its exit status."""
     return subprocess.run([sys.executable, *arguments], check=False).returncode
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "python -m validation.bench.problems.bench"))

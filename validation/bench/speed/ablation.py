@@ -16,12 +16,13 @@ import torch
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
+from datasets.definitions import DEFINITIONS
 from datasets.errors import InputError
 from datasets.training.samples import load_flows
 from gns.model import checkpoint
 from gns.score import Score, evaluate
 from gns.train import pick
-from mpm.generate import DEFINITIONS, generate
+from mpm.generate import generate
 from mpm.process import processors
 from validation.report.machine import GNS
 from validation.report.page import Page, Row

@@ -1,4 +1,4 @@
-"""The whole thing: our MPM, the shipped surrogate, a hidden angle that is found again. Minutes."""
+"""The whole thing: our MPM, the shipped surrogate, a secret angle that is found again. Minutes."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from validation.loop.__main__ import main as loop
 pytestmark = pytest.mark.slow
 
 
-def test_the_demo_finds_the_hidden_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
+def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
     assert run(demo, "demo", ["--out", str(tmp_path), "--seed", "11"]) == 0
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["verdict"] == "confirmed"

@@ -12,8 +12,7 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import particle_volumes
-from mpm import simulate_many
-from mpm.output.request import LAST
+from mpm import LAST, simulate_many
 from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
@@ -46,7 +45,7 @@ def rows() -> Rows:
     return x, noise[0] * np.interp(x, stations, heights), noise[1] * np.array([each.max() for each in near])
 
 
-def solved(folder: Path, text: str, x: np.ndarray, height: np.ndarray) -> tuple[int, Path]:
+def inverted(folder: Path, text: str, x: np.ndarray, height: np.ndarray) -> tuple[int, Path]:
     """Exit status and result of the loop for a problem whose CSV has these rows."""
     (folder / "seen.csv").write_text(
         "x,height\n" + "".join(f"{a:.6g},{b:.6g}\n" for a, b in zip(x, height, strict=True))
@@ -68,7 +67,7 @@ FORMS: dict[str, Callable[[Rows], tuple[str, np.ndarray, np.ndarray]]] = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_truth_lies_in_the_interval_of_each_form(rows: Rows, tmp_path: Path, form: str) -> None:
-    status, path = solved(tmp_path, *FORMS[form](rows))
+    status, path = inverted(tmp_path, *FORMS[form](rows))
     result = json.loads(path.read_text())
     assert status == 0
     assert result["verdict"] == "confirmed"
@@ -83,7 +82,7 @@ def test_the_truth_lies_in_the_interval_of_each_form(rows: Rows, tmp_path: Path,
 def test_what_is_twice_as_high_or_in_millimetres_is_refused_at_once(
     rows: Rows, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: tuple[float, float], message: str
 ) -> None:
-    status, path = solved(tmp_path, ONE, scale[0] * rows[0], scale[1] * rows[1])
+    status, path = inverted(tmp_path, ONE, scale[0] * rows[0], scale[1] * rows[1])
     assert status == 2
     assert message in capsys.readouterr().err
     assert not path.exists()

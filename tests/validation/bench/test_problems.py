@@ -1,4 +1,4 @@
-"""`python -m validation.bench.problems.bench`: solved once, gathered beside the paper's numbers."""
+"""`python -m validation.bench problems` and `coverage`: solved once, beside criteria and the paper's numbers."""
 
 import json
 from collections.abc import Callable
@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from datasets.command_line import run
+from inverse.observations import Target
 from inverse.problem import PROBLEMS, read_problem
+from inverse.report import pictures
+from tests.validation.loop.flows import WrongWedge, wedge
+from validation.bench.__main__ import main
 from validation.bench.columns.paper import read_paper
-from validation.bench.problems import bench as report
-from validation.bench.problems import targets as bars
-from validation.bench.problems.bench import main
-from validation.loop.outcomes import ORIGIN, Outcome
+from validation.bench.problems import bench, coverage
+from validation.bench.problems.outcome import ORIGIN, Outcome
+from validation.bench.problems.targets import Criteria, compare, read_families
 
 Loop = Callable[[list[str]], int]
 
@@ -20,7 +22,7 @@ Loop = Callable[[list[str]], int]
 def result(name: str, verdict: str = "confirmed", off: float = 0.002) -> dict[str, object]:
     """What a loop might have left of a shipped problem."""
     problem = read_problem(name)
-    truth = {unknown.name: unknown.initial + 0.1 * (unknown.upper - unknown.initial) for unknown in problem.unknowns}
+    truth = {unknown.name: unknown.initial + 0.1 * (unknown.upper - unknown.initial) for unknown in problem.parameters}
     unknowns = {name: value * (1.0 + off) for name, value in truth.items()}
     began = {name: value * 0.75 for name, value in truth.items()}
     record = {"purpose": "check", "seconds": 1.0, "unknowns": began, "loss": 5e-4}
@@ -50,13 +52,13 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (out / "deposit.png").write_bytes(b"\x89PNG")
         return 0
 
-    monkeypatch.setattr(report, "run_loop", fake)
+    monkeypatch.setattr(bench, "run_loop", fake)
     return called
 
 
 def call(tmp_path: Path, *only: str) -> int:
     flags = [flag for name in only for flag in ("--only", name)]
-    return run(main, "report", ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "docs"), *flags])
+    return main(["problems", "--keep", str(tmp_path / "runs"), "--out", str(tmp_path / "docs"), *flags])
 
 
 def test_two_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
@@ -66,7 +68,7 @@ def test_two_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     text = (tmp_path / "docs" / "problems.md").read_text()
     assert "44.54 deg (6.06 %); runout 0.72 %" in text
     assert "loss 8.70e-04" in text
-    assert "24.15 deg; loss 5.00e-04" in text, "of one unknown the surrogate's own answer is told as well"
+    assert "24.15 deg; loss 5.00e-04" in text, "of one parameter the surrogate's own answer is given too"
     for name in names:
         assert f"`python -m validation.loop {name} --out {tmp_path / 'runs' / name}`" in text
     assert "![deposit](pictures/friction-tall-42-deposit.png)" in text
@@ -75,7 +77,7 @@ def test_two_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     assert "2 (+ 1)" in text
     assert "Not measured yet: `baffles-2`" in text
     assert call(tmp_path, *names) == 0
-    assert loop == list(names), "what was solved is kept"
+    assert loop == list(names), "results are kept"
 
 
 def test_another_problem_or_surrogate_is_solved_again(tmp_path: Path, loop: list[str]) -> None:
@@ -96,12 +98,12 @@ def test_a_result_that_the_loop_left_by_itself_counts(tmp_path: Path, loop: list
     assert "not recorded" in (tmp_path / "docs" / "problems.md").read_text()
 
 
-def test_a_failed_problem_is_told(
+def test_a_failed_problem_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(report, "run_loop", lambda arguments: 2)
+    monkeypatch.setattr(bench, "run_loop", lambda arguments: 2)
     assert call(tmp_path, "baffles-2") == 1
-    assert "not solved: baffles-2" in capsys.readouterr().err
+    assert "could not be run: baffles-2" in capsys.readouterr().err
     assert "Not measured yet" in (tmp_path / "docs" / "problems.md").read_text()
 
 
@@ -120,29 +122,29 @@ def test_a_broken_result_is_named(tmp_path: Path, loop: list[str], capsys: pytes
     assert "result.json" in capsys.readouterr().err
 
 
-def judged(name: str, asked: bars.Bars, **changes: object) -> dict[str, bool | None]:
+def within(name: str, criteria: Criteria, **changes: object) -> dict[str, bool | None]:
     outcome = Outcome(problem=read_problem(name), folder=Path(), result=result(name) | changes, origin=None)
-    return {mark.asked.split(" ")[0]: mark.met for mark in bars.judge(outcome, asked)}
+    return {each.criterion.split(" ")[0]: each.is_within for each in compare(outcome, criteria)}
 
 
-def test_the_bars_can_be_missed() -> None:
-    asked = bars.Bars(front_error_pct=0.3, unknown_error_pct=1.0, loss=1e-4, inside=True, seconds_per_iteration=5.0)
+def test_criteria_can_be_missed() -> None:
+    criteria = Criteria(front_error_pct=0.3, unknown_error_pct=1.0, loss=1e-4, inside=True, seconds_per_iteration=5.0)
     name = "friction-tall-42"
-    assert set(judged(name, asked).values()) == {True}
-    assert judged(name, asked, verdict="unconfirmed")["verdict"] is False
-    assert judged(name, asked, error_pct={"front": 0.31})["front"] is False
-    assert judged(name, asked, loss={"mpm": 1.1e-4})["loss"] is False
+    assert set(within(name, criteria).values()) == {True}
+    assert within(name, criteria, verdict="unconfirmed")["verdict"] is False
+    assert within(name, criteria, error_pct={"front": 0.31})["front"] is False
+    assert within(name, criteria, loss={"mpm": 1.1e-4})["loss"] is False
     wide = {"friction_deg": 1.0}
-    assert judged(name, asked, unknowns={"friction_deg": 34.0}, certainty=wide)["truth"] is False
-    assert judged(name, asked, unknowns={"friction_deg": 33.0})["unknown"] is False
-    # The front does not know it to 1 %; a profile has to.
-    assert judged(name, asked, certainty=wide)["unknown"] is None
-    assert judged("friction-tall-42-profile", asked, certainty=wide)["unknown"] is True
-    assert judged(name, asked, mpm_runs=[{"purpose": "check"}] * 9)["MPM"] is False
+    assert within(name, criteria, unknowns={"friction_deg": 34.0}, certainty=wide)["truth"] is False
+    assert within(name, criteria, unknowns={"friction_deg": 33.0})["parameter"] is False
+    # The front does not constrain it to 1 %; a profile has to.
+    assert within(name, criteria, certainty=wide)["parameter"] is None
+    assert within("friction-tall-42-profile", criteria, certainty=wide)["parameter"] is True
+    assert within(name, criteria, mpm_runs=[{"purpose": "check"}] * 9)["MPM"] is False
 
 
-def test_every_shipped_problem_has_its_bars() -> None:
-    named = [name for family in bars.read_families() for name in family.problems]
+def test_every_shipped_problem_has_its_criteria() -> None:
+    named = [name for family in read_families() for name in family.problems]
     assert sorted(named) == sorted(path.stem for path in PROBLEMS.glob("*.toml"))
 
 
@@ -156,7 +158,7 @@ def test_every_shipped_problem_has_its_bars() -> None:
         ("unseen-baffles-3", "baffles-2"),
     ],
 )
-def test_what_was_never_seen_is_not_tuned(unseen: str, seen: str) -> None:
+def test_what_was_not_used_in_development_is_not_tuned(unseen: str, seen: str) -> None:
     one, other = read_problem(unseen), read_problem(seen)
     assert (one.optimiser, one.loop, one.observation) == (other.optimiser, other.loop, other.observation)
     assert one.target.truth != other.target.truth or one.scene != other.scene
@@ -168,3 +170,23 @@ def test_the_papers_numbers_are_the_papers() -> None:
     assert paper.baffles.loss_mpm == 1.89e-3
     # Its coordinates are ours plus 0.1 m.
     assert paper.baffles.z == pytest.approx((0.341 - 0.1, 0.812 - 0.1))
+
+
+def test_coverage_counts_true_values_within_half_widths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = wedge(tmp_path, scatter=0.002)
+    monkeypatch.setattr(coverage, "read_problem", lambda name: case.problem)
+    monkeypatch.setattr(coverage, "simulate_many", case.mpm)
+
+    def wrong(problem: object, target: Target, *_: object, **__: object) -> tuple[WrongWedge, None]:
+        return WrongWedge(observation=target.observation, steepness=0.5, offset=1.02), None  # type: ignore[arg-type]
+
+    monkeypatch.setattr(coverage, "choose", wrong)
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
+    conclusion = coverage.bench(tmp_path, quick=True, keep=tmp_path / "runs", noise=0.01)
+    assert "2 of 2 true values are within the stated 95 % half-widths" in conclusion
+    text = (tmp_path / "coverage.md").read_text()
+    assert text.count("(truth 24.00 deg)") == 2
+    assert "noise of 1 %" in text
+    made = len(case.mpm.scenes)
+    assert coverage.bench(tmp_path, quick=True, keep=tmp_path / "runs", noise=0.01) == conclusion
+    assert len(case.mpm.scenes) == made

@@ -1,0 +1,294 @@
+"""Flows by a formula in place of the MPM, and surrogates of them that are wrong: what loops are tested on."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.material import Material
+from datasets.particles import particle_count
+from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import DepositObservation, Target, Values
+from inverse.observations.reading import read_target
+from inverse.parameters import Vector
+from inverse.problem import Problem
+from inverse.settings import (
+    LoopSettings,
+    ObservationSettings,
+    OptimiserSettings,
+    Parameter,
+    TargetSettings,
+)
+from mpm import ALL, Recording
+from validation.loop.check import Task
+from validation.loop.result import Result
+from validation.loop.solve import run
+
+PARTICLES = 600
+# Quantiles of a wedge: the deposit thins out towards its front.
+SHAPE = 1.0 - np.sqrt(1.0 - (np.arange(PARTICLES) + 0.5) / PARTICLES)
+WIDTH = 4.0
+"""Of the bounds of each velocity [m/s]."""
+
+
+def length(friction_deg: Any) -> Any:
+    """Length of the deposit [m]: 15 mm a degree at 15 degrees, 5 mm at 45."""
+    return 1.0 - 0.02 * (friction_deg - 12.0) + 0.5 * 0.0003 * (friction_deg - 12.0) ** 2
+
+
+def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
+    """A flow of `scene` whose particles are at `x` [m], shape [N], all the time."""
+    positions = np.stack([np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2).astype(np.float32)
+    return Trajectory(
+        positions=positions,
+        time=np.array([0.0, scene.duration]),
+        velocity0=np.zeros((len(x), 2), np.float32),
+        friction=np.full(len(x), scene.material.friction, np.float32),
+        scene=scene,
+    )
+
+
+@dataclass
+class FakeMpm:
+    """Deposits by the formula, with a scatter that depends on the jitter seed."""
+
+    scatter: float = 0.0
+    """[m]."""
+    killed_after: int = 10**6
+    scenes: list[Scene] = field(default_factory=list)
+    """All that was simulated."""
+
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
+        flows = []
+        for scene in scenes:
+            flow = self.run(scene)
+            frames = record.kept(len(flow.time))
+            flows.append(dataclasses.replace(flow, positions=flow.positions[frames], time=flow.time[frames]))
+        return flows
+
+    def run(self, scene: Scene) -> Trajectory:
+        if len(self.scenes) >= self.killed_after:
+            raise KeyboardInterrupt
+        self.scenes.append(scene)
+        return at_rest(self.x(scene), scene)
+
+    def x(self, scene: Scene) -> NDArray[np.float64]:
+        angle = scene.material.friction_deg
+        scatter = np.random.default_rng([scene.seed, round(angle * 1e6)]).normal() * self.scatter
+        return np.asarray((length(angle) + scatter) * SHAPE)
+
+
+class TwinAngles(FakeMpm):
+    """Deposits that depend on the sum of two angles alone."""
+
+    def x(self, scene: Scene) -> NDArray[np.float64]:
+        angles = [scene.material_of(mass).friction_deg for mass in scene.masses]
+        scatter = np.random.default_rng([scene.seed, round(1e6 * sum(angles))]).normal() * self.scatter
+        return np.asarray((length(0.5 * sum(angles)) + scatter) * SHAPE)
+
+
+@dataclass
+class Layers(FakeMpm):
+    """Particles moved along x by each layer's velocity and by its neighbours'."""
+
+    count: int = 2
+    """Layers."""
+    particles: int = 600
+    bend: float = 0.0
+    """[m s^2/m^2]."""
+
+    def __post_init__(self) -> None:
+        index = (np.arange(self.particles) + 0.5) / self.particles
+        centres = (np.arange(self.count) + 0.5) / self.count
+        self.x0 = 0.3 + 0.3 * np.sqrt(index)
+        # Broad bumps that overlap: the effects of neighbours are similar.
+        self.push = 0.05 * np.exp(-(((index[:, None] - centres) * self.count / 1.5) ** 2))
+        self.waves = np.random.default_rng(5).normal(size=(12, self.particles)) / np.sqrt(12.0)
+
+    def moved(self, velocities: Vector) -> NDArray[np.float64]:
+        return np.asarray(self.x0 + self.push @ velocities + self.bend * self.push @ velocities**2)
+
+    def x(self, scene: Scene) -> NDArray[np.float64]:
+        velocities = np.array([mass.velocity[0] if mass.velocity else 0.0 for mass in scene.masses])
+        waves = np.random.default_rng(scene.seed).normal(size=12) @ self.waves
+        return np.asarray(self.moved(velocities) + self.scatter * waves)
+
+
+@dataclass(kw_only=True)
+class FakeSurrogate:
+    """A formula for x [m] of some of the particles; as a source of surrogates it is always the same one."""
+
+    observation: DepositObservation
+    indices: NDArray[np.int64]
+    """Of the particles that it follows."""
+
+    def x(self, parameters: Tensor) -> Tensor:
+        raise NotImplementedError
+
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        x = self.x(parameters)
+        return self.observation.smooth(torch.stack([x, 0.1 * torch.ones_like(x)], 1), torch.ones(len(x)))
+
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]
+
+    def select(self, target: Values, /) -> Values:
+        return self.observation.of_particles(target, self.indices)
+
+    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
+        x = self.x(torch.from_numpy(parameters)).numpy()
+        return np.stack([x, 0.1 * np.ones(len(x))], axis=1)
+
+    def first_frames(self, scene: Scene) -> Scene | None:
+        return None
+
+    def start(self, beginning: Trajectory | None) -> "FakeSurrogate":
+        return self
+
+
+@dataclass(kw_only=True)
+class WrongWedge(FakeSurrogate):
+    """The wedge with another slope and another length."""
+
+    indices: NDArray[np.int64] = field(default_factory=lambda: np.arange(PARTICLES))
+    steepness: float
+    """Its slope over the true one."""
+    offset: float
+    """Its length over the true one, at 30 degrees."""
+
+    def x(self, parameters: Tensor) -> Tensor:
+        middle = length(30.0)
+        return (self.offset * middle + self.steepness * (length(parameters[0]) - middle)) * torch.from_numpy(SHAPE)
+
+    def first_frames(self, scene: Scene) -> Scene | None:
+        return dataclasses.replace(scene, duration=0.05)
+
+
+@dataclass(kw_only=True)
+class WrongLayers(FakeSurrogate):
+    """The layers, with the effects of their velocities mixed; it follows every second particle."""
+
+    flow: Layers
+    mixing: float
+    shift: float = 0.0
+    folded: bool = False
+    """Whether it depends on the squares of the velocities: two minima, on either side of 0."""
+    indices: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = self.flow.count
+        noise = np.random.default_rng(9).normal(size=(count, count)) / np.sqrt(count)
+        self.mix = np.eye(count) + self.mixing * noise
+        self.indices = np.arange(0, self.flow.particles, 2)
+
+    def x(self, parameters: Tensor) -> Tensor:
+        velocities = parameters**2 - 0.2 * parameters if self.folded else parameters
+        push = torch.from_numpy(self.flow.push[self.indices] @ self.mix)
+        return torch.from_numpy(self.flow.x0[self.indices]) + self.shift + push @ velocities
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A problem with all that it takes to solve it."""
+
+    problem: Problem
+    target: Target
+    source: Any
+    mpm: FakeMpm
+
+    def task(self, out: Path) -> Task:
+        return Task(problem=self.problem, target=self.target, source=self.source, folder=out / "mpm", simulate=self.mpm)
+
+    def solve(self, out: Path) -> Result:
+        return run(self.task(out))
+
+
+def wedge(
+    folder: Path,
+    *,
+    truth: float = 24.0,
+    kind: str = "front",
+    steepness: float = 1.0,
+    offset: float = 1.0,
+    scatter: float = 0.0,
+    target: TargetSettings | None = None,
+    loop: LoopSettings | None = None,
+    **changes: Any,
+) -> Case:
+    """The friction angle of a wedge; everything that makes it hard is a keyword. changes: of the problem."""
+    scene = Scene(
+        domain=Domain(size=(1.2, 0.4), cell=0.01),
+        material=Material(friction_deg=33.3),
+        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.2)),),
+    )
+    settings: dict[str, Any] = {
+        "observation": ObservationSettings(kind=kind),
+        "target": target or TargetSettings(twin=True, seed=7, truth={"friction_deg": truth}),
+    }
+    problem = Problem(
+        name="wedge",
+        folder=folder,
+        scene=scene,
+        parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
+        loop=loop or LoopSettings(),
+        **(settings | changes),
+    )
+    mpm = FakeMpm(scatter=scatter)
+    read = read_target(problem, mpm.run)
+    mpm.scenes.clear()
+    source = WrongWedge(observation=read.observation, steepness=steepness, offset=offset)  # type: ignore[arg-type]
+    return Case(problem=problem, target=read, source=source, mpm=mpm)
+
+
+def true_velocities(count: int) -> Vector:
+    """Of the layers [m/s], shape [count]."""
+    return np.linspace(1.5, 0.15, count)
+
+
+def layers(
+    folder: Path,
+    *,
+    count: int = 2,
+    kind: str = "deposit",
+    target: TargetSettings | None = None,
+    optimiser: OptimiserSettings | None = None,
+    scatter: float = 0.0,
+    bend: float = 0.0,
+    mixing: float = 0.3,
+    shift: float = 0.0,
+    folded: bool = False,
+    seed: int = 3,
+    lower: float = -1.0,
+) -> Case:
+    """The velocities of layers, which a surrogate mixes up."""
+    masses = tuple(Mass(lower=(0.0, 0.2 * row), size=(0.5, 0.2), velocity=(9.0, 0.0)) for row in range(count))
+    scene = Scene(domain=Domain(size=(2.0, 4.0), cell=0.05), material=Material(friction_deg=30.0), masses=masses)
+    names = [f"masses[{row}].velocity_x" for row in range(count)]
+    truth = dict(zip(names, true_velocities(count).tolist(), strict=True))
+    problem = Problem(
+        name="layers",
+        folder=folder,
+        scene=scene,
+        parameters=tuple(Parameter(name=name, initial=0.0, lower=lower, upper=lower + WIDTH) for name in names),
+        observation=ObservationSettings(kind=kind, line=0.5 if kind == "passed" else None),
+        target=target or TargetSettings(twin=True, seed=seed, truth=truth),
+        optimiser=optimiser or OptimiserSettings(max_iterations=60, stop_below=1e-9),
+    )
+    mpm = Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend)
+    read = read_target(problem, mpm.run)
+    mpm.scenes.clear()
+    source = WrongLayers(
+        observation=read.observation,  # type: ignore[arg-type]
+        flow=mpm,
+        mixing=mixing,
+        shift=shift,
+        folded=folded,
+    )
+    return Case(problem=problem, target=read, source=source, mpm=mpm)

@@ -1,0 +1,149 @@
+"""The loop on the MPM alone, of one observation and of joint ones; and which forward model proposes."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets.command_line import WorkFailed
+from datasets.scene import Domain, Mass, Scene
+from inverse.forward.gns import GnsSource
+from inverse.forward.linearised import MpmSource
+from inverse.observations.reading import read_target
+from inverse.problem import Problem, read_problem
+from inverse.report import pictures
+from inverse.result import Verdict
+from inverse.settings import LoopSettings, ObservationSettings, Parameter, Surrogate, TargetSettings
+from tests.validation.loop.flows import SHAPE, FakeMpm, TwinAngles, length, wedge
+from validation.loop.__main__ import print_outcome
+from validation.loop.result import Result
+from validation.loop.solve import solve
+from validation.loop.source import choose
+
+FRONT = float(np.quantile(SHAPE, 0.995))
+JOINT = (
+    ObservationSettings(kind="front", noise="1%"),
+    ObservationSettings(kind="profile", noise="3%"),
+    ObservationSettings(kind="passed", line=0.4, noise=0.01),
+    ObservationSettings(kind="front-over-time", times=(0.5, 1.0), noise=0.005),
+)
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
+
+
+def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:
+    return solve(dataclasses.replace(problem, surrogate=Surrogate.NONE), out, simulate=mpm)
+
+
+def joint(case: Any, observations: tuple[ObservationSettings, ...], **changes: Any) -> Problem:
+    return dataclasses.replace(
+        case.problem, observation=ObservationSettings(kind="joint"), observations=observations, **changes
+    )
+
+
+@pytest.mark.parametrize(("kind", "truth"), [("front", 16.0), ("profile", 42.0)])
+def test_the_mpm_alone_finds_the_truth(tmp_path: Path, kind: str, truth: float) -> None:
+    case = wedge(tmp_path, truth=truth, kind=kind, scatter=0.001)
+    result = alone(case.problem, case.mpm, tmp_path)
+    print_outcome(result, tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.certainty is not None
+    assert abs(result.unknowns["friction_deg"] - truth) <= max(0.2, 1.5 * result.certainty["friction_deg"])
+    assert len(result.checks) <= case.problem.loop.mpm_runs
+    assert "No learned surrogate proposes: the problem asks for none" in (tmp_path / "report.md").read_text()
+
+
+def test_joint_observations_find_it_together(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=24.0, scatter=0.002)
+    result = alone(joint(case, JOINT), case.mpm, tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.certainty is not None
+    assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"] < 2.0
+    stored = json.loads((tmp_path / "result.json").read_text())["observation"]
+    assert [part["name"] for part in stored["parts"]] == ["front", "profile", "passed", "front-over-time"]
+    # In their own units, not in standard deviations.
+    assert stored["mpm"][0] == pytest.approx(length(24.0) * FRONT, rel=0.02)
+    assert "| front-over-time |" in (tmp_path / "report.md").read_text()
+
+
+def test_better_measurements_count_more(tmp_path: Path) -> None:
+    """Two fronts that contradict each other: the answer is close to the one with a tenth of the noise."""
+    case = wedge(tmp_path, truth=24.0, scatter=0.0005)
+    parts = tuple(
+        ObservationSettings(kind="front", value=FRONT * (length(24.0) + error), noise=noise)
+        for error, noise in ((0.0, 0.004), (0.05, 0.04))
+    )
+    result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
+    assert result.unknowns["friction_deg"] == pytest.approx(24.0, abs=0.25)
+
+
+def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=24.0, scatter=0.0005)
+    parts = tuple(
+        ObservationSettings(kind="front", value=FRONT * (length(24.0) + error), noise=0.004)
+        for error in (-0.03, 0.0, 0.03)
+    )
+    result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
+    assert result.verdict is Verdict.UNCONFIRMED
+    assert result.certainty is not None
+    assert result.discrepancy is not None
+    assert result.discrepancy > 3.0
+    # 12 mm a degree: the half-width is that of the 30 mm by which they differ, not of the 4 mm that were stated.
+    assert 0.8 < result.certainty["friction_deg"] < 6.0
+    assert abs(result.unknowns["friction_deg"] - 24.0) < result.certainty["friction_deg"]
+    with pytest.raises(WorkFailed, match="unconfirmed"):
+        print_outcome(result, tmp_path)
+    assert "times worse than the stated noise" in (tmp_path / "report.md").read_text()
+
+
+def test_what_fits_without_being_constrained_is_not_identifiable(tmp_path: Path) -> None:
+    names = ["masses[0].friction_deg", "masses[1].friction_deg"]
+    scene = Scene(
+        domain=Domain(size=(1.2, 0.4), cell=0.01),
+        material=wedge(tmp_path).problem.scene.material,
+        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.1)), Mass(lower=(0.0, 0.1), size=(0.3, 0.1))),
+    )
+    problem = Problem(
+        name="twins",
+        folder=tmp_path,
+        scene=scene,
+        parameters=tuple(Parameter(name=name, initial=30.0, lower=12.0, upper=52.0) for name in names),
+        observation=ObservationSettings(kind="profile"),
+        target=TargetSettings(twin=True, seed=7, truth=dict.fromkeys(names, 25.0)),
+        loop=LoopSettings(seeds=8),
+    )
+    result = alone(problem, TwinAngles(scatter=0.001), tmp_path)
+    assert result.verdict is Verdict.NOT_IDENTIFIABLE
+    assert result.certainty is not None
+    assert min(result.certainty.values()) > 20.0
+    assert sum(result.unknowns.values()) == pytest.approx(50.0, abs=1.5)
+    report = (tmp_path / "report.md").read_text()
+    assert "not identifiable" in report
+    assert "**Identifiable**: `masses[0].friction_deg` and `masses[1].friction_deg` up or down together" in report
+
+
+def test_the_source_follows_from_the_problem() -> None:
+    shipped = read_problem("friction-tall-42")
+    floor = Parameter(name="floor_friction", initial=0.4, lower=0.1, upper=0.8)
+    undamped, tilted = (
+        dataclasses.replace(shipped.scene, **change) for change in ({"damping": 0.0}, {"slope_deg": 20.0})
+    )
+    cases: list[tuple[dict[str, Any], str | None]] = [
+        ({}, None),
+        ({"surrogate": Surrogate.NONE}, "the problem asks for none"),
+        ({"parameters": (floor,)}, "floor_friction is no input of it"),
+        ({"scene": undamped}, "flow2d.pt was not trained on such a flow: damping 0"),
+        ({"scene": tilted}, "slope_deg 20"),
+    ]
+    target = read_target(shipped, FakeMpm().run)
+    for changes, expected in cases:
+        source, reason = choose(dataclasses.replace(shipped, **changes), target, FakeMpm(), memory_gib=0.1)
+        assert isinstance(source, GnsSource if expected is None else MpmSource)
+        assert (reason is None) == (expected is None)
+        assert (expected or "") in (reason or "")
