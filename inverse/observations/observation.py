@@ -57,10 +57,22 @@ class Context:
     """Relative paths start here."""
     released: float | None
     """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
-    measured: bool
-    """Whether the numbers were measured; else a simulated flow makes them."""
     joint: bool
     """Whether other observations are compared along with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Errors of the measurement."""
+
+    covariance: Matrix
+    """Of the numbers, shape [M, M]."""
+    roughness: float = 1.0
+    """By how much a measured profile scatters more than its stated noise."""
+    profile: tuple[Values, Values] | None = None
+    """Of a profile: stations and heights [m], both of shape [S]."""
+    deviation: Values | None = None
+    """Standard deviation of each of these heights [m], shape [S]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,14 +217,14 @@ class Observation(ABC):
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * cell)
 
-    def covariance(
+    def errors(
         self, values: Values, profile: "MeasuredProfile | None", *, share: float, noise: float, cell: float
-    ) -> tuple[Matrix, float]:
-        """Of `values` [M] by errors of the measurement, shape [M, M]; and by how much these exceed the stated ones.
+    ) -> Errors:
+        """Errors of the measured `values` [M], by default independent of each other.
 
         share, noise: stated standard deviation as a share of each number [-] and in its unit; cell: [m].
         """
-        return np.diag((share * values) ** 2 + noise**2), 1.0
+        return Errors(covariance=np.diag((share * values) ** 2 + noise**2))
 
     def residuals(
         self, target: "Target", found: Sequence[Trajectory], ensemble: Sequence[Trajectory]
