@@ -104,7 +104,7 @@ class Observation(ABC):
     alone: ClassVar[bool] = True
     """Whether it may be a problem's only observation: there is a tolerance for it."""
     jointly: ClassVar[bool] = True
-    """Whether it may be one of several."""
+    """Whether it may be one of multiple observations."""
     scalar: ClassVar[bool] = False
     """Whether it is one number."""
     every_particle: ClassVar[bool] = False
@@ -207,10 +207,12 @@ class Observation(ABC):
 
         front_error: relative error of its front [-]; scatter: see `tolerance`; front_scatter: the same of the front.
         """
+        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
+            return False
         return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
 
     def front_tolerance(self, loop: LoopSettings, target: "Target", front_scatter: float) -> float:
-        """Relative error of the front [-] within which the MPM confirms; infinite where it is not looked at."""
+        """Relative error of the front [-] within which the MPM confirms; infinite where only the numbers count."""
         return math.inf
 
     def prior_scatter(self, values: Values, cell: float) -> Values:

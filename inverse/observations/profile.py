@@ -154,21 +154,6 @@ class Profile(DepositObservation):
             return largest
         return math.hypot(largest, 2.0 * math.sqrt(float(target.covariance[-1, -1])) / target.front)
 
-    def is_within(
-        self,
-        loop: LoopSettings,
-        cell: float,
-        target: Target,
-        values: Values,
-        *,
-        front_error: float,
-        scatter: float,
-        front_scatter: float,
-    ) -> bool:
-        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
-            return False
-        return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
-
     def values_text(self, values: Values) -> str:
         return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
 
@@ -250,7 +235,7 @@ class SurfaceProfile(SampledProfile):
 
     At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
     of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
-    material extends half a particle further up than a centre, the highest of several lies about as much above the rest.
+    material extends half a particle further up than a centre, the highest of them lies about as much above the rest.
     The surrogate follows too few particles for a surface: its smooth form is that of the equivalent heights, and what
     the two differ by is left to the correction by the MPM (`validation.loop.correct`).
     """

@@ -162,6 +162,6 @@ def joint(
 
 
 def name_of(settings: ObservationSettings, others: Sequence[ObservationSettings]) -> str:
-    """The name of an observation that has none: its kind, counted where there are several."""
+    """The name of an observation that has none: its kind, counted where others have the same."""
     same = sum(other.kind == settings.kind for other in others)
     return settings.kind if same == 0 else f"{settings.kind} {same + 1}"
