@@ -209,7 +209,7 @@ class OptimiserSettings(Record):
     start: Start | None = None
     """Where the surrogate begins; see `inverse.problem.Problem.start` for what it is where absent."""
     starts: int = 1
-    """Points from which the surrogate is inverted: `initial` and, for problems with several answers, others."""
+    """Points from which the surrogate is inverted: `initial` and, for problems with more than one answer, others."""
     sampler: Sampler = Sampler.TPE
     """Of a search without gradients (`--gradient none`)."""
     max_trials: int = 100

@@ -1,6 +1,6 @@
 """The front of a deposit, the x that 99.5 % of its particles are behind, in the end or at given times.
 
-Between two frames the front is taken to move linearly.
+Between two frames the front is interpolated linearly.
 """
 
 from typing import Self
@@ -57,22 +57,6 @@ class Front(DepositObservation):
     def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
         """Without the scatter: runs are averaged."""
         return loop.confirm_within
-
-    def front_tolerance(self, loop: LoopSettings, target: Target, front_scatter: float) -> float:
-        return loop.confirm_within
-
-    def is_within(
-        self,
-        loop: LoopSettings,
-        cell: float,
-        target: Target,
-        values: Values,
-        *,
-        front_error: float,
-        scatter: float,
-        front_scatter: float,
-    ) -> bool:
-        return abs(front_error) <= loop.confirm_within
 
 
 class FrontOverTime(Observation):

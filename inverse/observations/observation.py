@@ -57,10 +57,22 @@ class Context:
     """Relative paths start here."""
     released: float | None
     """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
-    measured: bool
-    """Whether the numbers were measured; else a simulated flow makes them."""
     joint: bool
     """Whether other observations are compared along with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Errors of the measurement."""
+
+    covariance: Matrix
+    """Of the numbers, shape [M, M]."""
+    roughness: float = 1.0
+    """By how much a measured profile scatters more than its stated noise."""
+    profile: tuple[Values, Values] | None = None
+    """Of a profile: stations and heights [m], both of shape [S]."""
+    deviation: Values | None = None
+    """Standard deviation of each of these heights [m], shape [S]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +104,7 @@ class Observation(ABC):
     alone: ClassVar[bool] = True
     """Whether it may be a problem's only observation: there is a tolerance for it."""
     jointly: ClassVar[bool] = True
-    """Whether it may be one of several."""
+    """Whether it may be one of multiple observations."""
     scalar: ClassVar[bool] = False
     """Whether it is one number."""
     every_particle: ClassVar[bool] = False
@@ -195,24 +207,26 @@ class Observation(ABC):
 
         front_error: relative error of its front [-]; scatter: see `tolerance`; front_scatter: the same of the front.
         """
+        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
+            return False
         return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
 
     def front_tolerance(self, loop: LoopSettings, target: "Target", front_scatter: float) -> float:
-        """Relative error of the front [-] within which the MPM confirms; infinite where it is not looked at."""
+        """Relative error of the front [-] within which the MPM confirms; infinite where only the numbers count."""
         return math.inf
 
     def prior_scatter(self, values: Values, cell: float) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * cell)
 
-    def covariance(
+    def errors(
         self, values: Values, profile: "MeasuredProfile | None", *, share: float, noise: float, cell: float
-    ) -> tuple[Matrix, float]:
-        """Of `values` [M] by errors of the measurement, shape [M, M]; and by how much these exceed the stated ones.
+    ) -> Errors:
+        """Errors of the measured `values` [M], by default independent of each other.
 
         share, noise: stated standard deviation as a share of each number [-] and in its unit; cell: [m].
         """
-        return np.diag((share * values) ** 2 + noise**2), 1.0
+        return Errors(covariance=np.diag((share * values) ** 2 + noise**2))
 
     def residuals(
         self, target: "Target", found: Sequence[Trajectory], ensemble: Sequence[Trajectory]

@@ -27,7 +27,7 @@ from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
-from inverse.observations.observation import Context, DepositObservation, Matrix, Measurement, Values
+from inverse.observations.observation import Context, DepositObservation, Errors, Matrix, Measurement, Values
 from inverse.observations.target import Target
 from inverse.settings import Heights, LoopSettings, ObservationSettings
 
@@ -154,21 +154,6 @@ class Profile(DepositObservation):
             return largest
         return math.hypot(largest, 2.0 * math.sqrt(float(target.covariance[-1, -1])) / target.front)
 
-    def is_within(
-        self,
-        loop: LoopSettings,
-        cell: float,
-        target: Target,
-        values: Values,
-        *,
-        front_error: float,
-        scatter: float,
-        front_scatter: float,
-    ) -> bool:
-        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
-            return False
-        return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
-
     def values_text(self, values: Values) -> str:
         return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
 
@@ -206,30 +191,28 @@ class SampledProfile(Profile):
     def profile_of(self, positions: NDArray[np.floating]) -> MeasuredProfile:
         return MeasuredProfile(x=self.stations, height=self.heights(positions))
 
-    def deviation(self, profile: MeasuredProfile, *, share: float, noise: float, cell: float) -> tuple[Values, float]:
-        """Standard deviation [m] of each height of a measured profile, shape [R], and its factor over the stated one.
+    def errors(
+        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
+    ) -> Errors:
+        """By independent errors of the heights; the numbers that they make are not independent.
 
         Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of
         `cell` [m] comes on top. Rows that scatter more than that have more noise than was stated.
         """
-        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
-        rough = profile.roughness(stated)
-        return rough * stated, rough
-
-    def covariance(
-        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
-    ) -> tuple[Matrix, float]:
-        """By independent errors of the heights; the numbers that they make are not independent.
-
-        noise: of the heights [m]. The second number is by how much these scatter more than their stated noise.
-        """
         assert profile is not None, "a simulated profile is one at its stations"
-        deviation, rough = self.deviation(profile, share=share, noise=noise, cell=cell)
+        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
+        roughness = profile.roughness(stated)
+        deviation = roughness * stated
         rng = np.random.default_rng(0)
         draws = np.maximum(profile.height + deviation * rng.standard_normal((DRAWS, len(profile.x))), 0.0)
         numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in draws]
         deviations = np.stack(numbers) - np.mean(numbers, axis=0)
-        return np.asarray(deviations.T @ deviations / (DRAWS - 1.0)), rough
+        return Errors(
+            covariance=np.asarray(deviations.T @ deviations / (DRAWS - 1.0)),
+            roughness=roughness,
+            profile=(self.stations, profile.at(self.stations)),
+            deviation=np.interp(self.stations, profile.x, deviation, left=0.0, right=0.0),
+        )
 
     def residuals(
         self, target: Target, found: Sequence[Trajectory], ensemble: Sequence[Trajectory]
@@ -252,7 +235,7 @@ class SurfaceProfile(SampledProfile):
 
     At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
     of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
-    material extends half a particle further up than a centre, the highest of several lies about as much above the rest.
+    material extends half a particle further up than a centre, the highest of them lies about as much above the rest.
     The surrogate follows too few particles for a surface: its smooth form is that of the equivalent heights, and what
     the two differ by is left to the correction by the MPM (`validation.loop.correct`).
     """

@@ -14,7 +14,6 @@ from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.joint import Joint, Part
 from inverse.observations.observation import Context, Matrix, Measurement, Values
-from inverse.observations.profile import SampledProfile
 from inverse.observations.target import Target
 from inverse.problem import Problem
 from inverse.settings import MEASURED, ObservationSettings, noise_of
@@ -51,7 +50,6 @@ def _read(problem: Problem, settings: ObservationSettings, path: Callable[[str],
         scene=problem.scene,
         folder=problem.folder,
         released=problem.released,
-        measured=problem.target.measured,
         joint=bool(problem.observations),
     )
     kind = KINDS[settings.kind]
@@ -59,9 +57,9 @@ def _read(problem: Problem, settings: ObservationSettings, path: Callable[[str],
         noise_of(settings.noise)
         found = kind.read(settings, context)
         given = found.values is not None and len(found.values) > 0
-        if context.measured and not given:
+        if problem.target.measured and not given:
             raise InputError(f"expected what was measured for {settings.kind}: {kind.source}")
-        if not context.measured and given:
+        if not problem.target.measured and given:
             raise InputError("expected no numbers beside a twin or a trajectory")
     except InputError as error:
         raise error if error.where else InputError(error.message, key=path(error.key)) from None
@@ -106,20 +104,16 @@ def single(
     if profile is None:
         noise += share * float(abs(values[0]))
         return Target(observation=observation, values=values, front=front, noise=noise)
-    assert isinstance(observation, SampledProfile)
-    cell = problem.scene.domain.cell
-    deviation, _ = observation.deviation(profile, share=share, noise=noise, cell=cell)
-    covariance, rough = observation.covariance(values, profile, share=share, noise=noise, cell=cell)
-    stations = observation.stations
+    errors = observation.errors(values, profile, share=share, noise=noise, cell=problem.scene.domain.cell)
     return Target(
         observation=observation,
         values=values,
         front=front,
-        noise=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
-        covariance=covariance,
-        profile=(stations, profile.at(stations)),
-        deviation=np.interp(stations, profile.x, deviation, left=0.0, right=0.0),
-        roughness=rough,
+        noise=math.sqrt(float(np.linalg.eigvalsh(errors.covariance)[-1])),
+        covariance=errors.covariance,
+        profile=errors.profile,
+        deviation=errors.deviation,
+        roughness=errors.roughness,
     )
 
 
@@ -140,14 +134,14 @@ def joint(
             own = each.observation.observe(run)
             each = dataclasses.replace(each, profile=each.observation.profile_of(run.positions[-1]))
         share, noise = noise_of(settings.noise)
-        errors, rough = each.observation.covariance(own, each.profile, share=share, noise=noise, cell=cell)
+        errors = each.observation.errors(own, each.profile, share=share, noise=noise, cell=cell)
         first = sum(len(before) for before in values)
         name = settings.name or name_of(settings, problem.observations[: len(parts)])
         parts.append(Part(name=name, observation=each.observation, numbers=slice(first, first + len(own))))
         values.append(own)
-        covariance.append(errors)
+        covariance.append(errors.covariance)
         prior.append(each.observation.prior_scatter(own, cell))
-        roughness = max(roughness, rough)
+        roughness = max(roughness, errors.roughness)
     noise_squared, scatter = np.concatenate([np.diag(each) for each in covariance]), np.concatenate(prior)
     scale = np.sqrt(noise_squared + scatter**2)
     if not np.all(scale > 0.0):
@@ -168,6 +162,6 @@ def joint(
 
 
 def name_of(settings: ObservationSettings, others: Sequence[ObservationSettings]) -> str:
-    """The name of an observation that has none: its kind, counted where there are several."""
+    """The name of an observation that has none: its kind, counted where others have the same."""
     same = sum(other.kind == settings.kind for other in others)
     return settings.kind if same == 0 else f"{settings.kind} {same + 1}"

@@ -134,7 +134,7 @@ def _finish(
     axes[0].set_yscale("log")
     low, high = axes[0].get_ylim()
     axes[0].yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0)))
-    axes[0].yaxis.set_major_formatter("{x:.0e}")
+    axes[0].yaxis.set_major_formatter("{x:.0e}" if high > 3.0 * low else "{x:.2e}")
     axes[0].yaxis.set_minor_formatter(NullFormatter())
     axes[0].set_ylabel(f"loss [{problem.observed.misfit_unit()}]".replace("^2", "$^2$"))
     for unit, axis in zip(units, axes[1:], strict=True):

@@ -176,8 +176,3 @@ def cost(result: Result) -> list[str]:
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown of cells that are text already."""
     return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """`markdown_table` by lines."""
-    return markdown_table(head, rows).splitlines()
