@@ -36,7 +36,7 @@ def bench(out: Path, *, quick: bool, keep: Path, models: tuple[Path, ...] = ()) 
         Files of models; those that ship unless given.
     """
     chosen = load(models)
-    with pool(processors()) as executor:
+    with pool(processors()) as (executor, _):
         found = measured(chosen, executor.map, quick=quick)
     flat, solid = of_dimension(chosen, 2), of_dimension(chosen, 3)
     found = dataclasses.replace(
