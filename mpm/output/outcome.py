@@ -172,8 +172,8 @@ def summarise(
         summary["release_time"] = release_time
     if wall_impulse is not None:
         summary["wall_impulse"] = rounded(wall_impulse.sum(axis=1))
-        sides = SIDES[: 2 * deposit.shape[1]]
-        summary["side_impulse"] = {side: rounded(wall_impulse[:, number]) for number, side in enumerate(sides)}
+        names = SIDES[: 2 * deposit.shape[1]]
+        summary["side_impulse"] = {side: rounded(wall_impulse[:, number]) for number, side in enumerate(names)}
     if outflow is not None:
         summary["outflow"] = outflow
     return summary

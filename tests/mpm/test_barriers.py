@@ -163,7 +163,7 @@ def test_beside_other_scenes_as_alone() -> None:
     assert "release_time" not in free.summary
 
 
-def test_other_scenes_have_no_gates() -> None:
+def test_other_scenes_have_no_barriers() -> None:
     plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=0.5))
     assert not Batch([plain], precision="f32").features.barriers
     assert Batch([SCENE], precision="f32").features.barriers

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import mpm
 from datasets.command_line import WorkFailed
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
@@ -13,6 +14,13 @@ from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.output.outcome import explain
 from tests.mpm.scenes import COLUMN, SAND, box, room
+
+
+def test_every_public_name_is_there() -> None:
+    assert all(getattr(mpm, name) is not None for name in mpm.__all__)
+    with pytest.raises(AttributeError, match="module 'mpm' has no attribute 'simulated'"):
+        mpm.simulated  # noqa: B018
+
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
 """Thirteen times the wave speed of SAND."""

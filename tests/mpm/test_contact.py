@@ -12,16 +12,11 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
+from mpm.exact_solutions import total_energy
 
 SAND = Material(friction_deg=30.0, density=1500.0, young=1.0e6, poisson=0.3)
 CELL, GRAVITY = 0.02, 9.81
 DEPTH = 0.2
-
-
-def total_energy(flow: Trajectory) -> np.ndarray:
-    """Kinetic, potential and elastic energy of every frame [J/m or J], shape [T]."""
-    series = flow.summary["energy"]
-    return np.sum([series[key] for key in ("kinetic", "potential", "elastic")], axis=0)
 
 
 def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes: object) -> Scene:

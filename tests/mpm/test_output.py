@@ -85,7 +85,8 @@ def test_only_what_was_asked_for_is_there() -> None:
     assert flow.stress is not None
     assert flow.stress.shape == (5, 400, 4)
     assert [getattr(flow, key) for key in ("velocities", "pressure", "density", "plastic_strain")] == [None] * 4
-    assert flow.baffle_impulse is None
+    # What a solid takes is recorded wherever there is one.
+    assert flow.baffle_impulse is not None
     assert "wall_impulse" not in flow.summary
     assert flow.summary["relaxation_time"] == scene.relaxation > 0.0
 

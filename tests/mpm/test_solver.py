@@ -3,47 +3,39 @@
 import dataclasses
 import math
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, Recording, runtime, simulate, simulate_many
 from mpm.exact_solutions import FreeFlight, SlidingBlock, centre_displacement, settlement, total_energy
 from mpm.output.request import FIELDS
+from tests.mpm import scenes
+from tests.mpm.scenes import SAND
 
-SAND = Material(friction_deg=30.0)
+box, room = partial(scenes.box, duration=0.2), partial(scenes.room, duration=0.2)
 DEPOSIT = dataclasses.replace(WITH_FIELDS, frames="last")
 """Compiles no other kernel than `WITH_FIELDS`."""
 FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.0, young=1.0e6)
 """Too strong to yield: an elastic solid."""
 
 
-def box(*masses: Mass, material: Material = SAND, **changes: object) -> Scene:
-    settings = {"duration": 0.2, "frame_dt": 0.005, "domain": Domain(size=(1.0, 1.0), cell=0.02)} | changes
-    return Scene(material=material, masses=masses, **settings)  # type: ignore[arg-type]
-
-
-def room(*masses: Mass, material: Material = SAND, **changes: object) -> Scene:
-    settings = {"duration": 0.2, "frame_dt": 0.005, "domain": Domain(size=(0.8, 0.8, 0.8), cell=0.04)} | changes
-    return Scene(material=material, masses=masses, **settings)  # type: ignore[arg-type]
-
-
 @pytest.mark.double
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_body_in_the_air_falls_on_a_parabola(dimension: int) -> None:
-    scenes = {
+    thrown = {
         2: box(Mass(lower=(0.2, 0.6), size=(0.2, 0.2), velocity=(1.0, 0.5)), volume_correction=False),
         3: room(
             Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4)), volume_correction=False
         ),
     }
-    flow = simulate(scenes[dimension], precision="f64", record=WITH_FIELDS)
+    flow = simulate(thrown[dimension], precision="f64", record=WITH_FIELDS)
     exact = FreeFlight.of_flow(flow).displacement(flow.time)
     np.testing.assert_allclose(centre_displacement(flow), exact, atol=1e-6)
 
@@ -182,20 +174,11 @@ def test_momentum_changes_only_by_the_walls() -> None:
     centre = (density * trajectory.positions).sum(axis=1) / density.sum()
     drift = (trajectory.velocity0 * density).sum(axis=0) / density.sum()
     np.testing.assert_allclose(centre - centre[0], trajectory.time[:, None] * drift, atol=1e-6)
-    # And they did meet: the light block alone has lost most of its speed.
+    energy = total_energy(trajectory)
+    assert energy.max() <= energy[0] * 1.005
+    # They did collide: the light block alone has lost most of its speed.
     own = trajectory.positions[:, trajectory.friction < 0.7, 0].mean(axis=1)
     assert own[-1] - own[-2] < 0.6 * (own[1] - own[0])
-
-
-def test_a_scene_is_the_same_to_the_bit_alone_and_in_a_batch() -> None:
-    scenes = [
-        box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), damping=0.1, seed=1),
-        box(Mass(lower=(0.3, 0.0), size=(0.3, 0.2)), damping=0.1, seed=2, domain=Domain(size=(1.2, 0.8), cell=0.02)),
-        box(Mass(lower=(0.0, 0.1), size=(0.1, 0.1)), damping=0.1, duration=0.1),
-    ]
-    for alone, together in zip([simulate(s) for s in scenes], simulate_many(scenes), strict=True):
-        np.testing.assert_array_equal(alone.positions, together.positions)
-        assert alone.summary["energy"] == together.summary["energy"]
 
 
 @pytest.mark.double
@@ -225,34 +208,10 @@ def test_a_fast_frame_takes_more_steps() -> None:
     assert simulate(fast).summary["steps"] == 2 * math.ceil(crossing * (SAND.wave_speed + 20.0))
 
 
-def test_scenes_of_two_dimensions_run_as_each_would_alone() -> None:
-    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.05)
-    deep = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.2, 0.2)), duration=0.05)
-    together = simulate_many([flat, deep], record=WITH_FIELDS)
-    for scene, flow in zip((flat, deep), together, strict=True):
-        np.testing.assert_array_equal(flow.positions, simulate(scene, record=WITH_FIELDS).positions)
-
-
 def test_a_run_too_large_to_count_is_refused() -> None:
     endless = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.8, 0.8, 0.8)), duration=100.0, frame_dt=0.001)
     with pytest.raises(InputError, match="expected a smaller run"):
         simulate(endless)
-
-
-def test_a_run_that_blows_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
-    monkeypatch.setattr("mpm.arrays.batch.initial_particles", with_a_broken_point)
-    with pytest.raises(WorkFailed, match="blew up at t = "):
-        simulate(scene)
-
-
-def with_a_broken_point(scene: Scene) -> object:
-    from datasets.particles import initial_particles
-
-    points = initial_particles(scene)
-    velocities = points.velocities.copy()
-    velocities[0] = np.nan
-    return dataclasses.replace(points, velocities=velocities)
 
 
 def test_a_slice_between_smooth_walls_flows_as_in_two_dimensions() -> None:
@@ -335,8 +294,8 @@ def test_a_slope_at_repose_stays_and_a_steeper_one_slides() -> None:
 
 @pytest.mark.double
 def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    baffle = Baffle(lower=(0.3, 0.0), size=(0.1, 0.2))
-    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), baffles=(baffle,), damping=0.1, duration=0.15)
+    baffle = Baffle(lower=(0.2, 0.0), size=(0.1, 0.1))
+    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), baffles=(baffle,), damping=0.1, duration=0.1)
     deep = room(Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.3, 0.4)), duration=0.1)
     for scene in (flat, deep):
         monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 10**9)
@@ -392,8 +351,8 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
         ),
     ]
     deep = [room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.24, 0.2)), duration=0.05)]
-    for scenes in (flat, deep):
-        cpu, gpu = (simulate_many(scenes, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
+    for group in (flat, deep):
+        cpu, gpu = (simulate_many(group, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
         for one, other in zip(cpu, gpu, strict=True):
             # As above: half of the digits where principal stresses meet.
             np.testing.assert_allclose(other.positions, one.positions, atol=5e-6)

@@ -1,6 +1,6 @@
 """Scenes that break other solvers and exact solutions, a verdict for each: stability.md.
 
-`python -m validation.bench stability --out docs`; `--rows NAME ...` runs some of them.
+`python -m validation.bench stability --out docs`; `--rows NAME`, once or more, runs some of them.
 """
 
 import difflib
@@ -50,7 +50,9 @@ def bench(out: Path, *, quick: bool = False, keep: Path | None = None, rows: tup
     causes = variants(red, "half the step", half_step) + variants(red, "half the cell", half_cell)
     corrected = [] if quick else variants(chosen, "no volume correction", without_correction)
     heights = [] if quick else [bracket(row.scene) for row in chosen if row.name in CUTS]
-    command = " ".join(["python -m validation.bench stability", *(["--quick"] if quick else []), *rows])
+    command = " ".join(
+        ["python -m validation.bench stability", *(["--quick"] if quick else []), *(f"--rows {name}" for name in rows)]
+    )
     page = document(verdicts, causes, corrected, heights, command=command, quick=quick)
     page.write(out / "stability.md")
     if red:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from datasets.scene import Scene
-from mpm import simulate
+from mpm import Recording, simulate
 from mpm.exact_solutions import critical_height, stability_number
 from validation.bench.stability.expectations import FAILED, moved_share
 
@@ -37,7 +37,8 @@ class Bracket:
 
 def fails(scene: Scene) -> bool:
     """Whether the cut of a scene has failed at its end."""
-    return moved_share(simulate(scene, precision="f64", threads=1)) >= FAILED
+    ends = Recording(frames=scene.frames)
+    return moved_share(simulate(scene, precision="f64", threads=1, record=ends)) >= FAILED
 
 
 def at_ratio(scene: Scene, ratio: float) -> Scene:

@@ -323,7 +323,7 @@ def is_symmetric(flow: Trajectory) -> float:
 
 
 @check("centre moved", "cells", maximum=0.1)
-def stays_in_place(flow: Trajectory) -> float:
+def stays_centred(flow: Trajectory) -> float:
     """How far the centre has moved along the floor [cells]."""
     moved = exact.centre_displacement(flow)[-1]
     return in_cells(math.hypot(moved[0], moved[2]), flow)

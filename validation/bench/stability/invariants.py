@@ -1,7 +1,7 @@
-"""What every flow keeps, whatever it runs into: finite numbers, its place, its mass, its momentum, its energy.
+"""What every flow keeps: finite numbers, positions in the box and outside baffles, mass, momentum, energy.
 
-Every check takes a trajectory with fields (`mpm.simulation.simulate(..., fields=True)`) and returns what it found, or
-None where it does not apply.
+Every check takes a trajectory with fields (`mpm.WITH_FIELDS`) and returns what it found, or None where it does not
+apply.
 """
 
 import itertools

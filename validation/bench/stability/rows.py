@@ -145,7 +145,7 @@ HARD = (
         name="ball-3d",
         what="a ball of sand set down on the floor",
         rests=True,
-        checks=(expect.is_round, expect.stays_in_place),
+        checks=(expect.is_round, expect.stays_centred),
     ),
 )
 
