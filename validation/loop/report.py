@@ -144,7 +144,8 @@ def parameters(result: Result) -> str:
     for name, kind in kinds.items():
         width = f" ± {kind.text(widths[name])}" if widths else ""
         found.append(f"`{name}` = {kind.text(result.unknowns[name])}{width}")
-    return f"{'; '.join(found)}{' (95 %)' if widths else ''}."
+    meaning = "changes that the MPM distinguishes" if result.problem.target.minimise else "95 %"
+    return f"{'; '.join(found)}{f' ({meaning})' if widths else ''}."
 
 
 def errors(result: Result) -> str:

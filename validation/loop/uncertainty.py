@@ -33,6 +33,8 @@ class Uncertainty:
     """Shape [U]."""
     runs: tuple[Check, ...]
     """The ensemble."""
+    at_centre: tuple[Check, ...]
+    """Of these the runs at the centre, each with a jitter seed of its own."""
     values: Vector
     """The parameters that belong to the target, shape [U]; of a design its centre."""
     half_widths: Vector
@@ -59,11 +61,6 @@ class Uncertainty:
     def factor(self) -> float:
         """Of the half-widths, for the discrepancy of the model; 1 where there is none."""
         return 1.0 if self.discrepancy is None else self.discrepancy.factor
-
-    @property
-    def at_centre(self) -> list[Check]:
-        """The runs at the centre."""
-        return [run for run in self.runs if np.array_equal(run.parameters, self.centre)]
 
     def widths(self, answer: Vector, ranges: Vector) -> Vector:
         """Half-widths around `answer`, shape [U]: with curvature and discrepancy; at most `ranges`, known before."""
@@ -100,6 +97,7 @@ def by_ensemble(task: Task, history: History, centre: Vector) -> Uncertainty:
     return Uncertainty(
         centre=centre,
         runs=tuple(runs),
+        at_centre=tuple(here),
         values=centre + found.values * ranges,
         half_widths=found.half_widths * ranges,
         slopes=signs * steepness,
@@ -134,6 +132,7 @@ def of_design(task: Task, centre: Vector) -> Uncertainty:
     return Uncertainty(
         centre=centre,
         runs=tuple(runs),
+        at_centre=tuple(here),
         values=centre,
         half_widths=np.array(widths),
         slopes=np.array(slopes),

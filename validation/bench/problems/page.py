@@ -32,7 +32,7 @@ def page(out: Path, families: Sequence[Family], found: Mapping[str, Outcome], pa
         "checks, and in brackets runs in ensembles. The paper's numbers are in `validation/bench/columns/paper.toml`: "
         "its targets are of its own MPM, its front is the largest x, here the x that 99.5 % of particles are behind."
     )
-    missing = [f"`{name}`" for family in families for name in family.problems if name not in found]
+    missing = sorted(f"`{each}`" for family in families for each in family.problems if each not in found)
     if missing:
         result.text(f"Not measured yet: {', '.join(missing)}.")
     for family, here in groups:
@@ -66,8 +66,14 @@ def conclusion(groups: Sequence[tuple[Family, Sequence[Outcome]]]) -> list[str]:
         f"{expected} of {len(outcomes)} problems have the verdict that they should have.",
         f"{within} of {len(applied)} criteria are kept; missed by {', '.join(missed) or 'none'}.",
         f"{inside} of {truths} true values are within their 95 % half-widths.",
-        f"{min(runs)} to {max(runs)} checks by the MPM and {min(seconds):.0f} to {max(seconds):.0f} s for a problem.",
+        f"Checks by the MPM for a problem: {extent(runs)}; seconds: {extent(seconds)}.",
     ]
+
+
+def extent(values: Sequence[float]) -> str:
+    """The smallest to the largest of `values`."""
+    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def row(outcome: Outcome, paper: Paper) -> dict[str, object]:
