@@ -1,8 +1,8 @@
 """Neighbours: the pairs of particles closer than a cutoff radius.
 
 Two cell lists that find the same edges in the same order: `gns.kernels.cells`, compiled for a CPU, and here one in
-plain torch for any other device, in whose place torch_cluster's runs where it is installed. A cell list sorts the
-particles into cells no smaller than the radius, so that the neighbours of a particle lie in its own cell and those
+plain torch for any other device, in whose place PyTorch Geometric's runs where pyg-lib is installed. A cell list sorts
+the particles into cells no smaller than the radius, so that the neighbours of a particle lie in its own cell and those
 around it; along the first axis these are one run of sorted particles. Distances are compared in double precision,
 |x_j - x_i|^2 <= R^2, summed axis by axis.
 
@@ -11,11 +11,8 @@ neighbours each 0.07 (SciPy 0.5), 3,200 particles 0.45 (4.0), 20,000 particles 2
 (55).
 """
 
-import importlib
 import itertools
 from dataclasses import dataclass
-from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,15 +21,12 @@ from torch import Tensor
 from datasets.command_line import WorkFailed
 from gns.kernels import cells
 
-torch_cluster: Any = importlib.import_module("torch_cluster") if find_spec("torch_cluster") else None
-"""An optional package, with its own kernels for a GPU; it has no wheel on the registry."""
-
 CELLS_PER_AXIS = 65_536
 """At most so many in torch's cell list, for the number of a cell to fit into 64 bits; a wider cloud has larger ones."""
 BLOCK = 16_384
 """Particles whose candidates torch's cell list compares together, to bound its memory."""
-CLUSTER_NEIGHBOURS = 256
-"""Neighbours for which torch_cluster reserves memory; where a particle has as many, torch's cell list is used."""
+PYG_NEIGHBOURS = 256
+"""Neighbours for which pyg-lib reserves memory; where a particle has as many, torch's cell list is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,21 +54,21 @@ def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) ->
         axes[: double.shape[1]] = double.numpy().T
         index, starts = cells.search(axes, samples, radius)
         return Edges(edge_index=torch.from_numpy(index), starts=torch.from_numpy(starts))
-    if torch_cluster is not None:
-        edges = neighbours_by_cluster(double, radius, batch)
-        if edges is not None:
-            return edges
-    return neighbours_by_torch(double, radius, batch)
+    edges = neighbours_by_pyg(double, radius, batch)
+    return neighbours_by_torch(double, radius, batch) if edges is None else edges
 
 
-def neighbours_by_cluster(positions: Tensor, radius: float, batch: Tensor | None = None) -> Edges | None:
-    """`neighbours` by torch_cluster; None where a particle may have more than `CLUSTER_NEIGHBOURS`."""
-    found = torch_cluster.radius_graph(positions, radius, batch, loop=False, max_num_neighbors=CLUSTER_NEIGHBOURS)
-    count = len(positions)
-    senders, receivers = found[0], found[1]
-    if len(receivers) and int(receivers.bincount(minlength=count).max()) >= CLUSTER_NEIGHBOURS:
+def neighbours_by_pyg(positions: Tensor, radius: float, batch: Tensor | None = None) -> Edges | None:
+    """`neighbours` by PyTorch Geometric; None without pyg-lib, and where `PYG_NEIGHBOURS` may be too few."""
+    import torch_geometric  # Here, because it takes seconds, and no CPU needs it.
+
+    if not torch_geometric.typing.WITH_RADIUS or (batch is not None and bool((batch.diff() < 0).any())):
         return None
-    return _sorted(senders, receivers, count)
+    found = torch_geometric.nn.radius_graph(positions, radius, batch, max_num_neighbors=PYG_NEIGHBOURS)
+    senders, receivers = found[0], found[1]
+    if len(receivers) and int(receivers.bincount().max()) >= PYG_NEIGHBOURS:
+        return None
+    return _sorted(senders, receivers, len(positions))
 
 
 def neighbours_by_torch(positions: Tensor, radius: float, batch: Tensor | None = None) -> Edges:

@@ -16,6 +16,8 @@ neighbours: it is per node too, part of the node's update. What is left per edge
 The edges carry no latents of their own; their features enter every step anew.
 """
 
+from functools import cache
+
 from torch import Tensor, nn
 
 from gns.kernels.messages import fused_message_sum
@@ -41,7 +43,12 @@ class Interaction(nn.Module):
 
 def message_sum(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> Tensor:
     """m [N, C] from a [N, C], b [N, C], W_e [D + 1, C] and the graph, by its definition in PyTorch Geometric."""
+    total: Tensor = _definition()(receiver, sender, weight, graph)
+    return total
+
+
+@cache
+def _definition() -> nn.Module:
     from gns.model.message_passing import MessageSum
 
-    total: Tensor = MessageSum()(receiver, sender, weight, graph)
-    return total
+    return MessageSum()

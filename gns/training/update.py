@@ -187,7 +187,8 @@ class Run:
             self.simulator.load_state_dict(checkpoint.renamed(content["weights"]))
             self.average.load_state_dict(checkpoint.renamed(content["average"]))
             self.optimiser.load_state_dict(content["optimiser"])
-            self.position = Position(**content["position"])
+            old = {"point_bytes": "particle_bytes"}
+            self.position = Position(**{old.get(key, key): value for key, value in content["position"].items()})
         except (KeyError, TypeError, RuntimeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise

@@ -1,17 +1,17 @@
-"""Both cell lists against SciPy's tree, and torch_cluster's edges in our order."""
+"""Both cell lists against SciPy's tree, and PyTorch Geometric's edges in our order."""
 
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+import torch_geometric
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datasets.command_line import WorkFailed
 from gns.kernels import neighbours as module
-from gns.kernels.neighbours import Edges, neighbours, neighbours_by_cluster, neighbours_by_torch
+from gns.kernels.neighbours import Edges, neighbours, neighbours_by_pyg, neighbours_by_torch
 
 Find = Callable[[Tensor, float, Tensor | None], Edges]
 both = pytest.mark.parametrize("find", [neighbours, neighbours_by_torch])
@@ -101,23 +101,27 @@ def test_blocks_of_candidates_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> 
     assert_right(neighbours_by_torch(positions, 0.1), positions, 0.1)
 
 
-def test_edges_of_torch_cluster_come_in_our_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a stand-in of its signature, where the package is not installed: unsorted, and cut off at the limit."""
+def test_edges_of_pyg_come_in_our_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a stand-in for pyg-lib, which has no wheel: edges in any order, and cut off at the limit."""
 
-    def radius_graph(x: Tensor, r: float, batch: Tensor | None, loop: bool, max_num_neighbors: int) -> Tensor:
-        assert not loop
+    def radius_graph(x: Tensor, r: float, batch: Tensor | None, max_num_neighbors: int) -> Tensor:
         index = torch.from_numpy(oracle(x, r, batch))
-        rank = torch.arange(index.shape[1]) - torch.searchsorted(index[1], index[1])
+        rank = torch.arange(index.shape[1]) - torch.searchsorted(index[1].contiguous(), index[1].contiguous())
         index = index[:, rank < max_num_neighbors]
         return index[:, torch.randperm(index.shape[1])]
 
-    if module.torch_cluster is None:
-        monkeypatch.setattr(module, "torch_cluster", SimpleNamespace(radius_graph=radius_graph))
-    positions, batch = torch.rand(300, 2, generator=torch.Generator().manual_seed(2)).double(), torch.arange(300) % 2
-    edges = neighbours_by_cluster(positions, 0.1, batch)
+    positions = torch.rand(300, 2, generator=torch.Generator().manual_seed(2)).double()
+    batch = torch.arange(300) // 100
+    monkeypatch.setattr(torch_geometric.typing, "WITH_RADIUS", False)
+    assert neighbours_by_pyg(positions, 0.1, batch) is None
+    monkeypatch.setattr(torch_geometric.typing, "WITH_RADIUS", True)
+    monkeypatch.setattr(torch_geometric.nn, "radius_graph", radius_graph)
+    edges = neighbours_by_pyg(positions, 0.1, batch)
     assert edges is not None
     assert_right(edges, positions, 0.1, batch)
-    assert neighbours_by_cluster(torch.zeros(400, 2, dtype=torch.float64), 0.1) is None
+    # Samples out of order, and more neighbours than the limit.
+    assert neighbours_by_pyg(positions, 0.1, batch.flip(0)) is None
+    assert neighbours_by_pyg(torch.zeros(400, 2, dtype=torch.float64), 0.1) is None
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
