@@ -150,12 +150,12 @@ class Scene(Record):
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays (`mpm.physics.transfer`).
+    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays.
 
     Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
     """
     volume_correction: bool | None = None
-    """Whether sand that has come apart closes its gaps before it bears anything again (`mpm.physics.volume_correction`).
+    """Whether sand that has come apart closes its gaps before it bears anything again.
 
     Where absent, if a body is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
     Sand that has bounced would else stay as loose as it flew (docs/stability.md).

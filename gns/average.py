@@ -1,4 +1,4 @@
-"""`python -m gns.average MODEL... --out PATH`: one model whose weights are the mean of those of several.
+"""`python -m gns.average MODEL... --out PATH`: the model whose weights are the mean over models.
 
 Models of one line of training, each begun with the one before, lie in one valley of the loss, and their errors differ:
 the mean of their weights often errs less than each of them (Izmailov, Podoprikhin, Garipov, Vetrov & Wilson, Averaging

@@ -107,7 +107,7 @@ def simulate(
         velocity0=initial.velocity0,
         friction=initial.conditions.friction.numpy(),
         volume=volume,
-        scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * (len(positions) - 1)),
+        scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
 

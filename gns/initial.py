@@ -30,7 +30,7 @@ class Start(StrEnum):
     FROM_REST = "rest"
     """At time 0: the scene's particles and their initial velocities."""
     FROM_MPM_FRAMES = "frames"
-    """At the end of the MPM's first `MPM_SECONDS`, of which the model's history is taken."""
+    """At the end of the MPM's first `MPM_SECONDS`, which fill the model's history."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,9 +12,9 @@ from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
 from datasets.library import read_scene
 from datasets.trajectory import Trajectory
+from gns import card
 from gns.inference import load, model_path, shipped, simulate
 from gns.initial import check
-from gns.model import card
 
 
 def rollout(

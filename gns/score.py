@@ -1,4 +1,4 @@
-"""How good a model is: whole rollouts of flows it has not seen, from the MPM's first frames. `python -m gns.score`."""
+"""How good a model is: whole rollouts of held-out flows, from the MPM's first frames. `python -m gns.score`."""
 
 import itertools
 import sys
@@ -13,10 +13,13 @@ import torch
 from datasets import command_line, files, measures
 from datasets.training.samples import Flow, Sample, cut, load_flows
 from datasets.trajectory import Floats
+from gns.card import length_of_training
+from gns.inference import model_path
 from gns.initial import MPM_SECONDS
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.training.batch import batched
+from gns.training.convergence import total_updates
 from gns.unroll import unroll
 
 SPACING = 0.02
@@ -25,7 +28,7 @@ SPACING = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Errors of one rollout against the MPM, on the same thinned points."""
+    """Errors of one rollout against the MPM, on the same thinned particles."""
 
     name: str
     """The flow's file."""
@@ -38,7 +41,7 @@ class Score:
     profile_error: float
     """Area between the two height profiles over that under the MPM's [-]; 0 is equal, 2 disjoint."""
     rmse: tuple[float, float, float]
-    """Root mean square distance of the points [m] at a quarter, half and all of the rollout."""
+    """Root mean square distance of the particles [m] at a quarter, half and all of the rollout."""
     kinetic_error: float
     """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
     seconds: float
@@ -77,8 +80,8 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
             distance = np.square(positions - sample.targets).sum(axis=2).mean(axis=1) ** 0.5
             stations = np.linspace(0.0, size[0], round(size[0] / SPACING) + 1)
             volume = sample.volume.astype(np.float64)
-            wanted = measures.height_profile(sample.targets[-1], volume, stations)
-            got = measures.height_profile(positions[-1], volume, stations)
+            target = measures.height_profile(sample.targets[-1], volume, stations)
+            predicted = measures.height_profile(positions[-1], volume, stations)
             front = measures.front(sample.targets[-1])
             scores.append(
                 Score(
@@ -86,7 +89,7 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
                     released=flow.released,
                     friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
                     front_error=(measures.front(positions[-1]) - front) / front,
-                    profile_error=measures.profile_error(got, wanted),
+                    profile_error=measures.profile_error(predicted, target),
                     kinetic_error=kinetic_error(positions, sample, gravity, settings.step),
                     seconds=seconds,
                     rmse=(float(distance[steps // 4]), float(distance[steps // 2]), float(distance[-1])),
@@ -105,18 +108,18 @@ def grouped(flows: Iterable[Flow], at_once: int) -> Iterator[list[Flow]]:
 def kinetic_error(positions: Floats, sample: Sample, gravity: float, step: float) -> float:
     """See `Score.kinetic_error`. positions: of the rollout after each step [m], shape [K, n, D]; step: [s]."""
     start = sample.frames[-1:]
-    found, wanted = (
+    predicted, target = (
         measures.kinetic_energy(np.diff(moved, axis=0, prepend=start) / step, sample.volume)
         for moved in (positions, sample.targets)
     )
     before = sample.frames[-1] - sample.frames[-2] if len(sample.frames) > 1 else step * sample.velocity0
-    whole = measures.kinetic_energy(before / step, sample.volume)
-    whole = whole + measures.potential_energy(start[0], sample.volume, gravity)
-    return float(np.abs(found - wanted).max() / whole)
+    total = measures.kinetic_energy(before / step, sample.volume)
+    total = total + measures.potential_energy(start[0], sample.volume, gravity)
+    return float(np.abs(predicted - target).max() / total)
 
 
-def badness(scores: Sequence[Score]) -> float:
-    """What the best model has least of: mean front error plus mean profile error [-]."""
+def validation_score(scores: Sequence[Score]) -> float:
+    """Mean absolute front error plus mean profile error [-]: the smaller, the better."""
     return float(np.mean([abs(score.front_error) + score.profile_error for score in scores]))
 
 
@@ -152,23 +155,26 @@ def score(
     datasets
         Folders that `python -m mpm.generate` made.
     model
-        The model's file.
+        The model's file, or the name of a shipped one.
     split
         train, valid or test.
     seed
-        Seed of the choice of points.
+        Seed of the choice of particles.
     threads
         Threads of torch.
     out
         Markdown file to write the table to as well.
     """
     torch.set_num_threads(threads)
-    simulator = checkpoint.load(model).simulator
+    loaded = checkpoint.load(model_path(model))
+    simulator = loaded.simulator
     settings = simulator.settings
     lines = []
     for dataset in datasets:
         flows = load_flows(dataset, split, step=settings.step, dimension=settings.dimension, progress=True)
         lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(simulator, flows, seed=seed)))
+    if updates := total_updates(loaded.provenance):
+        lines.append(length_of_training(updates, settings.dimension) + "\n")
     text = "\n".join(lines)
     print(text)
     if out is not None:

@@ -16,11 +16,13 @@ from tqdm import tqdm
 from datasets import command_line, files
 from datasets.errors import InputError
 from datasets.training.samples import Flow, Flows, load_flows
+from gns.card import length_of_training
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.score import badness, evaluate, table
+from gns.score import evaluate, table, validation_score
 from gns.training.budget import Budget, Clock
+from gns.training.convergence import total_updates
 from gns.training.distributed import joined
 from gns.training.log import Log
 from gns.training.objective import Curriculum, statistics, unrolled_steps
@@ -30,59 +32,6 @@ from gns.training.update import Run, TrainingSettings
 
 MODEL = ModelSettings()
 TRAINING = TrainingSettings()
-
-
-def pick(flows: Iterable[Flow], count: int) -> list[Flow]:
-    """At most `count` flows, half of them released at rest where there are enough, spread over the list."""
-
-    def spread(some: list[Flow], wanted: int) -> list[Flow]:
-        wanted = min(wanted, len(some))
-        return [some[index * len(some) // wanted] for index in range(wanted)]
-
-    every = list(flows)
-    released = [flow for flow in every if flow.released]
-    moving = [flow for flow in every if not flow.released]
-    share = max(count - len(moving), (count + 1) // 2)
-    chosen = spread(released, share)
-    return chosen + spread(moving, count - len(chosen))
-
-
-def load(
-    datasets: Sequence[Path], settings: ModelSettings, training: TrainingSettings, *, progress: bool
-) -> tuple[list[Flows], list[Flow]]:
-    """Training flows of each dataset, and the validation flows chosen of all. Raises InputError."""
-    if not datasets:
-        raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
-
-    def split(dataset: Path, name: str) -> Flows:
-        return load_flows(dataset, name, step=settings.step, dimension=settings.dimension, progress=progress)
-
-    train = [split(dataset, "train") for dataset in datasets]
-    valid = [split(dataset, "valid") for dataset in datasets]
-    frames = max(2 * settings.history + 1, *training.unroll)
-    for first, flow in ((flows[0], flow) for flows in (*train, *valid) for flow in flows):
-        if (flow.size, flow.gravity) != (first.size, first.gravity):
-            raise InputError(f"expected the domain and gravity of {first.name}", where=flow.name)
-        if len(flow.baffles) and not settings.baffles:
-            raise InputError(
-                "expected flows without baffles, or a model that knows them", where=flow.name, key="baffles"
-            )
-        if len(flow.positions) <= frames:
-            message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"
-            raise InputError(message, where=flow.name)
-    return train, pick(itertools.chain(*valid), training.validate_flows)
-
-
-def begun(path: Path, settings: ModelSettings) -> Simulator:
-    """The model at `path` to train on. Raises InputError where its settings are others, but for the speed of rest."""
-    simulator = checkpoint.load(path).simulator
-    there = dataclasses.asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
-    other = [key for key, value in dataclasses.asdict(settings).items() if value != there[key]]
-    if other:
-        raise InputError(f"expected a model of the settings asked for, other is {', '.join(other)}", where=str(path))
-    # No weight depends on it.
-    simulator.settings = settings
-    return simulator.train()
 
 
 def train(
@@ -149,7 +98,7 @@ def train(
         if mixed and processes.device.type != "cuda":
             raise InputError("expected a GPU, there is nothing to gain on a CPU", key="mixed")
         groups, valid = load(datasets, model, training, progress=processes.first)
-        simulator = Simulator(model, statistics(groups)) if begin is None else begun(begin, model)
+        simulator = Simulator(model, statistics(groups)) if begin is None else starting_model(begin, model)
         run = Run(simulator, training, seed=seed, processes=processes, mixed=mixed, memory_gib=memory_gib)
         if resume:
             run.resume(out / "last.pt")
@@ -172,17 +121,72 @@ def train(
         if processes.first:
             position = run.position
             log = Log(out, size=position.log_size, updates=position.updates, tensorboard=tensorboard)
-        record = Record(out=out, log=log, valid=valid, provenance=provenance)
+        outputs = Outputs(out=out, log=log, valid=valid, provenance=provenance)
         try:
-            fit(run, Curriculum(groups, model), budget, Clock(clock), record)
+            fit(run, Curriculum(groups, model), budget, Clock(clock), outputs)
+            if log is not None:
+                report_length(out, log, total_updates(provenance) + run.position.updates, model.dimension)
         finally:
             if log is not None:
                 log.close()
 
 
+def load(
+    datasets: Sequence[Path], settings: ModelSettings, training: TrainingSettings, *, progress: bool
+) -> tuple[list[Flows], list[Flow]]:
+    """Training flows of each dataset, and the validation flows chosen of all. Raises InputError."""
+    if not datasets:
+        raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
+
+    def split(dataset: Path, name: str) -> Flows:
+        return load_flows(dataset, name, step=settings.step, dimension=settings.dimension, progress=progress)
+
+    train = [split(dataset, "train") for dataset in datasets]
+    valid = [split(dataset, "valid") for dataset in datasets]
+    frames = max(2 * settings.history + 1, *training.unroll)
+    for first, flow in ((flows[0], flow) for flows in (*train, *valid) for flow in flows):
+        if (flow.size, flow.gravity) != (first.size, first.gravity):
+            raise InputError(f"expected the domain and gravity of {first.name}", where=flow.name)
+        if len(flow.baffles) and not settings.baffles:
+            raise InputError(
+                "expected flows without baffles, or a model with --baffles", where=flow.name, key="baffles"
+            )
+        if len(flow.positions) <= frames:
+            message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"
+            raise InputError(message, where=flow.name)
+    return train, pick(itertools.chain(*valid), training.validate_flows)
+
+
+def pick(flows: Iterable[Flow], count: int) -> list[Flow]:
+    """At most `count` flows, half of them released at rest where there are enough, spread over the list."""
+
+    def spread(some: list[Flow], number: int) -> list[Flow]:
+        number = min(number, len(some))
+        return [some[index * len(some) // number] for index in range(number)]
+
+    every = list(flows)
+    released = [flow for flow in every if flow.released]
+    moving = [flow for flow in every if not flow.released]
+    share = max(count - len(moving), (count + 1) // 2)
+    chosen = spread(released, share)
+    return chosen + spread(moving, count - len(chosen))
+
+
+def starting_model(path: Path, settings: ModelSettings) -> Simulator:
+    """The model at `path` to train on. Raises InputError where its settings are others, but for the speed of rest."""
+    simulator = checkpoint.load(path).simulator
+    there = dataclasses.asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
+    other = [key for key, value in dataclasses.asdict(settings).items() if value != there[key]]
+    if other:
+        raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", where=str(path))
+    # No weight depends on it.
+    simulator.settings = settings
+    return simulator.train()
+
+
 @dataclass(frozen=True, kw_only=True)
-class Record:
-    """Where a run is written down, and what it is scored on."""
+class Outputs:
+    """Where a run writes, and the flows of its validations."""
 
     out: Path
     """Folder of the run."""
@@ -194,34 +198,34 @@ class Record:
     """What made the weights, for the model's file."""
 
 
-def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, record: Record) -> None:
+def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs: Outputs) -> None:
     """Update until the budget is spent, with validations in between. Raises KeyboardInterrupt where it was stopped."""
     training, position, processes = run.training, run.position, run.processes
-    last = record.out / "last.pt"
+    last = outputs.out / "last.pt"
     started = clock.now() - position.seconds
     bar = Bar(budget, training.unroll, seconds=position.seconds, batch=training.batch, shown=processes.first)
     with Stop().watching() as stop:
         while True:
             position.seconds = clock.now() - started
-            # The first process decides, so that all unroll equally far, and a stop of one is a stop of all.
-            mine = (budget.progress(position.seconds, position.updates), due(run, budget))
-            progress, waiting, stops = processes.sums(*(mine if processes.first else (0.0, 0.0)), stop.asked)
+            # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
+            own = (budget.progress(position.seconds, position.updates), validation_due(run, budget))
+            progress, validates, stops = processes.sums(*(own if processes.first else (0.0, 0.0)), stop.requested)
             if stops or (progress >= 1.0 and not position.unscored):
                 break
-            if waiting:
+            if validates:
                 # Saved first: a stop in the middle of a validation then costs the validation alone.
                 run.save(last)
-                if record.log is not None:
+                if outputs.log is not None:
                     with stop.at_once():
-                        validate(run, record, record.log)
+                        validate(run, outputs, outputs.log)
                 position.seconds = position.validated_seconds = clock.now() - started
                 position.validated_updates, position.losses = position.updates, 0.0
                 run.save(last)
                 continue
             steps, rate = unrolled_steps(training.unroll, progress), run.learning_rate(progress)
             loss = run.update(curriculum, steps=steps, rate=rate)
-            if record.log is not None:
-                record.log.point(position.updates, {"loss": loss, "learning_rate": rate})
+            if outputs.log is not None:
+                outputs.log.update(position.updates, {"loss": loss, "learning_rate": rate})
             position.seconds = clock.now() - started
             progress = budget.progress(position.seconds, position.updates)
             bar.show(progress, seconds=position.seconds, steps=steps, loss=loss)
@@ -231,8 +235,8 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, record: 
             raise KeyboardInterrupt
 
 
-def due(run: Run, budget: Budget) -> bool:
-    """Whether a validation is: after its interval and at the end, where anything has changed."""
+def validation_due(run: Run, budget: Budget) -> bool:
+    """Whether a validation is due: after its interval and at the end, if there were updates since the last one."""
     training, position = run.training, run.position
     if not position.unscored:
         return False
@@ -243,12 +247,12 @@ def due(run: Run, budget: Budget) -> bool:
     return position.seconds - position.validated_seconds >= 60.0 * training.validate_minutes
 
 
-def validate(run: Run, record: Record, log: Log) -> None:
+def validate(run: Run, outputs: Outputs, log: Log) -> None:
     """Score the averaged weights by rollouts, write a row of the log, keep them if they are the best so far."""
     position, averaged = run.position, run.average.module
     assert isinstance(averaged, Simulator)
-    scores = evaluate(averaged, record.valid, seed=0)
-    total = badness(scores)
+    scores = evaluate(averaged, outputs.valid, seed=0)
+    total = validation_score(scores)
     released = [score for score in scores if score.released] or scores
     row = {
         "minutes": round(position.seconds / 60.0, 2),
@@ -269,8 +273,16 @@ def validate(run: Run, record: Record, log: Log) -> None:
     tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
     if total < position.best:
         position.best = total
-        checkpoint.save(record.out / "best.pt", averaged, {**record.provenance, "score": total, "log": row})
-        files.write_text(record.out / "scores.md", table(scores))
+        checkpoint.save(outputs.out / "best.pt", averaged, {**outputs.provenance, "score": total, "log": row})
+        files.write_text(outputs.out / "scores.md", table(scores))
+
+
+def report_length(out: Path, log: Log, updates: int, dimension: int) -> None:
+    """Print how the training compares with that of the shipped model, and write it below the table of OUT/scores.md."""
+    line = length_of_training(updates, dimension, log.column("score"))
+    print(line)
+    scores = (out / "scores.md").read_text().split("\n\n")[0].rstrip()
+    files.write_text(out / "scores.md", f"{scores}\n\n{line}\n")
 
 
 if __name__ == "__main__":

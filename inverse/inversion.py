@@ -8,8 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 
 from datasets.errors import InputError
+from gns import card
 from gns.inference import shipped
-from gns.model import card, checkpoint
+from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation
 from inverse.forward.mpm import MpmForward

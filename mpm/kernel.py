@@ -1,9 +1,13 @@
-"""The kernel: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
+"""The time loop: frames of MLS-MPM steps, for many scenes on a thread each or for one large scene on all threads.
 
-Many scenes: a scene runs on one thread from the first step of a launch to the last: no atomics, no waiting, and the
+    particles to grid    m_i, (m v)_i, f_i                   `mpm.physics.transfer`
+    grid                 v_i* = v_i + dt (g + f_i / m_i)     `mpm.physics.grid`, then walls, solids, barriers
+    grid to particles    v_p, C_p, x_p, sigma_p              `mpm.physics.particles`, `mpm.physics.stress`
+
+Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
 result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles
 and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A
-launch costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
+call costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
 inside it.
 """
 
@@ -23,11 +27,11 @@ from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import block_to_grid, particles_to_grid
 
 ITERATIONS = 512
-"""Taichi hands a thread no fewer turns of a loop than these."""
+"""The fewest iterations of a loop that Taichi gives to a thread."""
 
 
 class Phase(Enum):
-    """What a launch does."""
+    """What a call of the kernel computes."""
 
     FRAMES = auto()
     """Frames from `first` to before `last`, a thread per worker."""
@@ -41,7 +45,7 @@ class Phase(Enum):
 
 @ti.data_oriented
 class Arrays:
-    """The arrays of a batch by name, as the kernel hands them on; `mpm.arrays.batch` says what each holds."""
+    """The arrays of a batch by name, as the kernel passes them on; `mpm.arrays.batch` describes each."""
 
     def __init__(self, features: Features, **arrays: Any) -> None:
         self.features = features
@@ -50,7 +54,7 @@ class Arrays:
 
 @ti.func
 def synchronise(arrays: ti.template()):
-    """Wait until all workers of a shared scene have come here; nothing where scenes are not shared.
+    """Wait until all workers of a shared scene have arrived; nothing where scenes are not shared.
 
     Each has a thread of its own, because Taichi has as many threads as there are workers. Reading by adding zero keeps
     the compiler from reading once.

@@ -16,14 +16,19 @@ ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
 _running: tuple[Precision, int, Arch] | None = None
 
 
-def start(precision: Precision = "f32", threads: int | None = None, arch: Arch = "cpu") -> None:
+def start(
+    precision: Precision = "f32", threads: int | None = None, arch: Arch = "cpu", *, enough: int | None = None
+) -> None:
     """Make Taichi ready for `precision` on `threads` cores (all by default), or on a GPU.
 
+    enough: threads that do where Taichi runs already, since another start costs the compiled kernels.
     Raises InputError where there is no such GPU.
     """
     global _running
     threads = threads or processors()
     if _running == (precision, threads, arch):
+        return
+    if enough is not None and _running is not None and _running[0::2] == (precision, arch) and _running[1] >= enough:
         return
     # Taichi greets on standard output, where commands print what they found.
     with redirect_stdout(StringIO()):

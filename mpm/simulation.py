@@ -1,4 +1,12 @@
-"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
+"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads.
+
+    trajectory = simulate(read_scene("column-tall-42"))                          # every frame
+    deposit = simulate(read_scene("baffles-2"), record=LAST).positions[-1]       # the last one alone
+    flows = simulate_many(scenes, record=AT_REST, precision="f64")               # side by side, each until it rests
+    outcomes = simulate_each(scenes, record=LAST)                                # a WorkFailed for one that blew up
+
+What is recorded is a `mpm.Recording`: memory and compiled code are for that alone.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -23,13 +31,13 @@ from mpm.process import processors
 from mpm.runtime import Arch
 
 FRAMES_PER_CALL = 20
-"""Between two launches the progress bar moves and Ctrl-C is heard."""
+"""Frames of one call of the kernel; after each the progress bar moves and a run can be stopped."""
 PARTICLES_PER_WORKER = 10_000
 """The fewest particles for which another thread pays off."""
 LARGE = 2 * PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
-"""Particles from which they are sorted by cell at every launch."""
+"""Particles from which they are sorted by cell at every call of the kernel."""
 
 
 class Options(TypedDict, total=False):
@@ -40,7 +48,7 @@ class Options(TypedDict, total=False):
     threads: int | None
     """All cores unless given."""
     arch: Arch
-    """The CPU unless given; on a GPU all scenes of a batch run in one launch per step."""
+    """The CPU unless given; on a GPU a step of all scenes of a batch is one call."""
     record: Recording
     """What to record, and until when to run; the positions in all frames unless given."""
     progress: bool
@@ -52,7 +60,7 @@ class ScenesFailed(WorkFailed):
 
     def __init__(self, outcomes: "Sequence[Trajectory | WorkFailed]") -> None:
         self.outcomes = list(outcomes)
-        """What became of each scene, in the order in which they were given."""
+        """The trajectory or the failure of each scene, in the order in which they were given."""
         failed = {index: each for index, each in enumerate(outcomes) if isinstance(each, WorkFailed)}
         first, reason = next(iter(failed.items()))
         others = f" (and {len(failed) - 1} more of {len(outcomes)})" if len(failed) > 1 else f" of {len(outcomes)}"
@@ -60,7 +68,7 @@ class ScenesFailed(WorkFailed):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was asked to stop, and did so between two launches."""
+    """A run was stopped between two calls of the kernel."""
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         self.checkpoint = checkpoint
@@ -69,6 +77,9 @@ class Interrupted(KeyboardInterrupt):
 
 def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpack[Options]) -> Trajectory:
     """Run one scene, a large one on all threads.
+
+        trajectory = simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity"})))
+        trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
 
     resume: where an earlier run of the scene ended (`simulate_resumably`), from which this one goes on for a longer
     duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded and
@@ -88,7 +99,7 @@ def simulate_resumably(
 ) -> tuple[Trajectory, Checkpoint]:
     """As `simulate`, with the state at its end, from which a longer run can go on.
 
-    stop: asked between two launches, a few frames apart; once it says so, Interrupted is raised with the checkpoint.
+    stop: called every few frames; once it returns True, Interrupted is raised with the checkpoint.
     Other errors as `simulate`.
     """
     batch, wall_s, compile_s = run_one(scene, options, resume, stop or never_stop)
@@ -159,13 +170,14 @@ def run_one(
     arch = options.get("arch", "cpu")
     precision = options.get("precision") or (resume.features.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
-    threads = options.get("threads") or processors()
-    runtime.start(precision, threads, arch)
     particles = particles_of([scene])
+    threads = options.get("threads") or processors()
+    workers = max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1
+    runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
         [scene],
         precision=precision,
-        workers=max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1,
+        workers=workers,
         record=record,
         gpu=arch != "cpu",
         particles=particles,

@@ -51,10 +51,9 @@ def command_of(module: str) -> Callable[..., Any]:
     assert spec is not None, module
     home = importlib.import_module(f"{module}.__main__" if spec.submodule_search_locations else module)
     calls = [node for node in ast.walk(ast.parse(inspect.getsource(home))) if isinstance(node, ast.Call)]
-    runs = [call.args for call in calls if ast.unparse(call.func).endswith("run") and len(call.args) == 2]
-    ((function, name),) = runs
-    assert ast.literal_eval(name) == f"python -m {module}"
-    return getattr(home, ast.unparse(function))
+    name = repr(f"python -m {module}")
+    (function,) = [ast.unparse(call.args[0]) for call in calls if name in map(ast.unparse, call.args)]
+    return getattr(home, function)
 
 
 def status(module: str, arguments: list[str], *, works: bool = True) -> int:

@@ -123,7 +123,7 @@ def draw_velocities(stream: np.random.Generator, motion: Motion, count: int) -> 
 
 
 def kept_for_tests(length: int, thicknesses: list[int], position: Position) -> bool:
-    """Whether a pile is near the paper's ten layers or near a column of `datasets.definitions.releases2d` kept for tests."""
+    """Whether a pile is near the paper's ten layers or near a column that Releases2D keeps for tests."""
     size = np.array([metres(length), metres(sum(thicknesses))])
     near_layers = np.abs(size - PAPER_LAYERS).max() <= PAPER_MARGIN
     return bool(near_layers) or (position is not Position.FREE and held_out(float(size[0]), float(size[1])))

@@ -36,7 +36,7 @@ def clusters(particles: NDArray[np.float64], spacing: float) -> list[NDArray[np.
     """Indices of the particles of each connected cluster: positions [m], shape [N, D], and their `spacing` [m]."""
     if len(particles) == 0:
         return []
-    # One particle for each half of a spacing will do; where particles lie dense, all pairs of them would fill the memory.
+    # One particle for each half of a spacing will do; all pairs of densely packed ones would fill the memory.
     _, chosen, member = np.unique(np.floor(particles / (spacing / 2)), axis=0, return_index=True, return_inverse=True)
     pairs = cKDTree(particles[chosen]).query_pairs(LINK * spacing, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(chosen), len(chosen)))
@@ -47,7 +47,7 @@ def clusters(particles: NDArray[np.float64], spacing: float) -> list[NDArray[np.
 
 
 def baffles_in(particles: NDArray[np.float64], spacing: float) -> tuple[Baffle, ...]:
-    """The boxes that stationary particles stand for: positions [m], shape [N, D]; `spacing` of the material's particles [m].
+    """The boxes that stationary particles stand for: positions [m], shape [N, D]; `spacing` of the sand [m].
 
     A cluster that is a lattice gives its box exactly; one strewn at random over a box gives the box around it. Raises
     InputError for a cluster that is no box along the axes: a ramp, a ball, the walls of a room.
@@ -63,8 +63,8 @@ def baffle_of(particles: NDArray[np.float64], spacing: float) -> Baffle:
     if box is None:
         low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in (particles.min(axis=0), particles.max(axis=0)))
         raise InputError(
-            f"expected stationary particles that fill boxes along the axes, found {len(particles)} from ({low}) to ({high}) "
-            "that do not"
+            f"expected stationary particles that fill boxes along the axes, found {len(particles)} from ({low}) "
+            f"to ({high}) that do not"
         )
     # Adding 0 makes a zero of -0.
     lower, size = box[0].round(DECIMALS) + 0.0, (box[1] - box[0]).round(DECIMALS)

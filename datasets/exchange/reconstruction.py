@@ -123,7 +123,7 @@ def _reconstruct(cloud: Cloud, known: Known) -> Trajectory:
 
 
 def sand_friction(cloud: Cloud, friction_deg: float | None) -> Floats:
-    """tan(phi) of each particle of sand, shape [N]. Raises InputError unless the file or the user says, and not both."""
+    """tan(phi) of each particle of sand, shape [N], from the file or the user; InputError without or with both."""
     sand = ~cloud.stationary
     if cloud.friction is not None:
         if friction_deg is not None:
@@ -137,9 +137,9 @@ def sand_friction(cloud: Cloud, friction_deg: float | None) -> Floats:
 def estimated_spacing(particles: NDArray[np.float64]) -> float:
     """About how far apart particles are [m], such that spacing^D is the volume of one; positions [N, D].
 
-    A ball that reaches to the k-th neighbour holds k particles and half of another; the median over the particles whose ball
-    stays inside the sand, the mean over k. Masses of 20 particles a side, 8 in 3D: within 2 % for a lattice, jittered or
-    not (3 % in 3D), within 6 % for particles strewn at random.
+    A ball up to the k-th neighbour holds k particles and half of another; the median over the particles whose ball
+    stays inside the sand, the mean over k. Masses of 20 particles a side, 8 in 3D: within 2 % for a lattice, jittered
+    or not (3 % in 3D), within 6 % for particles strewn at random.
     """
     if len(particles) <= NEIGHBOURS[-1]:
         raise InputError(f"expected --spacing, for {len(particles)} particles of sand are too few to estimate it")
@@ -163,7 +163,7 @@ def estimated_spacing(particles: NDArray[np.float64]) -> float:
 
 
 def fitted_domain(lengths: tuple[float, ...], spacing: float) -> tuple[Domain, int]:
-    """A domain of `lengths` [m] in whole cells, and the particles per axis of a cell, for particles `spacing` [m] apart.
+    """A domain of `lengths` [m] in whole cells, and the particles per axis of a cell, for a `spacing` [m].
 
     As they are, where some number of spacings divides the lengths; else in cells of two spacings stretched by at most
     5 %; else grown, up to a cell, at the upper end of each axis.
@@ -220,7 +220,7 @@ def mass_boxes(
 
 
 def grown_box(particles: NDArray[np.float64], spacing: float) -> Box:
-    """The box around a cluster, wider on all sides by what its particles need for their volume, half a spacing at most."""
+    """The box around a cluster, wider on all sides until it has the volume of its particles, half a spacing at most."""
     low, high = particles.min(axis=0), particles.max(axis=0)
 
     def spare(margin: float) -> float:

@@ -1,4 +1,4 @@
-"""Trajectory -> a time series that ParaView opens: particles with their fields, baffles as surfaces, the box's edges."""
+"""Trajectory -> a time series that ParaView opens: particles with fields, surfaces of solids, the box's edges."""
 
 import dataclasses
 import re

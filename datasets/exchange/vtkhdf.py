@@ -1,4 +1,4 @@
-"""Trajectory -> one VTKHDF file that ParaView opens: all times of the points, the baffles, the solids and the box.
+"""Trajectory -> one VTKHDF file that ParaView opens: all times of the particles, the baffles, the solids and the box.
 
 The parts are temporal PolyData in a MultiBlockDataSet, as VTKHDF 2.6 has them
 (https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/vtkhdf_specifications.html): the frames of an array
@@ -90,8 +90,8 @@ class Block:
 def write_vtkhdf(trajectory: Trajectory, path: Path, *, every: int = 1, progress: bool = False) -> None:
     """Write every `every`-th frame of `trajectory`, and the last, into the VTKHDF file `path`.
 
-    The same parts and arrays as `datasets.exchange.vtk.write_vtk` writes as a series; the unit of an array is its HDF5 attribute
-    `units`, since VTK's reader passes over the field data of a part. Raises WorkFailed.
+    The same parts and arrays as `datasets.exchange.vtk.write_vtk` writes as a series; the unit of an array is its HDF5
+    attribute `units`, since VTK's reader passes over the field data of a part. Raises WorkFailed.
     """
     meshes, frames = Meshes(trajectory), frames_of(trajectory, every)
     times = trajectory.time[frames]

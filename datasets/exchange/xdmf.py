@@ -1,6 +1,6 @@
-"""Trajectory -> XDMF: all times of the points in trajectory.xdmf, their numbers in trajectory.h5 beside it, by meshio.
+"""Trajectory -> XDMF: all times of the particles in trajectory.xdmf, numbers in trajectory.h5 beside it, by meshio.
 
-Each time is a grid of its own, since points move; meshio's reader, which expects a mesh that stays, takes the first
+Each time is a grid of its own, since particles move; meshio's reader, which expects a mesh that stays, takes the first
 one's for that and the arrays of all. XDMF has neither units nor active vectors.
 """
 

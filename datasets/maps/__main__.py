@@ -102,7 +102,7 @@ def write_maps(
 def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path, formats: tuple[str, ...]) -> None:
     """Write the profile of a trajectory in 2D into `folder`, in `formats` of `FORMATS`, and maps.json.
 
-    Columns x and height of profile.csv are those of a `[target] csv` of `equivalent` heights (`inverse.observations.profile`).
+    Columns x and height of profile.csv are those of a `[target] csv` of `equivalent` heights.
     """
     said = summary(trajectory, maps, LOCAL)
     if "csv" in formats:

@@ -147,7 +147,7 @@ class Spread:
 def axis_shares(
     coordinates: Floats, sizes: Floats, edges: Floats, wall: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `coordinates` [m] [N].
+    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `coordinates` [m].
 
     sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m]. Shares of a tent add
     up to 1; those of cells beyond the last are 0.

@@ -91,7 +91,7 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
 
 
 def point_cohesion(scene: Scene, particles: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's particles, in the order of `datasets.particles.initial_particles`; [particles].
+    """Cohesion [Pa] of each of a scene's particles, in the order of `initial_particles`; [particles].
 
     Raises InputError where masses differ and the number of particles is not theirs.
     """
@@ -172,7 +172,7 @@ class Sample:
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
     """The stretch of `flow` with `steps` after index `now` and, as far as there are, `history` displacements before.
 
-    cell, kept, rng: which particles stay, see `datasets.training.thinning.thin`. Of a flow on disk this reads its frames alone.
+    cell, kept, rng: which particles stay (`datasets.training.thinning`). Of a flow on disk it reads these frames alone.
     """
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     particles = thinned.indices

@@ -28,7 +28,7 @@ def thin(
 
     positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
     cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
-    equally. Two draws from `rng` keep different particles of the same flow: that is the augmentation of the training data.
+    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data.
     """
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)

@@ -51,20 +51,20 @@ def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) ->
     batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Raises WorkFailed
     for positions that are not finite.
     """
-    places = positions.detach().double()
-    if not places.isfinite().all():
+    double = positions.detach().double()
+    if not double.isfinite().all():
         raise WorkFailed("the positions of the particles are no longer finite numbers")
-    if places.is_cpu:
-        samples = np.zeros(len(places), dtype=np.int64) if batch is None else batch.contiguous().numpy()
-        axes = np.zeros((3, len(places)))
-        axes[: places.shape[1]] = places.numpy().T
+    if double.is_cpu:
+        samples = np.zeros(len(double), dtype=np.int64) if batch is None else batch.contiguous().numpy()
+        axes = np.zeros((3, len(double)))
+        axes[: double.shape[1]] = double.numpy().T
         index, starts = cells.search(axes, samples, radius)
         return Edges(edge_index=torch.from_numpy(index), starts=torch.from_numpy(starts))
     if torch_cluster is not None:
-        edges = neighbours_by_cluster(places, radius, batch)
+        edges = neighbours_by_cluster(double, radius, batch)
         if edges is not None:
             return edges
-    return neighbours_by_torch(places, radius, batch)
+    return neighbours_by_torch(double, radius, batch)
 
 
 def neighbours_by_cluster(positions: Tensor, radius: float, batch: Tensor | None = None) -> Edges | None:
@@ -79,21 +79,21 @@ def neighbours_by_cluster(positions: Tensor, radius: float, batch: Tensor | None
 
 def neighbours_by_torch(positions: Tensor, radius: float, batch: Tensor | None = None) -> Edges:
     """`neighbours` on any device, a dozen passes over whole arrays."""
-    places = positions.detach().double()
-    count, dimension = places.shape
+    double = positions.detach().double()
+    count, dimension = double.shape
     if count == 0:
-        none = torch.zeros(1, dtype=torch.long, device=places.device)
+        none = torch.zeros(1, dtype=torch.long, device=double.device)
         return Edges(edge_index=none.new_zeros(2, 0), starts=none)
-    lower = places.amin(dim=0)
-    edge = ((places - lower).amax() / CELLS_PER_AXIS).clamp(min=(1.0 + cells.CELL_MARGIN) * radius)
+    lower = double.amin(dim=0)
+    edge = ((double - lower).amax() / CELLS_PER_AXIS).clamp(min=(1.0 + cells.CELL_MARGIN) * radius)
     # Each row begins with an empty cell: what lies beyond the end of one is never a cell with particles of the next.
-    cell = ((places - lower) / edge).long() + 1
+    cell = ((double - lower) / edge).long() + 1
     strides = torch.cat((torch.ones_like(cell[0, :1]), (cell.amax(dim=0) + 1).cumprod(dim=0)))
     number = (cell * strides[:-1]).sum(dim=1)
     if batch is not None:
         number = number + batch * strides[-1]
     sorted_number, order = number.sort()
-    rows = torch.tensor(list(itertools.product((-1, 0, 1), repeat=dimension - 1)), device=places.device).long()
+    rows = torch.tensor(list(itertools.product((-1, 0, 1), repeat=dimension - 1)), device=double.device).long()
     middle = number.unsqueeze(1) + (rows * strides[1:-1]).sum(dim=1)
     first = torch.searchsorted(sorted_number, middle - 1)
     lengths = torch.searchsorted(sorted_number, middle + 1, right=True) - first
@@ -103,11 +103,11 @@ def neighbours_by_torch(positions: Tensor, radius: float, batch: Tensor | None =
         length = lengths[block].flatten()
         # Runs of candidates one after the other: where each begins, less the candidates before it, and counting on.
         begin = first[block].flatten() - length.cumsum(dim=0) + length
-        run = torch.arange(len(length), device=places.device).repeat_interleave(length)
-        senders = order[begin[run] + torch.arange(len(run), device=places.device)]
+        run = torch.arange(len(length), device=double.device).repeat_interleave(length)
+        senders = order[begin[run] + torch.arange(len(run), device=double.device)]
         receivers = start + run.div(len(rows), rounding_mode="floor")
-        square = places.new_zeros(len(senders))
-        for axis in places.T.contiguous():
+        square = double.new_zeros(len(senders))
+        for axis in double.T.contiguous():
             square += (axis[receivers] - axis[senders]).square()
         near = (square <= radius * radius) & (senders != receivers)
         found.append((senders[near], receivers[near]))

@@ -26,7 +26,7 @@ class Normalisation:
     displacement: float
     """Root mean square displacement of a particle in a step [m]."""
     acceleration: float
-    """Root mean square change of the displacement from step to step, gravity taken out [m]."""
+    """Root mean square change of the displacement from step to step, without that of gravity [m]."""
     friction_mean: float
     """Mean of tan(phi) [-]."""
     friction_std: float

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 ROUNDING = 0.1
-"""Radius to which edges are rounded for the direction away from a baffle, as a share of the cutoff radius.
+"""Radius to which edges are rounded for the outward direction of a baffle, as a share of the cutoff radius.
 
 The direction from a sharp edge turns by any angle within any distance, and its gradient would have no bound.
 """

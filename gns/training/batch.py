@@ -16,7 +16,7 @@ TIME_FIRST = ("displacements", "targets")
 
 
 class Particles(Data):  # type: ignore[misc]
-    """The particles of a sample, or of several samples joined by `Batch`, which then has these properties too.
+    """The particles of a sample, or of multiple samples joined by `Batch`, which then has these properties too.
 
     | attribute                      | unit       | shape                         |
     | pos                            | m          | [N, D]                        |

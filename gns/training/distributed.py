@@ -1,4 +1,4 @@
-"""Several processes that train one model: `torchrun --nproc-per-node N -m gns.train ...`.
+"""Data-parallel training of one model by multiple processes: `torchrun --nproc-per-node N -m gns.train ...`.
 
 Each process draws its own samples; `DistributedDataParallel` arranges in its `forward` that the gradients are averaged,
 so a model must be called as a module, never by its methods. Without torchrun there is one process, and nothing to do.
@@ -16,13 +16,13 @@ from torch.nn.parallel import DistributedDataParallel
 
 from datasets.errors import InputError
 
-PATIENCE = datetime.timedelta(hours=6)
+TIMEOUT = datetime.timedelta(hours=6)
 """How long a process waits for the others: the first validates while they wait."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """Who trains, and on what."""
+    """The processes that train together, and the device of this one."""
 
     device: torch.device
     """Where this process computes."""
@@ -33,7 +33,7 @@ class Processes:
 
     @property
     def first(self) -> bool:
-        """Whether this process speaks for all."""
+        """Whether this is the process that validates, logs and saves."""
         return self.rank == 0
 
     def wrapped(self, model: nn.Module) -> nn.Module:
@@ -50,13 +50,13 @@ class Processes:
         distributed.all_reduce(tensor)
         return [float(value) for value in tensor.tolist()]
 
-    def share(self, points: int) -> float:
-        """What this process's mean over its `points` weighs in the mean over the processes [-].
+    def share(self, particles: int) -> float:
+        """Weight of this process's mean over its `particles` in the mean over the processes [-].
 
-        Averaged with these weights, means over the points of each are the mean over all points, and so are their
-        gradients: as if one process had them all.
+        Averaged with these weights, means over the particles of each are the mean over all, and so are their
+        gradients: as those of one process with all samples.
         """
-        return self.count * points / self.sums(points)[0]
+        return self.count * particles / self.sums(particles)[0]
 
 
 @contextmanager
@@ -69,14 +69,14 @@ def joined(device: str | None) -> Iterator[Processes]:
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="device")
     count = int(os.environ.get("WORLD_SIZE", "1"))
-    place = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0"))) if kind == "cuda" else torch.device(kind)
+    where = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0"))) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
-        torch.cuda.set_device(place)
+        torch.cuda.set_device(where)
     if count == 1:
-        yield Processes(device=place)
+        yield Processes(device=where)
         return
-    distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=PATIENCE)
+    distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=TIMEOUT)
     try:
-        yield Processes(device=place, rank=distributed.get_rank(), count=count)
+        yield Processes(device=where, rank=distributed.get_rank(), count=count)
     finally:
         distributed.destroy_process_group()

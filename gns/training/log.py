@@ -1,4 +1,4 @@
-"""What a training writes down as it goes: `log.csv` always, TensorBoard on request."""
+"""The log of a training: `log.csv` always, TensorBoard on request."""
 
 import csv
 import io
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 class Log:
-    """A row per validation, and for TensorBoard a point per update."""
+    """A row per validation, and for TensorBoard the values of every update."""
 
     def __init__(self, out: Path, *, size: int, updates: int, tensorboard: bool) -> None:
-        """Go on after the first `size` bytes of OUT/log.csv, as they were after `updates` updates. Raises InputError.
+        """Continue after the first `size` bytes of OUT/log.csv, those after `updates` updates. Raises InputError.
 
-        What stands behind them was written by a run that stopped before it could save what it wrote.
+        Later rows are of a run that was killed before its checkpoint, and are removed.
         """
         self._file = out / "log.csv"
         out.mkdir(parents=True, exist_ok=True)
@@ -31,6 +31,11 @@ class Log:
     def size(self) -> int:
         """Bytes of log.csv."""
         return self._file.stat().st_size
+
+    def column(self, name: str) -> list[float]:
+        """A column of log.csv, in the order of the validations."""
+        with self._file.open(newline="") as file:
+            return [float(row[name]) for row in csv.DictReader(file)]
 
     def row(self, row: Mapping[str, float]) -> None:
         """Append a row; a new file begins with the names."""
@@ -46,7 +51,7 @@ class Log:
                 if name not in ("minutes", "updates"):
                     self._board.add_scalar(f"validation/{name}", value, int(row["updates"]))
 
-    def point(self, updates: int, values: Mapping[str, float]) -> None:
+    def update(self, updates: int, values: Mapping[str, float]) -> None:
         """Values of one update, for TensorBoard alone."""
         if self._board is not None:
             for name, value in values.items():

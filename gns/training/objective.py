@@ -1,4 +1,4 @@
-"""What training minimises, and on which stretches of which flows."""
+"""The unrolled loss, and the curriculum of its samples."""
 
 from collections.abc import Sequence
 
@@ -21,11 +21,11 @@ SHARE_FIRST = 0.15
 SHARE_EARLY = 0.10
 """Share that starts just after, with part of the history made up from the initial velocities."""
 SHARE_MOVING = 0.60
-"""Share that starts while the flow moves; the rest starts anywhere, settled deposits too: they must stay put."""
+"""Share that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
 TRIES = 16
-"""Random times that are looked at for one at which the flow moves."""
+"""Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
-"""About so many times in all make the statistics; where there are fewer, all."""
+"""Times in all over which the statistics run; where there are fewer, all."""
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def remaining_steps(schedule: Sequence[int], progress: float) -> float:
 
 
 class UnrolledLoss(nn.Module):
-    """Batch to loss: the whole unroll is one `forward`, so that whoever wraps this module sees all of it."""
+    """Batch to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
 
     def __init__(self, simulator: Simulator, *, loss_scale: float, mixed: bool = False) -> None:
         """loss_scale: `s` of `rollout_loss` as a share of the accelerations; mixed: products in bfloat16."""
@@ -124,7 +124,7 @@ class Curriculum:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
         anywhere = rng.integers(0, last + 1, size=TRIES)
         if kind < SHARE_FIRST + SHARE_EARLY + SHARE_MOVING:
-            # The first that moves is one of the moving at random, and two frames are read to see it, not the flow.
+            # The first that moves is a random one of those that move, and only two frames of each are read.
             return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
         return int(anywhere[0])
 

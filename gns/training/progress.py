@@ -42,7 +42,7 @@ class Bar:
         self._bar.update(100.0 * progress - self._bar.n)
 
     def seconds_left(self, progress: float, seconds: float, wall: float) -> float:
-        """Wall time left [s]; wall: taken since this bar began [s]."""
+        """Wall time left [s]; wall: since this bar began [s]."""
         if self._budget.updates is None:
             done, left = seconds - self._seconds, 60.0 * self._budget.minutes - seconds
         else:

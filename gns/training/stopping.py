@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM without half an update: the signal is noted, and the training stops where its state is whole."""
+"""Ctrl-C and SIGTERM without half an update: training stops after the update in progress."""
 
 import signal
 import time
@@ -6,35 +6,35 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-PATIENCE = 3.0
-"""A signal more than this [s] after the first is another; before, it is the same: torchrun hands on the terminal's."""
+REPEAT = 3.0
+"""A signal more than this [s] after the first is a second one; before, it is the same, forwarded by torchrun."""
 
 
 class Stop:
-    """Notes a signal. While `at_once`, or if it comes again, it is a KeyboardInterrupt as usual."""
+    """Records a signal. Within `at_once`, or when it is repeated, it is a KeyboardInterrupt as usual."""
 
     SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
     def __init__(self) -> None:
         self._at_once = False
-        self._noted: float | None = None
+        self._received: float | None = None
 
     @property
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """Whether there was a signal."""
-        return self._noted is not None
+        return self._received is not None
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def _record(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if self._noted is None:
-            self._noted = now
-        if self._at_once or now - self._noted > PATIENCE:
+        if self._received is None:
+            self._received = now
+        if self._at_once or now - self._received > REPEAT:
             raise KeyboardInterrupt
 
     @contextmanager
     def watching(self) -> Iterator["Stop"]:
         """Handle the signals in this block."""
-        before = {number: signal.signal(number, self._note) for number in self.SIGNALS}
+        before = {number: signal.signal(number, self._record) for number in self.SIGNALS}
         try:
             yield self
         finally:
@@ -44,7 +44,7 @@ class Stop:
     @contextmanager
     def at_once(self) -> Iterator[None]:
         """A block that may be broken off anywhere: what it would lose is saved."""
-        if self.asked:
+        if self.requested:
             raise KeyboardInterrupt
         self._at_once = True
         try:

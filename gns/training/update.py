@@ -1,4 +1,4 @@
-"""A training in progress: one update of the weights, and what it takes to go on from there to the bit."""
+"""A training in progress: one update of the weights, and a checkpoint that continues it to the bit."""
 
 import dataclasses
 import math
@@ -23,7 +23,7 @@ from gns.unroll import step_activation_bytes
 
 MARGIN = 1.5
 """Some batches have more neighbours a particle than the one whose memory was measured."""
-ALONE = Processes(device=torch.device("cpu"))
+SINGLE = Processes(device=torch.device("cpu"))
 """One process on the CPU."""
 
 
@@ -66,16 +66,16 @@ class TrainingSettings:
 
 @dataclass(kw_only=True)
 class Position:
-    """How far a run has come."""
+    """The progress of a run."""
 
     seconds: float = 0.0
     """Time spent [s], by the run's clock."""
     updates: int = 0
-    """Updates made. They are the position in the data too: each draws from a random stream of its own."""
+    """Updates made. They are the position in the data too: each has a random stream of its own."""
     steps: int = 0
     """Steps that the last of them was unrolled through."""
     best: float = math.inf
-    """Least score of a validation."""
+    """Smallest score of a validation."""
     validated_seconds: float = 0.0
     """When the last validation ended [s]."""
     validated_updates: int = 0
@@ -94,9 +94,9 @@ class Position:
 
 
 class Run:
-    """Weights, their running average, the optimiser and the position: everything that `last.pt` must bring back.
+    """Weights, their running average, the optimiser and the position: the content of `last.pt`.
 
-    No random state is kept. Update u of process r draws from the stream (seed, r, u), whatever was drawn before.
+    No random state is stored: update u of process r draws from the stream (seed, r, u).
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Run:
         training: TrainingSettings,
         *,
         seed: int,
-        processes: Processes = ALONE,
+        processes: Processes = SINGLE,
         mixed: bool = False,
         memory_gib: float = 4.0,
     ) -> None:
@@ -117,7 +117,7 @@ class Run:
         self.position = Position()
 
     def _averaged(self, average: Tensor, current: Tensor, updates: Tensor | int) -> Tensor:
-        """The running average, short at first: the weights of the beginning are forgotten soon."""
+        """The running average; over few updates at first, so that the initial weights soon lose their share."""
         decay = min(self.training.average, (1.0 + int(updates)) / (10.0 + int(updates)))
         return torch.lerp(current, average, decay)
 
@@ -162,7 +162,7 @@ class Run:
         return min(steps, int(self.memory_gib * 2**30 / (self.position.particle_bytes * particles)))
 
     def save(self, path: Path) -> None:
-        """Write `last.pt`, of the first process alone: the others hold the same."""
+        """Write `last.pt`, by the first process alone: the others hold the same."""
         if not self.processes.first:
             return
         content = {
@@ -177,7 +177,7 @@ class Run:
             torch.save(content, part)
 
     def resume(self, path: Path) -> None:
-        """Bring back what `save` wrote. Raises InputError."""
+        """Restore what `save` wrote. Raises InputError."""
         content = checkpoint.read(path)
         try:
             if ModelSettings.from_mapping(content["settings"]) != self.simulator.settings:

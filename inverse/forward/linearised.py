@@ -7,7 +7,7 @@ start and a run on either side of it (a response surface: Box & Wilson, On the e
 conditions, J. Roy. Statist. Soc. B 13 (1951) 1-45, section 4, without the mixed terms). Runs of one model share their
 jitter seed, so that little of their chance is in a difference.
 
-When to use it: where the flow is none that the surrogate has learnt (`gns.model.card`), where a parameter or an
+When to use it: where the flow is outside of the training range of the surrogate (`gns.card`), where a parameter or an
 observation is none that it predicts, or where the parameters are few (docs/efficiency.md).
 """
 

@@ -17,7 +17,7 @@ from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
 @ti.func
 def maximum(a, b):
-    """The larger of two, lane by lane; one instruction, where `ti.max` looks after NaN with four."""
+    """The larger of two, lane by lane; one instruction, where `ti.max`, which handles NaN, takes four."""
     return ti.select(a > b, a, b)
 
 

@@ -25,7 +25,7 @@ class Features:
     softens: bool = False
     """Strength and dilation fall with plastic strain, which is then part of the state."""
     volume_correction: bool = False
-    """A particle remembers the gap to its neighbours: volume correction."""
+    """A particle carries the gap to its neighbours."""
     heterogeneous: bool = False
     """A scene has several materials, or particles of several volumes."""
     contact: bool = False

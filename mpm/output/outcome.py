@@ -194,7 +194,7 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
     when, speed = f"t = {scene.frame_dt * frame:g} s", _fastest(velocities)
     fall = 2.0 * sum(abs(g) * length for g, length in zip(scene.gravity_vector, scene.domain.size, strict=True))
     possible = math.sqrt(_fastest(particles.velocities) ** 2 + fall)
-    # Some slack, for a pile-up hands energy to the few that it throws.
+    # Some slack: a pile-up transfers energy to the few particles that it throws.
     if not math.isfinite(speed) or speed > 2.0 * possible:
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)

@@ -6,7 +6,7 @@ In every frame of the window the kinetic energy is below a thousandth of the lar
     R = sum_p m_p |a_p| / (M g),   a_p = (v_p(t) - v_p(t - dt_frame)) / dt_frame
 
 is below a hundredth (`BALANCED`): Cundall's average ratio of unbalanced to applied forces, as the
-manuals of Itasca's PFC call it (there over contact forces, here over the weight). Either alone is fooled: sand thrown
+manuals of Itasca's PFC call it (there over contact forces, here over the weight). Either alone misses: sand thrown
 up has no kinetic energy at the top of its path, but R = 1; an oscillating bed has neither energy at full compression
 nor, at another moment, acceleration. So the window spans a period of the slowest oscillation of a layer as thick as the
 material at the start, 4 H / c_s with the speed c_s of the elastic shear wave, and a time of flow, sqrt(H / g), in which

@@ -1,7 +1,7 @@
 """Gaps between particles that have come apart: volume correction.
 
-A law for stress rates forgets by how much sand has opened: the first compression after a flight would be resisted
-although the grains are still apart, and the deposit would stay as loose as it flew. So a particle remembers its gap,
+A law for stress rates cannot tell how far sand has opened: the first compression after a flight would be resisted
+although the grains are still apart, and the deposit would stay as loose as it flew. So a particle carries its gap,
 the volume strain e that opened it without stress, and e must close before it bears anything (Tampubolon et al. 2017;
 the direction of cracks: `mpm.physics.stress.with_cracks`).
 

@@ -79,9 +79,9 @@ def obstacles_of(scenes: Sequence[Scene], dimension: int) -> tuple[Obstacles, li
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
-    """The solids of one scene, with a cell beyond the distance that has to be known: who comes from there needs more
+    """The solids of one scene, with faces listed up to a cell beyond the distance that is searched; empty without any.
 
-    than a step. None of anything where it has none.
+    A particle from farther away needs more than a step to come within that distance.
     """
     surface = surface_of(scene)
     if surface is None:

@@ -1,4 +1,4 @@
-"""A definition in TOML: the one on the page draws what it says, the same for the same seed, and mistakes are one line."""
+"""A definition in TOML: the one on the page draws what it says, by its seed; mistakes are one line."""
 
 import re
 from pathlib import Path

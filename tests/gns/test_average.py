@@ -1,4 +1,4 @@
-"""The mean of several models' weights."""
+"""The mean of the weights of models."""
 
 from pathlib import Path
 

@@ -49,8 +49,8 @@ def updated(simulator: Simulator, samples: list[Sample], processes: Processes) -
 
 def worker(rank: int, port: int, simulator: Simulator, samples: list[Sample], out: Path) -> None:
     """One of two processes, as torchrun starts them."""
-    place = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
-    os.environ.update({key: str(value) for key, value in place.items()})
+    environment = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    os.environ.update({key: str(value) for key, value in environment.items()})
     with joined("cpu") as processes:
         assert (processes.rank, processes.count, processes.first) == (rank, 2, rank == 0)
         torch.save(updated(simulator, samples, processes), out / f"{rank}.pt")

@@ -1,4 +1,4 @@
-"""The log of a training: rows, and what is forgotten when it goes on from an earlier place."""
+"""The log of a training: rows, and the removal of rows after the checkpoint that it continues from."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def test_tensorboard_gets_every_update_and_every_validation(tmp_path: Path) -> N
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     log = Log(tmp_path, size=0, updates=0, tensorboard=True)
     for updates in (1, 2):
-        log.point(updates, {"loss": 1.0 / updates, "learning_rate": 1e-3})
+        log.update(updates, {"loss": 1.0 / updates, "learning_rate": 1e-3})
     log.row({"minutes": 0.1, "updates": 2, "score": 0.25})
     log.close()
     events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()

@@ -46,8 +46,8 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
-    sides = {bool(sample.frames[-1, :, 0].mean() > 0.3) for sample in drawn}
-    assert sides == {False, True}
+    mirrored = {bool(sample.frames[-1, :, 0].mean() > 0.3) for sample in drawn}
+    assert mirrored == {False, True}
     for sample in drawn:
         assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
@@ -101,16 +101,16 @@ def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monk
 @pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
 def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
     rng = np.random.default_rng(0)
-    place = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
+    corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
     one = np.ones(1, np.float32)
     sample = Sample(
-        frames=place.reshape(1, 1, -1),
-        velocity0=place.reshape(1, -1),
-        targets=place.reshape(1, 1, -1),
+        frames=corner.reshape(1, 1, -1),
+        velocity0=corner.reshape(1, -1),
+        targets=corner.reshape(1, 1, -1),
         friction=one,
         cohesion=one,
         volume=one,
-        baffles=np.stack((place, place + 0.1))[None],
+        baffles=np.stack((corner, corner + 0.1))[None],
     )
     found = set()
     for _ in range(100):

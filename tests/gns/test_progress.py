@@ -1,4 +1,4 @@
-"""The time left is told from what was done."""
+"""The time left is estimated from the work done."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from gns.training.progress import Bar
 
 
 def bar(**budget: float) -> Bar:
-    """A bar that nobody sees, of a run that was resumed after 30 s."""
+    """A bar without output, of a run that was resumed after 30 s."""
     return Bar(Budget(**{"minutes": 2.0, **budget}), (1, 1, 4, 4), seconds=30.0, batch=3, shown=False)
 
 
@@ -17,7 +17,7 @@ def test_of_minutes_it_is_what_is_left_of_them_at_the_pace_of_the_clock() -> Non
     assert bar().seconds_left(0.5, 60.0, wall=60.0) == pytest.approx(120.0)
 
 
-def test_of_updates_it_knows_that_later_ones_take_longer() -> None:
+def test_later_updates_count_longer() -> None:
     of_updates = bar(updates=8)
     for _ in range(4):
         of_updates.show(0.5, seconds=60.0, steps=1, loss=1.0)

@@ -97,9 +97,9 @@ def test_the_summary_has_the_energies(files: dict[str, Path], tmp_path: Path) ->
 
 
 def test_a_scene_with_baffles(files: dict[str, Path], settings: ModelSettings, tmp_path: Path) -> None:
-    knowing = Simulator(dataclasses.replace(settings, baffles=True), NORMALISATION)
-    checkpoint.save(files["model"], knowing, {})
-    # Thrown at the baffle by a model that knows no contact forces: what stops the points is the baffle itself.
+    with_baffles = Simulator(dataclasses.replace(settings, baffles=True), NORMALISATION)
+    checkpoint.save(files["model"], with_baffles, {})
+    # Thrown at the baffle by a model without contact forces: the baffle itself stops the particles.
     files["scene"].write_text(SCENE + "velocity = [2.0, 0.5]\n" + BAFFLE)
     assert run(files, tmp_path / "out") == 0
     positions = Trajectory.load(tmp_path / "out" / "trajectory.npz").positions

@@ -11,7 +11,7 @@ from datasets.training.samples import Flow, load_flows
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.score import Score, badness, evaluate, grouped, score, table
+from gns.score import Score, evaluate, grouped, score, table, validation_score
 
 
 def flying(flow: Flow) -> Flow:
@@ -38,7 +38,7 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert wrong.released
     assert wrong.front_error < -0.1
     assert min(wrong.rmse) > 0.01
-    assert badness([wrong]) > badness([right])
+    assert validation_score([wrong]) > validation_score([right])
 
 
 def test_flows_side_by_side_are_of_one_domain_and_length(settings: ModelSettings, dataset: Path) -> None:

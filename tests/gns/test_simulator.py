@@ -12,7 +12,7 @@ from gns.unroll import unroll
 from tests.gns.conftest import NORMALISATION, Cloud
 
 
-def test_the_order_of_the_points_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
+def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
     lively.double()
     state, conditions = cloud(lower=(0.0, 0.0))
     friction = torch.linspace(0.3, 0.9, len(state.positions), dtype=torch.float64)
@@ -26,7 +26,7 @@ def test_the_order_of_the_points_does_not_matter(lively: Simulator, cloud: Cloud
     torch.testing.assert_close(after.positions, lively(state, conditions).positions[order])
 
 
-def test_away_from_the_walls_a_shift_by_grid_cells_changes_nothing(cloud: Cloud) -> None:
+def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(cloud: Cloud) -> None:
     # With convolutions the walls matter: they are the padding of the grid.
     torch.manual_seed(1)
     simulator = Simulator(ModelSettings(history=3, width=16, layers=2, grid_channels=8, grid_layers=0), NORMALISATION)
@@ -62,7 +62,7 @@ def test_nothing_leaves_the_box(lively: Simulator, cloud: Cloud) -> None:
     assert positions.max() <= 1.0
 
 
-def test_a_stopped_point_keeps_the_displacement_it_really_had(simulator: Simulator, cloud: Cloud) -> None:
+def test_the_displacement_of_a_stopped_particle_is_what_remains(simulator: Simulator, cloud: Cloud) -> None:
     state, conditions = cloud(lower=(0.4, 0.0), velocity=(0.0, -5.0))
     with torch.no_grad():
         after = simulator(state, conditions)
@@ -139,7 +139,7 @@ def box(*corners: tuple[float, float, float]) -> torch.Tensor:
     return torch.tensor(corners).view(1, 1, 2, 3)
 
 
-def test_no_point_enters_a_baffle() -> None:
+def test_no_particle_enters_a_baffle() -> None:
     torch.manual_seed(0)
     simulator = Simulator(SMALL_3D, NORMALISATION)
     baffles = box((0.65, 0.0, 0.3), (0.8, 0.6, 0.6))
@@ -149,7 +149,7 @@ def test_no_point_enters_a_baffle() -> None:
         positions = unroll(simulator, state, conditions, 12)
     inside = ((positions > baffles[0, 0, 0]) & (positions < baffles[0, 0, 1])).all(dim=2)
     assert not inside.any()
-    # They met it: the same flow without it goes on.
+    # They touched it: the same flow without it moves on.
     with torch.no_grad():
         free = unroll(simulator, state, dataclasses.replace(conditions, baffles=None), 12)
     assert (free[-1, :, 0] - positions[-1, :, 0]).max() > 0.05

@@ -60,11 +60,11 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize(("place", "distance", "normal"), EXAMPLES)
+@pytest.mark.parametrize(("position", "distance", "normal"), EXAMPLES)
 def test_distance_and_direction_at_known_positions(
-    dimension: int, place: tuple[float, float], distance: float, normal: tuple[float, float] | None
+    dimension: int, position: tuple[float, float], distance: float, normal: tuple[float, float] | None
 ) -> None:
-    point = torch.tensor([[*place, 0.35]], dtype=torch.float64)[:, :dimension]
+    point = torch.tensor([[*position, 0.35]], dtype=torch.float64)[:, :dimension]
     got, direction = nearest_baffle(point, boxes(BOX, PADDING, dimension=dimension), None, CUTOFF)
     assert got.item() == pytest.approx(distance, abs=1e-12)
     if normal is not None:
@@ -115,23 +115,23 @@ def test_no_gradient_is_ever_undefined_or_large(dimension: int) -> None:
     assert torch.isfinite(distance).all()
     assert torch.isfinite(direction).all()
     assert torch.isfinite(to_corners).all()
-    # The edges are rounded: the direction turns over a tenth of the reach, not at once.
+    # The edges are rounded: the direction turns over a tenth of the cutoff, not at once.
     assert to_points.norm(dim=1).max() < 3.0 * 2.0 * 10.0 / CUTOFF
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_features_are_continuous_everywhere(dimension: int) -> None:
     baffles = boxes(BOX, [[0.46, 0.0, 0.2], [0.56, 0.35, 0.5]], dimension=dimension)
-    # Between the two boxes, along their edges, over their tops and out of reach.
+    # Between the two boxes, along their edges, over their tops and beyond the cutoff.
     turns = torch.linspace(0.0, 1.0, 40001, dtype=torch.float64)
     path = torch.stack(
         (0.24 + 0.4 * turns, 0.2 + 0.14 * torch.sin(40.0 * turns), 0.35 + 0.15 * torch.sin(23.0 * turns))
     )
     path = path[:dimension].T
     outside = ~is_inside(path, baffles, torch.zeros(len(path), dtype=torch.long))
-    seen = solid_features(path, ROOM[dimension], baffles, None, CUTOFF, with_baffles=True)
-    jumps = (seen[1:] - seen[:-1]).norm(dim=1) / (path[1:] - path[:-1]).norm(dim=1)
-    assert (seen[outside, 2 * dimension] < 1.0).sum() > 10000
+    features = solid_features(path, ROOM[dimension], baffles, None, CUTOFF, with_baffles=True)
+    jumps = (features[1:] - features[:-1]).norm(dim=1) / (path[1:] - path[:-1]).norm(dim=1)
+    assert (features[outside, 2 * dimension] < 1.0).sum() > 10000
     assert jumps[outside[1:] & outside[:-1]].max() < 2.0 * 10.0 / CUTOFF
 
 
@@ -141,18 +141,18 @@ def test_features_without_baffles_are_those_far_from_any(dimension: int) -> None
     size = ROOM[dimension]
     points = torch.rand(50, dimension, generator=generator) * torch.tensor(size)
     far = boxes(PADDING, PADDING, dimension=dimension, dtype=torch.float32)
-    seen = solid_features(points, size, far, None, CUTOFF, with_baffles=True)
-    assert seen.shape == (50, feature_count(dimension, True))
-    torch.testing.assert_close(seen, solid_features(points, size, None, None, CUTOFF, with_baffles=True))
-    torch.testing.assert_close(seen, solid_features(points, size, far[:, :0], None, CUTOFF, with_baffles=True))
+    features = solid_features(points, size, far, None, CUTOFF, with_baffles=True)
+    assert features.shape == (50, feature_count(dimension, True))
+    torch.testing.assert_close(features, solid_features(points, size, None, None, CUTOFF, with_baffles=True))
+    torch.testing.assert_close(features, solid_features(points, size, far[:, :0], None, CUTOFF, with_baffles=True))
     walls = solid_features(points, size, None, None, CUTOFF, with_baffles=False)
     assert walls.shape == (50, feature_count(dimension, False))
-    torch.testing.assert_close(seen[:, : 2 * dimension], walls)
+    torch.testing.assert_close(features[:, : 2 * dimension], walls)
     expected = torch.cat((points, torch.tensor(size) - points), dim=1).clamp(max=CUTOFF) / CUTOFF
     torch.testing.assert_close(walls, expected)
 
 
-def test_a_sample_sees_its_own_baffles_alone() -> None:
+def test_baffles_of_other_samples_have_no_effect() -> None:
     both = torch.cat((boxes(BOX), boxes(PADDING)))
     point = torch.tensor([[0.42, 0.2], [0.42, 0.2]], dtype=torch.float64)
     distance, direction = nearest_baffle(point, both, torch.tensor([0, 1]), CUTOFF)
@@ -184,12 +184,12 @@ MOVES = [
 def test_where_a_move_ends(
     dimension: int, start: tuple[float, float], end: tuple[float, float], expected: object
 ) -> None:
-    here, there, wanted = (
-        torch.tensor([[*place, 0.35]], dtype=torch.float64)[:, :dimension]  # type: ignore[misc]
-        for place in (start, end, expected)
+    before, after, stopped = (
+        torch.tensor([[*position, 0.35]], dtype=torch.float64)[:, :dimension]  # type: ignore[misc]
+        for position in (start, end, expected)
     )
-    got = keep_out(there, here, ROOM[dimension], boxes(PADDING, BOX, dimension=dimension), None)
-    torch.testing.assert_close(got, wanted, atol=1.01 * SKIN, rtol=0.0)
+    got = keep_out(after, before, ROOM[dimension], boxes(PADDING, BOX, dimension=dimension), None)
+    torch.testing.assert_close(got, stopped, atol=1.01 * SKIN, rtol=0.0)
     assert 9.0 * SKIN < GRAZE
 
 
@@ -243,7 +243,7 @@ def test_the_seams_between_baffles_and_walls_are_closed() -> None:
     torch.testing.assert_close(point, torch.tensor([[0.0, 0.2]]), atol=2.0 * SKIN, rtol=0.0)
 
 
-def test_a_point_inside_goes_to_a_face_that_nothing_covers() -> None:
+def test_a_particle_inside_goes_to_a_face_that_nothing_covers() -> None:
     # Nearest is the floor, then the neighbour, then the top.
     pair = boxes([[0.6, 0.0, 0.0], [0.7, 0.1, 0.1]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.1]])
     point = torch.tensor([[0.68, 0.01], [0.68, 0.05], [0.72, 0.12]], dtype=torch.float64)
@@ -253,19 +253,19 @@ def test_a_point_inside_goes_to_a_face_that_nothing_covers() -> None:
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_point_on_a_face_moves_with_the_face(dimension: int) -> None:
+def test_a_particle_on_a_face_moves_with_the_face(dimension: int) -> None:
     generator = torch.Generator().manual_seed(1)
     baffles = scattered(dimension)
     size = ROOM[dimension]
-    target, batch = near_surfaces(baffles, 400, generator)
-    start, _ = near_surfaces(baffles, 400, generator)
+    target, batch = near_surfaces(baffles, 200, generator)
+    start, _ = near_surfaces(baffles, 200, generator)
     start = keep_out(start, start, size, baffles, batch)
     target = start + 0.03 * torch.randn(start.shape, generator=generator, dtype=start.dtype).clamp(-1.0, 1.0)
     kept = keep_out(target, start, size, baffles, batch)
     held = (kept != target).any(1)
-    assert held.sum() > 50
+    assert held.sum() > 25
     target, start, batch = target[held], start[held], batch[held]
-    # Keep what no small change of a corner sends elsewhere: which face is met is a decision.
+    # Keep what no small change of a corner sends elsewhere: the choice of the face is discontinuous.
     shift = 1e-6 * torch.randn(baffles.shape, generator=generator, dtype=baffles.dtype)
     moves = [keep_out(target, start, size, baffles + sign * shift, batch) - kept[held] for sign in (-1.0, 1.0)]
     steady = torch.stack(moves).abs().amax((0, 2)) < 1e-5
@@ -280,7 +280,7 @@ def test_a_point_on_a_face_moves_with_the_face(dimension: int) -> None:
     assert torch.autograd.gradcheck(move, (target, baffles), eps=1e-8, atol=1e-5)
 
 
-def test_a_point_on_a_wall_has_its_whole_gradient() -> None:
+def test_a_particle_on_a_wall_has_its_whole_gradient() -> None:
     point = torch.tensor([[0.0, 0.2], [-0.1, 0.2]], dtype=torch.float64, requires_grad=True)
     keep_out(point, point.detach(), (1.0, 0.5), None, None).sum().backward()
     torch.testing.assert_close(point.grad, torch.tensor([[1.0, 1.0], [0.0, 1.0]], dtype=torch.float64))
@@ -308,9 +308,9 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
         got = share.view(2, -1)[sample, some]
         torch.testing.assert_close(got, inside.double().mean(0), atol=0.08, rtol=0.0)
     baffles = baffles + 1e-3 * torch.rand(baffles.shape, generator=generator).double()
-    small = tuple(count // 2 for count in points.shape)
+    small = tuple(count // 3 for count in points.shape)
     assert torch.autograd.gradcheck(
-        lambda b: occupancy(small, 2.0 * cell, size, b, 2), baffles.requires_grad_(), eps=1e-7, atol=1e-5
+        lambda b: occupancy(small, 3.0 * cell, size, b, 2), baffles.requires_grad_(), eps=1e-7, atol=1e-5
     )
 
 

@@ -7,14 +7,14 @@ import pytest
 from gns.training.stopping import Stop
 
 
-def test_a_signal_is_noted_and_the_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_is_recorded_and_the_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter((0.0, 1.0, 5.0))
     monkeypatch.setattr("gns.training.stopping.time.monotonic", lambda: next(times))
     before = signal.getsignal(signal.SIGTERM)
     with Stop().watching() as stop:
-        assert not stop.asked
+        assert not stop.requested
         signal.raise_signal(signal.SIGTERM)
-        assert stop.asked
+        assert stop.requested
         # The same one, handed on.
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):

@@ -79,6 +79,7 @@ def test_a_block_on_a_plate_weighs_what_it_weighs() -> None:
     assert (trajectory.positions[0] - trajectory.positions[-1])[:, 1].mean() < CELL
 
 
+@pytest.mark.slow
 def test_moving_a_baffle_moves_the_deposit_by_degrees() -> None:
     """Over two cells in steps of a fifth: the deposit follows a smooth curve, no plateau and no jump.
 

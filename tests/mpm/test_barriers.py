@@ -1,4 +1,4 @@
-"""Masses behind barriers: held until their time, or until they have settled, and then let go; nobody else pays."""
+"""Masses behind barriers: retained until their time, or until they have settled, and then let go."""
 
 import dataclasses
 
@@ -54,7 +54,8 @@ def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, p
     assert before > flow.positions[frame, :, 0].max()
 
 
-def test_smooth_gates_carry_no_weight() -> None:
+@pytest.mark.double
+def test_smooth_barriers_carry_no_weight() -> None:
     # Behind barriers the floor carries everything: sand in a silo whose walls are smooth.
     flow = simulate(
         with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5)), precision="f64", threads=1, record=WITH_FIELDS
@@ -66,8 +67,9 @@ def test_smooth_gates_carry_no_weight() -> None:
     assert np.abs(flow.velocities[:21]).max() < 1e-9
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("release", [0.05, "settled"])
-def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> None:
+def test_what_barriers_and_damping_take_is_in_the_balance(release: float | str) -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, lower=(0.3, 0.0), release=release))
     flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     total = momentum(flow)
@@ -77,6 +79,7 @@ def test_what_gates_and_damping_take_is_in_the_balance(release: float | str) -> 
     assert np.abs(astray).max() < 1e-5 * mass * 9.81 * flow.time[-1]
 
 
+@pytest.mark.double
 def test_a_mass_settles_before_it_is_let_go() -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.5)
     flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
@@ -94,6 +97,7 @@ def test_a_mass_settles_before_it_is_let_go() -> None:
     assert kinetic[frame + 8] > 1e3 * kinetic[frame]
 
 
+@pytest.mark.double
 def test_without_damping_it_would_swing_much_longer() -> None:
     swings = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release=0.15)), precision="f64", threads=1)
     settles = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release="settled")), precision="f64", threads=1)
@@ -101,6 +105,7 @@ def test_without_damping_it_would_swing_much_longer() -> None:
     assert max(settles.summary["energy"]["kinetic"][at]) < 0.01 * max(swings.summary["energy"]["kinetic"][at])
 
 
+@pytest.mark.double
 def test_a_mass_in_equilibrium_settles_at_once() -> None:
     flow = simulate(
         with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release="settled")), precision="f64", threads=1
@@ -108,6 +113,7 @@ def test_a_mass_in_equilibrium_settles_at_once() -> None:
     assert flow.summary["release_time"] == [2 * SCENE.frame_dt]
 
 
+@pytest.mark.double
 def test_masses_have_their_own_times() -> None:
     first = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, release=0.05)
     second = Mass(lower=(0.8, 0.0), size=(0.2, 0.2), k0=0.5, release=0.1)
@@ -139,7 +145,8 @@ def test_rest_waits_for_the_release() -> None:
     assert flow.summary["rest_time"] > flow.summary["release_time"][0] + 0.3
 
 
-def test_on_several_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.double
+def test_on_two_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
     alone = simulate(scene, precision="f64", threads=1)
     monkeypatch.setattr(runs, "PARTICLES_PER_WORKER", 300)
@@ -162,7 +169,7 @@ def test_other_scenes_have_no_gates() -> None:
     assert Batch([SCENE], precision="f32").features.barriers
 
 
-def test_gates_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
+def test_barriers_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
     low, high = barriers(SCENE, COLUMN)
     assert (low.axis, high.axis) == (0, 0)
     assert low.nodes[:, 0].tolist() == [PADDING + 18, PADDING + 21]

@@ -10,7 +10,7 @@ from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import ScenesFailed, simulate, simulate_each, simulate_many
+from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.output.outcome import explain
 from tests.mpm.scenes import COLUMN, SAND, box, room
 
@@ -18,7 +18,7 @@ TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
 """Thirteen times the wave speed of SAND."""
 
 
-def test_scenes_of_different_needs_run_as_alone_and_come_back_in_order() -> None:
+def test_scenes_of_different_features_run_as_alone_and_come_back_in_order() -> None:
     clay = dataclasses.replace(SAND, cohesion=500.0, tension_cutoff=200.0)
     scenes = [
         box(seed=1),
@@ -26,10 +26,10 @@ def test_scenes_of_different_needs_run_as_alone_and_come_back_in_order() -> None
         box(seed=2, duration=0.05),
         room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.2, 0.16))),
     ]
-    together = simulate_many(scenes)
+    together = simulate_many(scenes, record=WITH_FIELDS)
     assert [flow.scene for flow in together] == scenes
     for scene, beside in zip(scenes, together, strict=True):
-        alone = simulate(scene, threads=1)
+        alone = simulate(scene, threads=1, record=WITH_FIELDS)
         np.testing.assert_array_equal(alone.positions, beside.positions)
         assert alone.summary["energy"] == beside.summary["energy"]
         assert alone.summary["steps"] == beside.summary["steps"]

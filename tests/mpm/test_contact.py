@@ -99,6 +99,7 @@ def test_a_layer_rests_with_other_transfers_particles_and_steps(changes: dict[st
     assert_at_rest(simulate(layer(0.7, **changes)), 5.7 * CELL, since=40)
 
 
+@pytest.mark.double
 def test_a_bed_with_k0_rests_on_a_solid_from_the_first_frame_on() -> None:
     """Geostatic stress in equilibrium with the contact itself: nothing moves."""
     scene = layer(0.4)
@@ -202,7 +203,8 @@ def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
         assert_outside(simulate(scene))
 
 
-def test_momentum_goes_into_sides_and_solids_alone() -> None:
+@pytest.mark.double
+def test_momentum_goes_into_walls_and_solids_alone() -> None:
     """P(t) - P(0) = M g t less what every side of the box and every solid took, a slope and a turned box among them."""
     scene = Scene(
         domain=Domain(size=(1.0, 0.6), cell=CELL),
@@ -221,8 +223,8 @@ def test_momentum_goes_into_sides_and_solids_alone() -> None:
     mass = SAND.density * scene.particle_volume
     momentum = mass * flow.velocities.sum(axis=1, dtype=float)
     weight = np.outer(flow.time, scene.gravity_vector) * mass * flow.positions.shape[1]
-    sides = np.sum(list(flow.summary["side_impulse"].values()), axis=0)
-    error = momentum - weight + sides + flow.solid_impulse.sum(axis=1)
+    walls = np.sum(list(flow.summary["side_impulse"].values()), axis=0)
+    error = momentum - weight + walls + flow.solid_impulse.sum(axis=1)
     assert np.abs(error).max() < 1.0e-5 * np.abs(weight).max()
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 

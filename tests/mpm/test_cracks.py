@@ -6,6 +6,8 @@ import pytest
 from datasets.material import Material
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
 
+pytestmark = pytest.mark.double
+
 ROCK = Material(friction_deg=35.0, cohesion=1.0e6, tension_cutoff=2.0e3, young=5.0e7, poisson=0.3)
 LOOSE = Material(friction_deg=35.0, cohesion=1.0e6, tension_cutoff=0.0, young=5.0e7, poisson=0.25)
 

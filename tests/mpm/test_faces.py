@@ -110,7 +110,7 @@ def test_nodes_see_the_surface(dimension: int) -> None:
 
 def test_an_empty_neighbourhood() -> None:
     scene = scene_of(2)
-    away = Surface(
+    distant = Surface(
         corners=np.array([[[50.0, 50.0], [51.0, 50.0]]]),
         normals=np.array([[0.0, -1.0]]),
         corner_normals=np.array([[[0.0, -1.0]] * 2]),
@@ -119,6 +119,6 @@ def test_an_empty_neighbourhood() -> None:
         friction=np.zeros((1, 2)),
         adhesion=np.zeros(1),
     )
-    found = faces_near(scene.domain, away)
+    found = faces_near(scene.domain, distant)
     assert len(found.faces) == len(found.nodes) == 0
     assert (found.first == 0).all()

@@ -47,7 +47,7 @@ def fastest(scene: Scene, precision: str) -> float:
     return float(np.linalg.norm(velocities, axis=2).max())
 
 
-def node_strides(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def row_means(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over the rows of cells, from the floor up."""
     row = (initial_particles(scene).positions[:, 1] / CELL).astype(int)
     return np.bincount(row, values) / np.bincount(row)
@@ -71,6 +71,7 @@ def test_in_3d_too(precision: str) -> None:
     assert fastest(BED_3D, precision) <= 1.0e-6
 
 
+@pytest.mark.double
 def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
     # There is no admissible equilibrium where a cohesionless edge hangs on single particles: how much misses is said.
     with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
@@ -98,17 +99,17 @@ def test_every_level_carries_what_lies_above(scene: Scene) -> None:
 def test_rows_have_the_geostatic_stress() -> None:
     # Without jitter row by row, but for the half cell at the floor, whose lowest nodes do not mirror the motion above.
     level = dataclasses.replace(BED_2D, jitter=0.0)
-    depth = node_strides(level, 0.4 - initial_particles(level).positions[:, 1])
+    depth = row_means(level, 0.4 - initial_particles(level).positions[:, 1])
     weight = SAND.density * level.gravity * depth
     stress = stress_of(level)
-    vertical, lateral = node_strides(level, -stress[:, 1]) / weight, node_strides(level, -stress[:, 0]) / weight
+    vertical, lateral = row_means(level, -stress[:, 1]) / weight, row_means(level, -stress[:, 0]) / weight
     np.testing.assert_allclose(vertical[2:-1], 1.0, rtol=0.01)
     np.testing.assert_allclose(vertical, 1.0, rtol=0.1)
     np.testing.assert_allclose(lateral[1:], 0.5, rtol=0.01)
     # With jitter single particles scatter by a fifth and rows of a hundred by a fiftieth; their mean does not.
     depth = 0.4 - initial_particles(BED_2D).positions[:, 1]
     stress, weight = stress_of(BED_2D), SAND.density * BED_2D.gravity * depth
-    vertical = node_strides(BED_2D, -stress[:, 1]) / node_strides(BED_2D, weight)
+    vertical = row_means(BED_2D, -stress[:, 1]) / row_means(BED_2D, weight)
     assert np.abs(vertical[1:-1] - 1.0).max() < 0.06
     assert vertical[1:-1].mean() == pytest.approx(1.0, abs=0.01)
     assert 0.1 < np.std(stress[:, 1] / -weight) < 0.3
@@ -130,12 +131,13 @@ def test_an_elastic_bed_has_the_ratio_of_poisson() -> None:
     mass = dataclasses.replace(BED_2D.masses[0], k0="elastic")
     scene = with_masses(BED_2D, mass, jitter=0.0)
     stress = stress_of(scene)
-    rows = node_strides(scene, stress[:, 0]) / node_strides(scene, stress[:, 1])
+    rows = row_means(scene, stress[:, 0]) / row_means(scene, stress[:, 1])
     np.testing.assert_allclose(rows[2:-2], 0.3 / 0.7, rtol=0.01)
     below = initial_particles(scene).positions[:, 1] < 0.38  # single particles of the surface yield
     np.testing.assert_allclose(stress[below, 2], 0.3 * (stress[below, 0] + stress[below, 1]), atol=1e-6)
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("floor_friction", [0.0, 0.6])
 def test_an_elastic_block_stands_still_on_its_own(floor_friction: float) -> None:
     block = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), k0="elastic")
@@ -148,6 +150,7 @@ def test_an_elastic_block_stands_still_on_its_own(floor_friction: float) -> None
     assert fastest(scene, "f64") <= 1.0e-6
 
 
+@pytest.mark.double
 def test_a_rough_floor_holds_an_elastic_slope() -> None:
     slab = Mass(lower=(0.0, 0.0), size=(1.0, 0.1), k0="elastic")
     scene = with_masses(BED_2D, slab, material=STIFF_CLAY, slope_deg=20.0, floor_friction=1.0, duration=0.25)
@@ -182,11 +185,12 @@ def test_the_overburden_counts_what_rests_on_it() -> None:
     hovering = Mass(lower=(0.5, 0.3), size=(0.5, 0.1), k0=0.4, material=heavy)
     stressless = Mass(lower=(0.0, 0.2), size=(0.5, 0.05), material=heavy)
     scene = with_masses(BED_2D, upper, lower, hovering, stressless)
-    places = np.array([[0.2, 0.06], [0.7, 0.06]])
-    found = overburden(scene, lower, places)
+    positions = np.array([[0.2, 0.06], [0.7, 0.06]])
+    found = overburden(scene, lower, positions)
     np.testing.assert_allclose(found, 9.81 * np.array([0.04 * 1000.0 + 0.1 * 3000.0, 0.04 * 1000.0]))
 
 
+@pytest.mark.double
 def test_layers_of_different_density_are_at_rest() -> None:
     heavy = Material(friction_deg=34.0, density=2200.0)
     lower = Mass(lower=(0.0, 0.0), size=(1.0, 0.2), k0=0.5)
@@ -201,7 +205,7 @@ def test_sand_that_cannot_stand_is_said_to_be_unbalanced() -> None:
     assert len(caught) == 1
 
 
-def test_without_a_release_the_gates_are_gone_at_the_start() -> None:
+def test_without_a_release_the_barriers_are_gone_at_the_start() -> None:
     column = Mass(lower=(0.0, 0.0), size=(0.2, 0.3), k0=0.5)
     scene = with_masses(BED_2D, column, duration=0.1)
     with warnings.catch_warnings():

@@ -14,13 +14,14 @@ from datasets.errors import InputError
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import ALL, AT_REST, LAST, WITH_FIELDS, Recording, simulate
+from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.output.request import FIELDS
 from mpm.output.rest import window_frames
 from mpm.output.smoothing import density, smoothed, weights
 from tests.mpm.scenes import SAND, box, room
 
+REST = Recording(frames=3, fields=frozenset({"velocity", "pressure"}), until_rest=True)
 EVERYTHING = Recording(fields=frozenset(FIELDS), wall_forces=True)
 WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
 
@@ -175,8 +176,13 @@ def test_smoothing_keeps_constants_and_integrals() -> None:
 
 def test_sand_in_the_air_is_not_at_rest() -> None:
     """Thrown up at 2 m/s it stands still after 0.2 s, at the top of its path."""
-    scene = box(Mass(lower=(0.4, 0.1), size=(0.2, 0.2), velocity=(0.0, 2.0)), floor_friction=0.5, duration=1.5)
-    flow = simulate(scene, record=AT_REST)
+    scene = box(
+        Mass(lower=(0.4, 0.1), size=(0.2, 0.2), velocity=(0.0, 2.0)),
+        floor_friction=0.5,
+        duration=1.5,
+        volume_correction=False,
+    )
+    flow = simulate(scene, record=REST)
     kinetic = np.array(flow.summary["energy"]["kinetic"])
     assert kinetic[:60].min() < 0.02 * kinetic.max()
     # It lands at 0.46 s and spreads.
@@ -187,7 +193,7 @@ def test_sand_in_the_air_is_not_at_rest() -> None:
 def test_a_ringing_bed_is_not_at_rest() -> None:
     """Let go under gravity without damping it oscillates: at full compression it stands still, 6 times in 0.35 s."""
     scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), duration=0.5)
-    flow = simulate(scene, record=AT_REST)
+    flow = simulate(scene, record=REST)
     kinetic = np.array(flow.summary["energy"]["kinetic"])
     assert (kinetic[5:] < 0.01 * kinetic.max()).sum() > 3
     assert flow.summary["rest_time"] is None
@@ -196,8 +202,7 @@ def test_a_ringing_bed_is_not_at_rest() -> None:
 
 def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
     scene = box(floor_friction=0.5, duration=2.0)
-    usual = Recording(frames=3, fields=frozenset({"velocity", "pressure"}))
-    whole, ended = simulate(scene), simulate(scene, record=usual)
+    whole, ended = simulate(scene), simulate(scene, record=REST)
     summary = ended.summary
     assert whole.summary["rest_time"] is None
     assert 0.5 < summary["rest_time"] < 1.0
@@ -214,7 +219,7 @@ def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
     np.testing.assert_array_equal(ended.positions[~after], whole.positions[before])
     assert summary["front"] == pytest.approx(whole.summary["front"], abs=0.001)
     # The last frame alone is the one in which it was found at rest, too.
-    last = simulate(scene, record=AT_REST)
+    last = simulate(scene, record=dataclasses.replace(REST, frames="last"))
     np.testing.assert_array_equal(last.positions[-1], ended.positions[-1])
     assert last.summary["rest_time"] == summary["rest_time"]
 
@@ -232,4 +237,4 @@ def test_a_deposit_that_never_moved_is_at_rest() -> None:
     """A layer so light and thin that its own weight hardly compresses it: at rest from the first frame on."""
     layer = Mass(lower=(0.0, 0.0), size=(1.0, 0.02))
     scene = box(layer, gravity=0.02, duration=2.0, frame_dt=0.1, jitter=0.0)
-    assert simulate(scene, record=AT_REST).summary["rest_time"] <= 0.2
+    assert simulate(scene, record=REST).summary["rest_time"] <= 0.2

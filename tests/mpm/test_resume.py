@@ -158,7 +158,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
             os.kill(os.getpid(), number)
             return super().update(n)
 
-    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene, out = tmp_path / "pile.toml", tmp_path / "out"
     scene.write_text(SCENE)
     before = signal.getsignal(number)
     with monkeypatch.context() as patch:
@@ -176,7 +176,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
 
 
 def test_the_command_goes_on_for_longer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = tmp_path / "heap.toml", tmp_path / "out"
+    scene, out = tmp_path / "pile.toml", tmp_path / "out"
     scene.write_text(SCENE.replace("duration = 0.4", "duration = 0.035"))
     assert run(command, "mpm.run", [str(scene), "--out", str(out), "--last-frame", "--checkpoint"]) == 0
     assert Trajectory.load(out / "trajectory.npz").time.tolist() == [pytest.approx(0.035)]

@@ -10,6 +10,8 @@ from datasets.material import Material
 from tests.mpm.element import returned, returned_tensors, returned_whole, yield_function
 from tests.mpm.lcp import elasticity, lcp_return, lipschitz, surfaces
 
+pytestmark = pytest.mark.double
+
 Array = np.ndarray
 
 

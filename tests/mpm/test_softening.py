@@ -31,6 +31,7 @@ def sheared(slip: float, cell: float, steps: int, dimension: int = 2) -> np.ndar
     return path
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("cell", [0.01, 0.1, 1.0])
 def test_the_work_of_a_band_does_not_depend_on_the_cell(cell: float, dimension: int) -> None:
@@ -52,6 +53,7 @@ def test_the_work_of_a_band_does_not_depend_on_the_cell(cell: float, dimension: 
     np.testing.assert_allclose(tau[yielding], soft[yielding], rtol=1e-6)
 
 
+@pytest.mark.double
 def test_friction_and_cohesion_soften_linearly_in_shear() -> None:
     """psi = 0: the radius of Mohr's circle is c cos phi + p sin phi, whose two parts are interpolated in the slip."""
     soil = Material(
@@ -76,6 +78,7 @@ def test_friction_and_cohesion_soften_linearly_in_shear() -> None:
     np.testing.assert_allclose(radius[yielding], expected[yielding], rtol=1e-6)
 
 
+@pytest.mark.double
 def test_dilation_ends_at_the_critical_state() -> None:
     """A dense sand sheared at constant volume presses outwards until the softening length is used up, then no more."""
     dense = Material(
@@ -91,6 +94,7 @@ def test_dilation_ends_at_the_critical_state() -> None:
     assert -endless[-1, :3].mean() > 2.0 * mean[-1]
 
 
+@pytest.mark.double
 def test_the_apex_limits_the_cutoff_on_the_way() -> None:
     """Where phi falls and c stays, c cot phi rises, but more slowly at first than the line between its ends."""
     soil = Material(
@@ -112,6 +116,7 @@ def test_the_apex_limits_the_cutoff_on_the_way() -> None:
     np.testing.assert_allclose(history[-1], [apex, apex, apex, 0.0, 0.0, 0.0], rtol=1e-6, atol=1e-6 * apex)
 
 
+@pytest.mark.double
 @pytest.mark.parametrize("angle", [0.0, 0.4])
 def test_an_open_crack_does_not_soften_by_being_there(angle: float) -> None:
     """With volume correction what has opened is taken back every step; that is not plastic strain, even as it turns."""
@@ -145,6 +150,7 @@ def block(**material: object) -> Scene:
     )
 
 
+@pytest.mark.double
 def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
     """Nothing happens before slip, everything at once where the length is tiny, and something between in between."""
 
@@ -159,7 +165,8 @@ def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
     assert firm + 0.01 < ends[0.05] < ends[1e-9] - 0.01
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.double
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_gpus_kernel_softens_alike(dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything of the law at once, two materials, with cracks that are remembered; a thread per particle or not."""
     monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])

@@ -70,6 +70,7 @@ def test_slow_motion_far_from_the_origin_does_not_freeze(precision: Precision) -
     assert moved == pytest.approx(0.1, rel=0.01)
 
 
+@pytest.mark.double
 def test_momentum_is_conserved_in_free_flight() -> None:
     """Two bodies that collide in free space: the total momentum stays, to rounding, and no energy is made."""
     scene = Scene(
@@ -91,6 +92,7 @@ def test_momentum_is_conserved_in_free_flight() -> None:
     assert energy.max() <= energy[0] * 1.005
 
 
+@pytest.mark.double
 def test_the_default_relaxation_scales_with_the_flow() -> None:
     """Ten times the length, sqrt(10) times the time and ten times the modulus give the same flow, scaled."""
     large = Scene(

@@ -4,9 +4,10 @@ from functools import partial
 from pathlib import Path
 
 from datasets.errors import InputError
+from gns import card
 from gns.inference import shipped
 from gns.initial import check
-from gns.model import card, checkpoint
+from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsSource
 from inverse.forward.interface import Simulate, SurrogateSource
 from inverse.forward.linearised import MpmSource

@@ -32,6 +32,8 @@ def test_a_page_gets_its_flags(
     monkeypatch.setitem(BENCHES, "fake", Bench(module="math", summary=""))
     assert main(["fake", "--out", str(tmp_path), "--quick", "--seeds", "3"]) == 0
     assert capsys.readouterr().out.startswith(f"{tmp_path.name} True 3\n")
+    assert main(["fake", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith(f"{tmp_path.name} False 2\n")
     assert main(["fake", "--out", str(tmp_path), "--seeds", "many"]) == 2
 
 

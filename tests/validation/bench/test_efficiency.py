@@ -17,10 +17,10 @@ from inverse.observations.target import Target
 from inverse.problem import Problem, read_problem
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import bench, columns, gradients, records
+from validation.bench.efficiency import page as efficiency_page
 from validation.bench.efficiency.columns import Size, Task, Usage, Work
 from validation.bench.efficiency.findings import best_of, crossing, particles_cost, unknowns_cosine, unknowns_cost
 from validation.bench.efficiency.methods import PAPER_STEP_DEG, ForwardModel, GradientBy, methods
-from validation.bench.efficiency.page import page
 from validation.bench.efficiency.records import (
     AD,
     FD_GNS,
@@ -309,7 +309,7 @@ def test_sentences_follow_the_numbers() -> None:
 def test_the_page_marks_what_was_multiplied() -> None:
     rows = (row("AD, GNS", (12.0, 1e-3), ended="out of time"), row("other, GNS", (12.0, 1e-3)))
     parts = Parts(problems={"a": result(*rows)}, unknowns=over_unknowns(), particles=over_particles())
-    text = str(page(parts))
+    text = str(efficiency_page.page(parts))
     assert "≈ 90 s for 30" in text
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
     assert any(line[:4] == ["100", FD_MPM, "≈ 100.00", "10 of 100"] for line in cells)
@@ -317,7 +317,7 @@ def test_the_page_marks_what_was_multiplied() -> None:
     assert any(line[0] == "100,000" and line[-1] == "10 steps" and line[4].startswith("≈") for line in cells)
     assert "2000-01-01, on a machine" in text
     quick = dataclasses.replace(ORIGIN, quick=True)
-    assert "--quick" in str(page(Parts(problems={"a": result(*rows, origin=quick)})))
+    assert "--quick" in str(efficiency_page.page(Parts(problems={"a": result(*rows, origin=quick)})))
 
 
 def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -334,7 +334,9 @@ def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
         return result(row("AD, GNS", (1.0, 0.1), (2.0, 0.01)), row("x, MPM", (1.0, 0.1)), problem=name, origin=origin)
 
     monkeypatch.setattr(bench, "measure", measure)
-    monkeypatch.setattr(plots, "DPI", 30)
+    drawn: list[str] = []
+    for name in ("draw_problem", "draw_unknowns", "draw_particles"):
+        monkeypatch.setattr(efficiency_page, name, lambda path, _: drawn.append(path.name))
     keep, names = tmp_path / "keep", [*bench.LIMITS, "unknowns", "particles"]
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
@@ -348,13 +350,20 @@ def test_a_run_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     assert said in text
     assert all(name in text for name in bench.LIMITS)
     assert records.read(tmp_path) == records.read(keep)
-    for name in (*bench.LIMITS, "unknowns", "particles"):
-        assert (tmp_path / "pictures" / f"efficiency-{name}.png").stat().st_size > 1_000
+    assert drawn == [f"efficiency-{name}.png" for name in (*bench.LIMITS, "unknowns", "particles")]
     # What was measured with `--quick` is no part of the whole.
     done.clear()
     with pytest.raises(KeyboardInterrupt):
         bench.bench(tmp_path, quick=True, keep=keep)
     assert done == ["friction-tall-42", "unknowns"]
+
+
+def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plots, "DPI", 30)
+    efficiency_page.draw_problem(tmp_path / "a.png", result(row("AD, GNS", (1.0, 0.1), (2.0, 0.01))))
+    efficiency_page.draw_unknowns(tmp_path / "b.png", over_unknowns())
+    efficiency_page.draw_particles(tmp_path / "c.png", over_particles())
+    assert all((tmp_path / name).stat().st_size > 1_000 for name in ("a.png", "b.png", "c.png"))
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"race": {}}'])

@@ -4,19 +4,21 @@ Where no deposit was surveyed, the runout is that of a twin: the same release on
 friction that the back-analysis does not use and another initial jitter, and then rounded to the raster of a survey.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.library import read_scene
 from datasets.measures import Positions, front
 from datasets.records import Record, from_mapping, read_toml
-from datasets.scene import Scene
+from datasets.scene import Domain, Scene
+from inverse.parameters import kind, with_parameters
 from validation.bench.experiments.angle import AngleSearch, InferredAngle, search_all
 from validation.bench.experiments.computed import Simulate
 from validation.experiments.experiment import Assumption
@@ -47,7 +49,7 @@ class History(Record):
     scene: str
     """File of the scene, beside the history."""
     bed: str
-    """Key of the bed friction in the scene, such as solids[0].friction."""
+    """The bed friction as a parameter of an inverse problem, such as solids[0].friction."""
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
     raster: float
@@ -76,21 +78,20 @@ class ReadHistory:
     @property
     def ground(self) -> NDArray[np.float64]:
         """The line of the first terrain of the scene [m], shape [P, 2]; no points where it has none."""
-        solids = read_toml(self.folder / self.history.scene).get("solids", [])
-        lines = [each["points"] for each in solids if "points" in each]
+        solids = read_scene(str(self.folder / self.history.scene)).solids
+        lines = [solid.points for solid in solids if solid.kind == "terrain"]
         return np.array(lines[0] if lines else np.zeros((0, 2)), dtype=np.float64)
 
     def scene(self, bed_friction: float, cell: float, seed: int) -> Scene:
         """The scene with another bed friction [-], cell [m] and jitter. Raises InputError."""
-        path = self.folder / self.history.scene
-        data = read_toml(path)
-        data["domain"]["cell"] = cell
-        data["seed"] = seed
-        put(data, self.history.bed, bed_friction, path)
+        path, bed = self.folder / self.history.scene, self.history.bed
+        scene = read_scene(str(path))
         try:
-            return from_mapping(Scene, data)
+            kind(bed).check(scene)
+            scene = with_parameters(scene, [bed], [bed_friction])
         except InputError as error:
-            raise error if error.where else error.at(str(path)) from None
+            raise InputError(error.message, where=str(path), key=bed) from None
+        return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=cell), seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,18 +127,6 @@ class BackAnalysis:
         """Travel angle [deg] of the twin: slope of the line between the centres of mass of release and deposit."""
         drop, distance = (self.start.mean(axis=0) - self.twin.mean(axis=0))[[1, 0]]
         return math.degrees(math.atan2(drop, -distance))
-
-
-def put(data: dict[str, Any], key: str, value: float, path: Path) -> None:
-    """Set `key`, such as solids[0].friction, in parsed TOML. Raises InputError, which names the file and the key."""
-    *parents, last = key.replace("]", "").replace("[", ".").split(".")
-    node: Any = data
-    try:
-        for part in parents:
-            node = node[int(part)] if isinstance(node, list) else node[part]
-        node[last] = value
-    except (KeyError, IndexError, ValueError, TypeError):
-        raise InputError("expected the key that `bed` of the history names", where=str(path), key=key) from None
 
 
 def read_history(folder: Path) -> ReadHistory:

@@ -18,12 +18,12 @@ steepest of all places counts."""
 CUBE = 2
 """Cells along an edge of the cubes (in 2D squares) in which particles are counted."""
 MIN_CUBES = 10
-"""Whose mean says something: single cubes scatter by a tenth."""
+"""Cubes from which a mean is taken: single ones scatter by a tenth."""
 VOLUME = 0.05
 AGREEMENT = 0.1
 """Cells between the fronts in f32 and f64: less than what another jitter of the particles does to a front."""
 JITTERS = 4
-"""Whose fronts' standard deviation says what a jitter does to the front of a flow that sprays ..."""
+"""Jitters whose fronts give the standard deviation of the front of a flow that sprays ..."""
 DEVIATIONS = 3.0
 """... and how many of these may lie between its fronts in f32 and f64."""
 

@@ -1,0 +1,65 @@
+"""The models that ship: a rollout and its gradient against stored numbers, and against central differences."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+import gns
+from datasets import measures
+from datasets.library import read_scene
+from gns.inference import WEIGHTS
+from gns.initial import Start, initial_state
+from gns.model.simulator import Simulator
+from gns.unroll import unroll
+
+STEPS = 6
+# Mean x [m] after the steps above and its derivative with respect to tan(phi) [m]: other libraries round otherwise,
+# other weights or features give other numbers.
+STORED = [
+    ("flow2d", "column-tall-42", 0.1113800, -0.00579127),
+    ("flow2d-fast", "column-tall-42", 0.1111408, -0.00546260),
+    ("obstacle3d", "baffles-2", 0.4676677, 0.00180825),
+]
+
+
+def mean_x(simulator: Simulator, scene: str, change: torch.Tensor) -> torch.Tensor:
+    """Mean x [m] of the particles after the steps, with tan(phi) changed."""
+    initial = initial_state(read_scene(scene), simulator.settings)
+    # Thrown, so that contact forces act from the first step on.
+    moving = initial.with_displacements(initial.state.displacements + 0.002)
+    moving = moving.with_conditions(friction=moving.conditions.friction + change)
+    return unroll(simulator, moving.state, moving.conditions, STEPS)[-1, :, 0].mean()
+
+
+@pytest.mark.parametrize(("model", "scene", "position", "slope"), STORED)
+def test_a_rollout_and_its_gradient_are_as_stored(model: str, scene: str, position: float, slope: float) -> None:
+    simulator = gns.load(model).requires_grad_(False)
+    change = torch.zeros((), requires_grad=True)
+    found = mean_x(simulator, scene, change)
+    (gradient,) = torch.autograd.grad(found, change)
+    assert found.item() == pytest.approx(position, rel=1e-5)
+    assert gradient.item() == pytest.approx(slope, rel=1e-3)
+    with torch.no_grad():
+        step = torch.tensor(0.02)
+        difference = (mean_x(simulator, scene, step) - mean_x(simulator, scene, -step)) / (2.0 * step)
+    assert gradient.item() == pytest.approx(difference.item(), rel=0.05)
+
+
+def test_a_simulation_is_a_trajectory_with_volumes_and_its_own_frames(simulator: Simulator) -> None:
+    scene = dataclasses.replace(read_scene("column-tall-42"), duration=0.1)
+    trajectory = gns.simulate(scene, model=simulator)
+    material = float(np.prod(scene.masses[0].size))
+    assert trajectory.volume is not None
+    assert trajectory.volume.sum() == pytest.approx(material, rel=1e-5)
+    np.testing.assert_allclose(np.diff(trajectory.time), trajectory.scene.frame_dt)
+    assert trajectory.scene.frames == len(trajectory.positions) == len(trajectory.time) == 11
+    assert trajectory.summary["start"] == Start.FROM_REST
+    assert trajectory.summary["front"] == measures.front(trajectory.positions[-1])
+
+
+def test_every_model_that_ships_loads_by_its_name() -> None:
+    for path in WEIGHTS.glob("*.pt"):
+        by_name, by_path = (gns.load(model).state_dict() for model in (path.stem, path))
+        assert all(torch.equal(by_name[name], by_path[name]) for name in by_name)
