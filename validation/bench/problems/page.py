@@ -32,9 +32,9 @@ def page(out: Path, families: Sequence[Family], found: Mapping[str, Outcome], pa
         "checks, and in brackets runs in ensembles. The paper's numbers are in `validation/bench/columns/paper.toml`: "
         "its targets are of its own MPM, its front is the largest x, here the x that 99.5 % of particles are behind."
     )
-    missing = sorted(f"`{each}`" for family in families for each in family.problems if each not in found)
+    missing = sorted(each for family in families for each in family.problems if each not in found)
     if missing:
-        result.text(f"Not measured yet: {', '.join(missing)}.")
+        result.text(f"Not measured yet: {', '.join(f'`{each}`' for each in missing)}.")
     for family, here in groups:
         result.section(family.title)
         result.table([row(outcome, paper) for outcome in here])
