@@ -13,7 +13,7 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from inverse.observations.target import Target
+from inverse.observations import Target, build
 from inverse.problem import Problem, read_problem
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import bench, columns, gradients, records
@@ -66,8 +66,9 @@ def problem() -> Problem:
 def searched(problem: Problem, name: str, limit: float = 100.0, offset: float = 0.0) -> tuple[MethodResult, Formula]:
     gns, mpm = Formula(offset, seconds=1.0), Formula(seconds=1.0)
     (values,) = Formula().observe([np.array([TRUTH])])
+    observation = build(problem.observation, problem.scene)
     models = Models(
-        target=Target(values=values, edge=float(values[0]), truth={"friction_deg": TRUTH}),
+        target=Target(observation=observation, values=values, front=float(values[0]), truth={"friction_deg": TRUTH}),
         components=1,
         gns=gns,
         gns_target=values,
@@ -163,7 +164,7 @@ class Linear:
 @pytest.mark.parametrize("cut", [(1, 2), (3, 2)])
 def test_gradients_are_compared_with_the_mpm_s(cut: tuple[int, int]) -> None:
     problem = gradients.blocks_problem(*cut)
-    count = len(problem.unknowns)
+    count = len(problem.parameters)
     matrix = np.random.default_rng(0).normal(size=(2 * count, count))
     target, mpm = np.ones(2 * count), Linear(matrix)
 
