@@ -19,12 +19,6 @@ NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mea
 Cloud = Callable[..., tuple[State, Conditions]]
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    """The models are tiny: a second thread only waits, and for long on a busy machine."""
-    torch.set_num_threads(1)
-
-
 @pytest.fixture
 def settings() -> ModelSettings:
     """A model that takes milliseconds."""

@@ -16,9 +16,6 @@ from inverse.parameters import kind
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 
-# As `gns` sets it where it is imported before torch: threads that spin at barriers take a hundred times longer.
-torch.set_num_threads(1)
-
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
 FLOWS = {
     2: Scene(
