@@ -210,7 +210,7 @@ def test_the_page_has_its_conclusion_from_the_numbers(
     errors = {21.0: 0.006, 33.0: -0.05, 48.0: 0.055}
     paper = HeldOutColumn(aspect=2.0, friction_deg=21.0)
     forward, gradient = spread([0.5]), spread([3.5])
-    cost = RolloutCost(name="tiny", nodes=100, steps=50, run=True, forward=forward, gradient=gradient, peak=None)
+    cost = RolloutCost(name="tiny", nodes=100, steps=50, run=True, forward=forward, gradient=gradient)
     second = WholeSecond(cost=cost, mpm=spread([1.0]))
     found = Measured(
         models=[tiny],
