@@ -24,7 +24,7 @@ QUICK_LIMIT, QUICK_FLOW_S = 5.0, 0.25
 
 
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
-    """Compare AD, differences and searches without gradients, with the GNS and the MPM; about 20 minutes.
+    """Compare AD, differences and searches without gradients, with the GNS and the MPM; about half an hour.
 
     Parameters
     ----------
