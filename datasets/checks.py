@@ -6,7 +6,7 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.geometry.solid import check_solid
-from datasets.scene import SIDES, TOLERANCE, Baffle, Mass, Scene, has_shapes, overlaps
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Baffle, Mass, Scene, has_shapes, overlaps
 
 
 def check(scene: Scene) -> None:
@@ -65,7 +65,7 @@ def check(scene: Scene) -> None:
             require(
                 inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
             )
-    open_sides = SIDES[: 2 * dimension]
+    open_sides = DOMAIN_SIDES[: 2 * dimension]
     for index, side in enumerate(scene.open_sides):
         require(side in open_sides, f"open_sides[{index}]", f"one of {', '.join(open_sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))

@@ -19,7 +19,7 @@ Vector = tuple[float, ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
-SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
+DOMAIN_SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """The sides of the box; y- is the floor."""
 RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""

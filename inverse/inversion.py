@@ -122,7 +122,7 @@ def search(
     else:
         evaluate = central(forward, values, problem.steps, components=components, with_jacobian=jacobian)
     rates = [each.learning_rate for each in problem.parameters]
-    return minimise(evaluate, problem.initial, Bounds.of(problem), problem.optimiser, rates=rates)
+    return minimise(evaluate, problem.initial, Bounds.from_problem(problem), problem.optimiser, rates=rates)
 
 
 def unconfirmed(

@@ -44,7 +44,7 @@ class Bounds:
     upper: Vector
 
     @classmethod
-    def of(cls, problem: Problem) -> "Bounds":
+    def from_problem(cls, problem: Problem) -> "Bounds":
         """Those of `problem`."""
         lower, upper = np.array(problem.bounds).T
         return cls(lower=lower, upper=upper)

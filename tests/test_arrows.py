@@ -39,7 +39,7 @@ SAFE_LOADS = {
 }
 LONGEST = 400
 
-MODULES = sorted(path for house in MAY_IMPORT for path in (ROOT / house).rglob("*.py"))
+MODULES = sorted(path for folder in MAY_IMPORT for path in (ROOT / folder).rglob("*.py"))
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -56,15 +56,15 @@ def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
                 yield node.lineno, module.split(".")[0]
 
 
-def breaches(text: str, house: str, restricted: Set[str] = frozenset()) -> list[str]:
-    """What a module of `house` does against the design, one line each."""
+def breaches(text: str, folder: str, restricted: Set[str] = frozenset()) -> list[str]:
+    """What a module of `folder` does against the design, one line each."""
     tree = ast.parse(text)
     found = []
     for line, package in imports(tree):
-        if package in MAY_IMPORT.keys() - MAY_IMPORT[house] - {house}:
-            found.append(f"{line}: {house} imports {package}")
-        if package in BANNED.get(house, set()) | PICKLERS:
-            found.append(f"{line}: {house} imports {package}")
+        if package in MAY_IMPORT.keys() - MAY_IMPORT[folder] - {folder}:
+            found.append(f"{line}: {folder} imports {package}")
+        if package in BANNED.get(folder, set()) | PICKLERS:
+            found.append(f"{line}: {folder} imports {package}")
     for node in ast.walk(tree):
         match node:
             case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS | restricted:
@@ -88,7 +88,7 @@ def test_the_arrows(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("house", "text"),
+    ("folder", "text"),
     [
         ("datasets", "import mpm.run"),
         ("datasets", "def late():\n    from torch import nn"),
@@ -107,8 +107,8 @@ def test_the_arrows(path: Path) -> None:
         ("inverse", "\n" * 401),
     ],
 )
-def test_a_breach_is_seen(house: str, text: str) -> None:
-    assert len(breaches(text, house)) == 1
+def test_a_breach_is_seen(folder: str, text: str) -> None:
+    assert len(breaches(text, folder)) == 1
 
 
 def test_what_is_allowed_is_no_breach() -> None:
@@ -117,10 +117,10 @@ def test_what_is_allowed_is_no_breach() -> None:
     assert breaches("import numpy as np\nnp.load('x.npz', allow_pickle=False)", "datasets") == []
 
 
-@pytest.mark.parametrize(("house", "banned"), [("datasets", "torch taichi"), ("mpm", "torch"), ("gns", "taichi")])
-def test_nothing_banned_comes_in_by_the_back_door(house: str, banned: str) -> None:
+@pytest.mark.parametrize(("folder", "banned"), [("datasets", "torch taichi"), ("mpm", "torch"), ("gns", "taichi")])
+def test_nothing_banned_comes_in_by_the_back_door(folder: str, banned: str) -> None:
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES if path.parts[-1][0] != "_"]
-    ours = [module for module in modules if module.startswith(f"{house}.")]
+    ours = [module for module in modules if module.startswith(f"{folder}.")]
     code = f"import sys, {', '.join(ours)}; print(*sys.modules.keys() & set({banned.split()!r}))"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -33,19 +33,19 @@ def written(format: Format, flow: Trajectory, out: Path, every: int) -> str:
     match format:
         case Format.PVD:
             write_vtk(flow, out, every=every, progress=True)
-            place, files = out / vtk.SERIES, [path for path in out.iterdir() if vtk.PARTS.fullmatch(path.name)]
+            path, files = out / vtk.SERIES, [each for each in out.iterdir() if vtk.PARTS.fullmatch(each.name)]
         case Format.VTKHDF:
-            place, files = out / vtkhdf.FILE, []
-            write_vtkhdf(flow, place, every=every, progress=True)
+            path, files = out / vtkhdf.FILE, []
+            write_vtkhdf(flow, path, every=every, progress=True)
         case Format.XDMF:
             write_xdmf(flow, out, every=every, progress=True)
-            place, files = out / xdmf.FILE, [out / xdmf.NUMBERS]
+            path, files = out / xdmf.FILE, [out / xdmf.NUMBERS]
         case Format.VTU:
-            place = out / "vtu" / vtk.SERIES
-            write_vtk(flow, place.parent, every=every, suffix=".vtu", progress=True)
-            files = [path for path in place.parent.iterdir() if path != place]
-    took, size = perf_counter() - clock, sum(path.stat().st_size for path in (place, *files))
-    return f"{format}: {1 + len(files)} file{'s' if files else ''}, {size / 1e6:.1f} MB in {took:.1f} s, {place}"
+            path = out / "vtu" / vtk.SERIES
+            write_vtk(flow, path.parent, every=every, suffix=".vtu", progress=True)
+            files = [each for each in path.parent.iterdir() if each != path]
+    took, size = perf_counter() - clock, sum(each.stat().st_size for each in (path, *files))
+    return f"{format}: {1 + len(files)} file{'s' if files else ''}, {size / 1e6:.1f} MB in {took:.1f} s, {path}"
 
 
 def command(

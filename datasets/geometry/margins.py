@@ -11,7 +11,7 @@ TOUCHING = 1.0e-9
 CLOSING = 1.0e-6
 """Half of the widest gap, in cells, that touching solids leave between them by rounding."""
 OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
-SIDES = {2: ((0, 0), (0, 1), (1, 0), (1, 1)), 3: ((0, 0), (0, 1), (2, 0), (2, 1), (1, 0), (1, 1))}
+DOMAIN_SIDES = {2: ((0, 0), (0, 1), (1, 0), (1, 1)), 3: ((0, 0), (0, 1), (2, 0), (2, 1), (1, 0), (1, 1))}
 """The sides of the box as (axis, 0 or 1), in the order in which solids are continued beyond them."""
 
 

@@ -11,7 +11,7 @@ from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError
 from datasets.geometry.ground import ground_line
-from datasets.geometry.margins import BEYOND, CLOSING, OUTSIDE, SIDES, TOUCHING, Box
+from datasets.geometry.margins import BEYOND, CLOSING, DOMAIN_SIDES, OUTSIDE, TOUCHING, Box
 from datasets.geometry.solid import Solid
 
 Floats = NDArray[np.float64]
@@ -82,7 +82,7 @@ def ring_of(solid: Solid, key: str, box: Box) -> Ring:
     if area < 0.0:
         points, friction = points[::-1].copy(), friction[::-1].copy()
     ring = Ring(points=points, friction=friction, key=key)
-    for axis, side in SIDES[2]:
+    for axis, side in DOMAIN_SIDES[2]:
         ring = continued(ring, axis, side, box)
     return ring
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from datasets.errors import InputError
 from datasets.geometry.ground import first_diagonal, ground_grid
-from datasets.geometry.margins import BEYOND, CLOSING, OUTSIDE, SIDES, TOUCHING, Box
+from datasets.geometry.margins import BEYOND, CLOSING, DOMAIN_SIDES, OUTSIDE, TOUCHING, Box
 from datasets.geometry.planar import turned, unit
 from datasets.geometry.solid import Solid
 
@@ -50,7 +50,7 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Triangles:
-    """The boundary of a union of bodies."""
+    """The boundary of a union of solids."""
 
     corners: Floats
     """Anticlockwise from outside [m], shape [F, 3, 3]."""
@@ -80,7 +80,7 @@ def body_of(solid: Solid, key: str, box: Box) -> Body:
         triangles = outward(vertices, triangles, f"{key}.triangles")
     assert isinstance(solid.friction, int | float)
     body = Body(vertices=vertices, triangles=triangles, friction=np.full(len(vertices), solid.friction), key=key)
-    for axis, side in SIDES[3]:
+    for axis, side in DOMAIN_SIDES[3]:
         body = continued(body, axis, side, box)
     return body
 
@@ -184,14 +184,14 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
     return manifold3d.Manifold(mesh)
 
 
-def boundary(bodies: list[Body], box: Box) -> Triangles:
-    """The boundary of the union of `bodies`; touching bodies are one."""
-    if len(bodies) == 1:
-        (body,) = bodies
+def boundary(solids: list[Body], box: Box) -> Triangles:
+    """The boundary of the union of `solids`; touching solids are one."""
+    if len(solids) == 1:
+        (body,) = solids
         vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
         owner = np.zeros(len(triangles), np.int32)
     else:
-        vertices, triangles, friction, owner = union(bodies, CLOSING * box.cell)
+        vertices, triangles, friction, owner = union(solids, CLOSING * box.cell)
     normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
     flat = ~normals.any(axis=1)
     return Triangles(
@@ -204,13 +204,13 @@ def boundary(bodies: list[Body], box: Box) -> Triangles:
     )
 
 
-def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+def union(solids: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3], triangles [T, 3], friction at their corners [T, 3] and the body of each [T].
 
     Every body grows by `gap`, so that those that touch but for rounding share volume.
     """
     parts, numbers = [], {}
-    for number, body in enumerate(bodies):
+    for number, body in enumerate(solids):
         part = manifold(grown(body, gap), body.triangles, body.friction).as_original()
         if part.status() != manifold3d.Error.NoError:
             raise InputError("expected a closed surface that does not cross itself", key=body.key)
@@ -223,7 +223,7 @@ def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDA
     for original, first, last in zip(mesh.run_original_id, starts[:-1], starts[1:], strict=True):
         owner[first:last] = numbers[int(original)]
     friction = values[:, 3][triangles]
-    # Vertices where bodies meet stand in the mesh once for each body.
+    # Vertices where solids meet stand in the mesh once for each body.
     same = np.arange(len(values))
     same[np.array(mesh.merge_from_vert, np.int64)] = np.array(mesh.merge_to_vert, np.int64)
     return values[:, :3], same[triangles], friction, owner

@@ -46,21 +46,25 @@ class Kind:
     unit: str
     colours: str
     """Colour map of matplotlib."""
-    of: Callable[[PlanMaps], Floats | None]
+    values: Callable[[PlanMaps], Floats | None]
     """Its values."""
 
 
 KINDS = (
     Kind(
-        name="thickness", title="thickness of the deposit", unit="m", colours="YlOrBr", of=lambda maps: maps.thickness
+        name="thickness",
+        title="thickness of the deposit",
+        unit="m",
+        colours="YlOrBr",
+        values=lambda maps: maps.thickness,
     ),
-    Kind(name="depth", title="largest depth of the flow", unit="m", colours="YlGnBu", of=lambda maps: maps.depth),
+    Kind(name="depth", title="largest depth of the flow", unit="m", colours="YlGnBu", values=lambda maps: maps.depth),
     Kind(
         name="velocity",
         title="largest velocity of the flow",
         unit="m/s",
         colours="plasma",
-        of=lambda maps: maps.velocity,
+        values=lambda maps: maps.velocity,
     ),
 )
 
@@ -74,7 +78,7 @@ def write_maps(
     """
     cell, said = float(maps.edges[0][1]), summary(trajectory, maps, location)
     for kind in KINDS:
-        values = kind.of(maps)
+        values = kind.values(maps)
         if values is None:
             continue
         if "tif" in formats:
@@ -152,7 +156,7 @@ def summary(trajectory: Trajectory, maps: PlanMaps, location: Georeference) -> d
         said["extent"] = None if largest is None else max(x for x, _ in largest[0]) - location.east
         said |= {"east": location.east, "north": location.north, "crs": location.crs}
     for kind in KINDS:
-        values = kind.of(maps)
+        values = kind.values(maps)
         said[f"{kind.name}_max"] = None if values is None else float(f"{values.max():.6g}")
     return said
 

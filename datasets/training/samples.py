@@ -59,7 +59,7 @@ class Flow:
         return square > (MOVING * self.step) ** 2
 
     @staticmethod
-    def of(trajectory: Trajectory, step: float, name: str) -> "Flow":
+    def from_trajectory(trajectory: Trajectory, step: float, name: str) -> "Flow":
         """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError."""
         scene = trajectory.scene
         stride = frames_per_step(trajectory.frame_dt, step, name)
@@ -129,7 +129,7 @@ class Flows(Sequence[Flow]):
         if isinstance(index, slice):
             return Flows(self._files[index], step=self._step, dimension=self._dimension)
         file = self._files[index]
-        flow = Flow.of(open_trajectory(file), self._step, str(file))
+        flow = Flow.from_trajectory(open_trajectory(file), self._step, str(file))
         if len(flow.size) != self._dimension:
             raise InputError(f"expected a {self._dimension}D trajectory, got {len(flow.size)}D", where=str(file))
         return flow

@@ -30,7 +30,7 @@ class Moments:
     """Sum of squared deviations from the mean per axis, shape [D]."""
 
     @staticmethod
-    def of(samples: NDArray[np.float64]) -> "Moments":
+    def from_samples(samples: NDArray[np.float64]) -> "Moments":
         """The moments of `samples`, shape [S, D]; S may be 0."""
         if len(samples) == 0:
             return Moments(count=0, mean=np.zeros(samples.shape[1]), squares=np.zeros(samples.shape[1]))
@@ -86,5 +86,6 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
     acceleration = np.diff(velocity, axis=0)
     moving = np.linalg.norm(velocity, axis=-1) > MOVING_SPEED * frame_dt
     return MotionStatistics(
-        velocity=Moments.of(velocity[moving]), acceleration=Moments.of(acceleration[moving[:-1] | moving[1:]])
+        velocity=Moments.from_samples(velocity[moving]),
+        acceleration=Moments.from_samples(acceleration[moving[:-1] | moving[1:]]),
     )

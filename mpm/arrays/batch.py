@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
-from datasets.scene import SIDES, Scene
+from datasets.scene import DOMAIN_SIDES, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
@@ -73,7 +73,7 @@ class Batch:
             offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
             offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
-            offset[Offset.OPEN] = sum(1 << SIDES.index(side) for side in scene.open_sides)
+            offset[Offset.OPEN] = sum(1 << DOMAIN_SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
@@ -317,7 +317,7 @@ class Batch:
         """Momentum that solids have taken up to each frame [N s, per metre of width in 2D], shape [frames, solids, D].
 
         The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
-        `datasets.scene.SIDES`, and the barriers.
+        `datasets.scene.DOMAIN_SIDES`, and the barriers.
         """
         scene, first, solids = (
             self.scenes[index],

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
-from datasets.scene import SIDES, TOLERANCE, Mass, Scene
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers, inside
@@ -174,9 +174,9 @@ class Equilibrium:
         walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
-            if SIDES[2 * axis] not in scene.open_sides:
+            if DOMAIN_SIDES[2 * axis] not in scene.open_sides:
                 walls[self.nodes[:, axis] <= PADDING, axis] = 1
-            if SIDES[2 * axis + 1] not in scene.open_sides:
+            if DOMAIN_SIDES[2 * axis + 1] not in scene.open_sides:
                 walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
         free[walls != 0] = False
         rough = np.zeros(len(self.nodes), bool)

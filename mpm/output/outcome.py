@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from datasets.command_line import WorkFailed
 from datasets.measures import front, runout, toe
 from datasets.particles import Particles
-from datasets.scene import SIDES, Scene
+from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Precision, Worker
@@ -40,13 +40,13 @@ def outflow(batch: Batch, index: int) -> dict[str, float] | None:
     mass = (particles.density * particles.volume)[batch.order[first : first + count]]
     removed = numbers[features.present] == 0.0
     # Through the side that it lies farthest beyond.
-    beyond = np.full((len(SIDES), count), -np.inf)
+    beyond = np.full((len(DOMAIN_SIDES), count), -np.inf)
     for side in scene.open_sides:
         axis, upper = "xyz".index(side[0]), side[1] == "+"
         coordinate = numbers[axis]
-        beyond[SIDES.index(side)] = coordinate - scene.domain.size[axis] if upper else -coordinate
+        beyond[DOMAIN_SIDES.index(side)] = coordinate - scene.domain.size[axis] if upper else -coordinate
     through = beyond.argmax(axis=0)
-    return {side: float(mass[removed & (through == SIDES.index(side))].sum()) for side in scene.open_sides}
+    return {side: float(mass[removed & (through == DOMAIN_SIDES.index(side))].sum()) for side in scene.open_sides}
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
@@ -172,7 +172,7 @@ def summarise(
         summary["release_time"] = release_time
     if wall_impulse is not None:
         summary["wall_impulse"] = rounded(wall_impulse.sum(axis=1))
-        names = SIDES[: 2 * deposit.shape[1]]
+        names = DOMAIN_SIDES[: 2 * deposit.shape[1]]
         summary["side_impulse"] = {side: rounded(wall_impulse[:, number]) for number, side in enumerate(names)}
     if outflow is not None:
         summary["outflow"] = outflow

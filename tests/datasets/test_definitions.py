@@ -107,17 +107,17 @@ def test_flow2d_is_the_paper_s() -> None:
     for angle in (15.0, 22.5, 30.0, 37.5, 45.0):
         assert [by_angle[angle, split] for split in Split] == [69, 4, 4]
     (masses,) = zip(*(entry.scene.masses for entry in entries), strict=True)
-    sides = np.array([mass.size for mass in masses])
-    np.testing.assert_array_equal(sides[:, 0], sides[:, 1])
-    assert (sides.min(), sides.max()) == (0.2, 0.4)
+    sizes = np.array([mass.size for mass in masses])
+    np.testing.assert_array_equal(sizes[:, 0], sizes[:, 1])
+    assert (sizes.min(), sizes.max()) == (0.2, 0.4)
     velocities = np.array([mass.velocity for mass in masses])
     assert -2.0 <= velocities.min() < -1.9
     assert 1.9 < velocities.max() <= 2.0
     # Squares fly as well as stand, and everywhere.
     lower = np.array([mass.lower for mass in masses])
     assert np.all(lower.min(axis=0) < 0.05)
-    assert np.all((lower + sides).max(axis=0) > 0.95)
-    largest = entries[int(sides[:, 0].argmax())].scene
+    assert np.all((lower + sizes).max(axis=0) > 0.95)
+    largest = entries[int(sizes[:, 0].argmax())].scene
     assert len(initial_particles(largest).positions) == 6400
 
 
@@ -231,9 +231,9 @@ def test_obstacle3d_is_the_paper_s() -> None:
     by_count = Counter((len(entry.scene.baffles), entry.split) for entry in entries)
     assert min(by_count[count, Split.TRAIN] for count in (1, 2, 3)) >= 299
     assert min(by_count[count, split] for count in (1, 2, 3) for split in Split) >= 16
-    sides = np.array([entry.scene.masses[0].size for entry in entries])
-    assert sides.min() == 0.25
-    assert 0.75 < sides.max(axis=0).min() + 0.01 <= sides.max() <= 0.80
+    sizes = np.array([entry.scene.masses[0].size for entry in entries])
+    assert sizes.min() == 0.25
+    assert 0.75 < sizes.max(axis=0).min() + 0.01 <= sizes.max() <= 0.80
     velocities = np.array([entry.scene.masses[0].velocity for entry in entries])
     assert np.all(velocities.min(axis=0) > [0.0, -0.5, -0.5])
     assert np.all(velocities.max(axis=0) > [2.95, 0.45, 0.45])

@@ -93,8 +93,8 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
 
 def test_named_sides_of_the_box_are_columns(tmp_path: Path, flow: Trajectory) -> None:
     walls = np.array(flow.summary["wall_impulse"])
-    sides = {"x+": (walls * [1, 0]).tolist(), "y-": (walls * [0, 1]).tolist()}
-    named = dataclasses.replace(flow, summary=flow.summary | {"side_impulse": sides})
+    walls = {"x+": (walls * [1, 0]).tolist(), "y-": (walls * [0, 1]).tolist()}
+    named = dataclasses.replace(flow, summary=flow.summary | {"side_impulse": walls})
     write_table(tmp_path / "forces.csv", forces_of(named))
     head, values = rows(tmp_path / "forces.csv")
     assert head[5:] == ["x+_fx_N_per_m", "x+_fy_N_per_m", "y-_fx_N_per_m", "y-_fy_N_per_m"]

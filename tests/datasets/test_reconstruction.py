@@ -67,12 +67,12 @@ def test_a_trajectory_of_talus(dimension: int, known_spacing: float | None) -> N
     np.testing.assert_allclose(mass.velocity or 0.0, truth.velocity, atol=1e-2)
 
 
-def of(particles: Cloud, known: Known = KNOWN) -> Trajectory:
+def reconstructed_scene(particles: Cloud, known: Known = KNOWN) -> Trajectory:
     return reconstruct(particles, known)
 
 
 def test_the_box_is_moved_to_the_origin() -> None:
-    again = of(cloud(lattice((0.2, 0.1), (0.3, 0.2)), lattice((0.6, 0.1), (0.1, 0.3))))
+    again = reconstructed_scene(cloud(lattice((0.2, 0.1), (0.3, 0.2)), lattice((0.6, 0.1), (0.1, 0.3))))
     assert again.scene.domain == Domain(size=(0.8, 0.8), cell=0.02)
     assert again.scene.baffles == (Baffle(lower=(0.5, 0.0), size=(0.1, 0.3)),)
     (mass,) = again.scene.masses
@@ -95,7 +95,7 @@ def test_masses_apart_have_their_own_velocity_and_friction() -> None:
     positions = particles.positions.copy()
     positions[:, len(b) :] = a
     friction = np.repeat([0.5, 0.7], [len(b), len(a)]).astype(np.float32)
-    scene = of(replace(particles, positions=positions, friction=friction)).scene
+    scene = reconstructed_scene(replace(particles, positions=positions, friction=friction)).scene
     assert [mass.velocity for mass in scene.masses] == [None, (1.0, 0.0)]
     angles = [scene.material_of(mass).friction_deg for mass in scene.masses]
     np.testing.assert_allclose(angles, np.degrees(np.arctan([0.7, 0.5])), atol=1e-4)
@@ -106,14 +106,14 @@ def test_boxes_that_overlap_become_one() -> None:
     around = lattice((0.2, 0.1), (0.3, 0.3))
     ring = around[((around < [0.25, 0.0]) | (around > [0.45, 0.2])).any(axis=1)]
     inner = lattice((0.33, 0.12), (0.04, 0.04))
-    scene = of(cloud(np.concatenate([ring, inner]))).scene
+    scene = reconstructed_scene(cloud(np.concatenate([ring, inner]))).scene
     assert len(scene.masses) == 1
 
 
 def test_a_mass_leaves_room_for_a_baffle() -> None:
     sand = lattice((0.2, 0.1), (0.4, 0.2))
     clear = sand[(abs(sand - [0.4, 0.15]) > 0.05).any(axis=1)]
-    again = of(cloud(clear, lattice((0.36, 0.1), (0.08, 0.1))))
+    again = reconstructed_scene(cloud(clear, lattice((0.36, 0.1), (0.08, 0.1))))
     boxes = [(np.array(mass.lower), np.array(mass.lower) + mass.size) for mass in again.scene.masses]
     assert len(boxes) == 3
     # The sand's box from its outermost points, less what the baffle takes of it.
@@ -177,12 +177,12 @@ SAND = lattice((0.2, 0.1), (0.3, 0.2))
 )
 def test_what_cannot_be_reconstructed(particles: Cloud, known: Known, expected: str) -> None:
     with pytest.raises(InputError) as caught:
-        of(particles, known)
+        reconstructed_scene(particles, known)
     assert expected in str(caught.value)
     assert caught.value.key.startswith("some")
 
 
 def test_an_angle_for_a_set_without_one() -> None:
-    again = of(replace(cloud(SAND), friction=None), replace(KNOWN, friction_deg=30.0))
+    again = reconstructed_scene(replace(cloud(SAND), friction=None), replace(KNOWN, friction_deg=30.0))
     np.testing.assert_allclose(again.friction, math.tan(math.radians(30.0)), rtol=1e-6)
     assert again.scene.material.friction_deg == 30.0

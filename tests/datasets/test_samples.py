@@ -20,15 +20,15 @@ def flow(trajectory: Trajectory) -> Flow:
     steps = np.minimum(np.arange(10), 6)[:, None, None] * np.array([1e-3, 0.0])
     positions = (np.linspace(0.0, 0.04, 5)[:, None] * np.array([1.0, 0.0]) + steps).astype(np.float32)
     time = np.arange(10) * 0.0025
-    return Flow.of(dataclasses.replace(trajectory, positions=positions, time=time), 0.0025, "a")
+    return Flow.from_trajectory(dataclasses.replace(trajectory, positions=positions, time=time), 0.0025, "a")
 
 
 def test_a_flow_takes_every_so_many_frames(trajectory: Trajectory) -> None:
-    flow = Flow.of(trajectory, 0.005, "a")
+    flow = Flow.from_trajectory(trajectory, 0.005, "a")
     assert np.array_equal(flow.positions, trajectory.positions[[0, 2]])
     for step in (0.004, 0.001):
         with pytest.raises(InputError, match=r"a: expected frames 0\.00"):
-            Flow.of(trajectory, step, "a")
+            Flow.from_trajectory(trajectory, step, "a")
 
 
 def test_moving_times_are_those_before_it_rests(flow: Flow) -> None:
@@ -46,7 +46,7 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
 def test_a_flow_on_a_slope_is_refused(trajectory: Trajectory) -> None:
     tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=5.0))
     with pytest.raises(InputError, match="a: slope_deg: expected a level floor"):
-        Flow.of(tilted, 0.0025, "a")
+        Flow.from_trajectory(tilted, 0.0025, "a")
 
 
 def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:

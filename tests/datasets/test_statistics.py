@@ -18,17 +18,17 @@ def test_moments_of_parts_are_those_of_the_whole() -> None:
     # A mean far above the spread: the sum of squares alone would lose every digit.
     samples = np.random.default_rng(0).normal([1.0e6, -3.0], [0.01, 2.0], (1000, 2))
     parts = np.split(samples, [1, 1, 300, 999])
-    joint = reduce(add, map(Moments.of, parts))
+    joint = reduce(add, map(Moments.from_samples, parts))
     assert joint.count == 1000
     np.testing.assert_allclose(joint.mean, samples.mean(axis=0), rtol=1e-14)
     np.testing.assert_allclose(joint.std, samples.std(axis=0), rtol=1e-7)
 
 
 def test_moments_of_nothing() -> None:
-    empty = Moments.of(np.zeros((0, 2)))
+    empty = Moments.from_samples(np.zeros((0, 2)))
     assert (empty + empty).count == 0
     np.testing.assert_array_equal((empty + empty).std, [0.0, 0.0])
-    full = empty + Moments.of(np.array([[1.0, 2.0], [3.0, 6.0]]))
+    full = empty + Moments.from_samples(np.array([[1.0, 2.0], [3.0, 6.0]]))
     np.testing.assert_array_equal(full.mean, [2.0, 4.0])
     np.testing.assert_array_equal(full.std, [1.0, 2.0])
 

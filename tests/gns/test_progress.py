@@ -11,7 +11,7 @@ def bar(**budget: float) -> Bar:
     return Bar(Budget(**{"minutes": 2.0, **budget}), (1, 1, 4, 4), seconds=30.0, batch=3, shown=False)
 
 
-def test_of_minutes_it_is_what_is_left_of_them_at_the_pace_of_the_clock() -> None:
+def test_the_remaining_time_of_a_budget_in_minutes_is_that_of_the_clock() -> None:
     assert bar().seconds_left(0.5, 60.0, wall=30.0) == pytest.approx(60.0)
     # A processor that this run has half of.
     assert bar().seconds_left(0.5, 60.0, wall=60.0) == pytest.approx(120.0)

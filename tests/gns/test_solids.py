@@ -302,9 +302,9 @@ def test_occupancy_is_the_share_of_a_cell(dimension: int) -> None:
     random = torch.rand(1000, 1, dimension, generator=generator).double()
     some = torch.randperm(len(nodes), generator=generator)[:150]
     begin, end = (nodes[some] - 0.5 * cell).clamp(min=0.0), torch.minimum(nodes[some] + 0.5 * cell, torch.tensor(size))
-    places = (begin + random * (end - begin)).flatten(0, 1)
+    positions = (begin + random * (end - begin)).flatten(0, 1)
     for sample in (0, 1):
-        inside = is_inside(places, baffles, torch.full((len(places),), sample)).view(1000, -1)
+        inside = is_inside(positions, baffles, torch.full((len(positions),), sample)).view(1000, -1)
         got = share.view(2, -1)[sample, some]
         torch.testing.assert_close(got, inside.double().mean(0), atol=0.08, rtol=0.0)
     baffles = baffles + 1e-3 * torch.rand(baffles.shape, generator=generator).double()

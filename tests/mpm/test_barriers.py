@@ -169,7 +169,7 @@ def test_other_scenes_have_no_barriers() -> None:
     assert Batch([SCENE], precision="f32").features.barriers
 
 
-def test_barriers_hold_the_nodes_beyond_a_face_that_the_mass_reaches() -> None:
+def test_barriers_hold_the_nodes_beyond_a_face_beside_the_mass() -> None:
     low, high = barriers(SCENE, COLUMN)
     assert (low.axis, high.axis) == (0, 0)
     assert low.nodes[:, 0].tolist() == [PADDING + 18, PADDING + 21]

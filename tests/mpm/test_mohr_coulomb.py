@@ -18,7 +18,7 @@ def trial_states(scale: float, count: int = 4000) -> np.ndarray:
     return -np.sort(-states, axis=1)
 
 
-def test_triaxial_compression_reaches_the_mohr_circle() -> None:
+def test_triaxial_compression_attains_the_mohr_circle() -> None:
     """s1 = s3 N + 2 c sqrt(N): 334.6 kPa at phi 30, c 10 kPa, s3 100 kPa. Here y is axial; z and x are the cell."""
     # Plane strain cannot hold two equal cell stresses; the principal return can, at constant mean stress (psi = 0).
     n = (1 + np.sin(np.radians(30))) / (1 - np.sin(np.radians(30)))
@@ -30,7 +30,7 @@ def test_triaxial_compression_reaches_the_mohr_circle() -> None:
         np.testing.assert_allclose(returned(SAND, trial)[0], [-100.0e3, -100.0e3, -strength], rtol=1e-9)
 
 
-def test_triaxial_extension_reaches_the_mohr_circle() -> None:
+def test_triaxial_extension_attains_the_mohr_circle() -> None:
     """The same circle with the cell as the larger pressure: s_cell = s_axial N + 2 c sqrt(N)."""
     n = 3.0
     cell = 100.0e3 * n + 2 * 1.0e4 * np.sqrt(n)
@@ -66,7 +66,7 @@ def test_uniaxial_strain_is_elastic_then_on_the_yield_line() -> None:
 
 
 @pytest.mark.parametrize(("friction_deg", "dilation_deg"), [(30.0, 0.0), (30.0, 10.0), (42.0, 42.0)])
-def test_simple_shear_reaches_davis(friction_deg: float, dilation_deg: float) -> None:
+def test_simple_shear_attains_davis(friction_deg: float, dilation_deg: float) -> None:
     """tau / s_n = sin phi cos psi / (1 - sin phi sin psi) under constant normal stress (Davis 1968)."""
     sand = Material(friction_deg=friction_deg, dilation_deg=dilation_deg, young=2.0e8)
     history = follow_controlled(

@@ -303,7 +303,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulation.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
-        # Where principal stresses meet, half of the digits are lost (`mpm.physics.principal`): another order shows.
+        # Where principal stresses coincide, half of the digits are lost (`mpm.physics.principal`): another order shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
@@ -329,7 +329,7 @@ def test_fields_are_what_the_points_carry() -> None:
 
 @pytest.mark.double
 def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel with a thread per point and atomic sums, here on the CPU's threads."""
+    """The kernel with a thread per particle and atomic sums, here on the CPU's threads."""
     monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
     heavy = dataclasses.replace(SAND, density=2600.0)
     baffle = Baffle(lower=(0.55, 0.0), size=(0.1, 0.2))
@@ -339,7 +339,7 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
             Mass(lower=(0.1, 0.4), size=(0.1, 0.1), material=heavy),
             baffles=(baffle,),
             damping=0.1,
-            duration=0.1,
+            duration=0.05,
         ),
         box(
             Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
@@ -354,8 +354,8 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
     for group in (flat, deep):
         cpu, gpu = (simulate_many(group, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
         for one, other in zip(cpu, gpu, strict=True):
-            # As above: half of the digits where principal stresses meet.
-            np.testing.assert_allclose(other.positions, one.positions, atol=5e-6)
+            # Threads add in an order of their own, and where principal stresses coincide half of the digits are lost.
+            np.testing.assert_allclose(other.positions, one.positions, atol=1e-3 * one.scene.domain.cell)
             assert other.summary["steps"] == one.summary["steps"]
             for kind, series in one.summary["energy"].items():
                 np.testing.assert_allclose(other.summary["energy"][kind], series, rtol=1e-3, atol=1e-9)

@@ -66,17 +66,17 @@ def slide(dimension: int) -> Trajectory:
     )
 
 
-def pixel(picture: Picture, place: tuple[float, ...]) -> np.ndarray:
+def pixel(picture: Picture, position: tuple[float, ...]) -> np.ndarray:
     """Column and row, from the lower left, of a point [m] in the image."""
     coordinate = pyvista._vtk.vtkCoordinate()
     coordinate.SetCoordinateSystemToWorld()
-    coordinate.SetValue(*place, *(0.0,) * (3 - len(place)))
+    coordinate.SetValue(*position, *(0.0,) * (3 - len(position)))
     return np.array(coordinate.GetComputedDisplayValue(picture.plotter.renderer))
 
 
-def colour_at(image: np.ndarray, picture: Picture, place: tuple[float, ...]) -> np.ndarray:
+def colour_at(image: np.ndarray, picture: Picture, position: tuple[float, ...]) -> np.ndarray:
     """Mean colour of a few pixels at a point [m], in 0..1."""
-    across, up = pixel(picture, place)
+    across, up = pixel(picture, position)
     row = image.shape[0] - 1 - up
     return image[row - 2 : row + 3, across - 2 : across + 3, :3].mean(axis=(0, 1)) / 255.0
 
@@ -104,8 +104,8 @@ def test_a_picture_shows_what_is_where(dimension: int) -> None:
         assert image.shape == (*picture.plotter.window_size[::-1], 3)
         assert image.shape[0] % 2 == image.shape[1] % 2 == 0
         # All that moves is in the image, left of the colour bar.
-        for place in flow.positions.reshape(-1, dimension)[::50]:
-            across, up = pixel(picture, tuple(place))
+        for position in flow.positions.reshape(-1, dimension)[::50]:
+            across, up = pixel(picture, tuple(position))
             assert 0 < across < 0.9 * image.shape[1]
             assert 0 < up < 0.95 * image.shape[0]
         # The baffle is grey where it faces the eye, and its edges are where they belong.
@@ -113,18 +113,18 @@ def test_a_picture_shows_what_is_where(dimension: int) -> None:
         assert np.ptp(steel) < 0.15
         assert 0.2 < steel.mean() < 0.8
         for beside, within in (((0.68, 0.26), (0.72, 0.26)), ((0.75, 0.36), (0.75, 0.28))):
-            colours = [colour_at(image, picture, (*place, *depth)).mean() for place in (beside, within)]
+            colours = [colour_at(image, picture, (*position, *depth)).mean() for position in (beside, within)]
             assert max(colours) > min(colours) + 0.2
         assert (image[0] == 255).all()
         # The particles have their colour of the map, if darker where they are in the shade.
         assert 0.25 < largest < 0.4
-        place = (0.5, 0.06, *depth)
-        nearest = np.argmin(np.linalg.norm(flow.positions[2] - place, axis=1))
+        position = (0.5, 0.06, *depth)
+        nearest = np.argmin(np.linalg.norm(flow.positions[2] - position, axis=1))
         shift = np.linalg.norm(flow.positions[2, nearest] - flow.positions[0, nearest])
         expected = np.array(colormaps["viridis"](shift / 0.4)[:3])
         if dimension == 2:
-            place = tuple(flow.positions[2, nearest])
-        assert np.dot(hue(colour_at(image, picture, place)), hue(expected)) > 0.95
+            position = tuple(flow.positions[2, nearest])
+        assert np.dot(hue(colour_at(image, picture, position)), hue(expected)) > 0.95
 
 
 @opengl

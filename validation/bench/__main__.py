@@ -56,10 +56,9 @@ BENCHES = {
         module="validation.bench.columns.paper_columns",
         summary="the reference paper's four columns beside its runouts",
     ),
-    "codes": Bench(module="validation.bench.columns.codes", summary="fronts of columns beside those of other codes"),
     "scaling": Bench(
         module="validation.bench.columns.scaling",
-        summary="runout and height over the aspect ratio, beside the laws of experiments",
+        summary="runout and height of columns over the aspect ratio, beside experiments and other codes",
     ),
     "accuracy": Bench(
         module="validation.bench.accuracy.bench",

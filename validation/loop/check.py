@@ -82,7 +82,7 @@ class Task:
     @cached_property
     def bounds(self) -> Bounds:
         """The box of the parameters."""
-        return Bounds.of(self.problem)
+        return Bounds.from_problem(self.problem)
 
     @cached_property
     def prior_scatter(self) -> float:

@@ -174,7 +174,7 @@ def test_a_box_among_other_masses_begins_as_it_does_alone() -> None:
         ),
         (Mass(kind="polygon"), "masses[0].vertices", "`vertices` of a polygon"),
         (Mass(kind="polygon", vertices=TRIANGLE, thickness=1.0), "masses[0].thickness", "no such key"),
-        (Mass(kind="heap"), "masses[0].kind", "box, polygon, layer, particles in 2D"),
+        (Mass(kind="cone"), "masses[0].kind", "box, polygon, layer, particles in 2D"),
         (Mass(kind="layer", thickness=-1.0), "masses[0].thickness", "positive"),
         (Mass(kind="layer", thickness=2.0), "masses[0]", "its top is at y = 2"),
         (Mass(kind="layer", thickness=((0.0, 0.1), (0.0, 0.1))), "masses[0].thickness[1]", "twice"),

@@ -61,12 +61,12 @@ def at_rest(scene: Scene | None = None, **changes: Any) -> Trajectory:
 
 
 def shaped(height: Any, scene: Scene | None = None) -> Trajectory:
-    """The bed's points as a heap of `height(x)` [m] at the end; as dense as before where it has the bed's area."""
+    """The bed's particles as a pile of `height(x)` [m] at the end; as dense as before where it has the bed's area."""
     flow = at_rest(scene)
     positions = flow.positions.copy()
     spacing = flow.scene.particle_spacing
     x = np.arange(0.5 * spacing, flow.scene.domain.size[0], spacing)
-    columns = [np.arange(0.5 * spacing, height(place), spacing) for place in x]
-    heap = np.concatenate([np.stack([np.full(len(y), place), y], axis=1) for place, y in zip(x, columns, strict=True)])
-    positions[-1] = heap[np.linspace(0, len(heap) - 1, positions.shape[1]).round().astype(int)]
+    columns = [np.arange(0.5 * spacing, height(at), spacing) for at in x]
+    pile = np.concatenate([np.stack([np.full(len(y), at), y], axis=1) for at, y in zip(x, columns, strict=True)])
+    positions[-1] = pile[np.linspace(0, len(pile) - 1, positions.shape[1]).round().astype(int)]
     return dataclasses.replace(flow, positions=positions)

@@ -14,7 +14,7 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.accuracy import flows, lengths, studies, tolerance
+from validation.bench.accuracy import flows, studies, tolerance
 from validation.bench.accuracy.flows import Flow
 from validation.bench.accuracy.scores import Outcome, Score, equal_shares, reference, score
 from validation.bench.accuracy.studies import Findings, Study, prediction_limit
@@ -145,16 +145,6 @@ def test_only_resolutions_that_differ_in_nothing_but_the_cells_are_compared() ->
         assert len(tried) == len(set(tried)) == len(study.cells) + 2 * len(study.checked)
         assert max(study.cells) < study.reference
         assert set(study.checked) <= set(study.cells)
-
-
-def test_errors_that_follow_the_cells_across_a_length_do_not_scatter_about_it() -> None:
-    scenes = [flow.scene() for flow in flows.MEASURED[2].values()]
-    grids = [with_resolution(scene, studies.own(cells)) for scene in scenes for cells in (5.0, 10.0)]
-    errors = [(scene, scene.domain.cell / (0.05 * scene.masses[0].size[0])) for scene in grids]
-    found = {name: lengths.fit(name, errors) for name in lengths.LENGTHS}
-    assert found["length"].exponent == pytest.approx(-1.0)
-    assert found["length"].factor == pytest.approx(1.0)
-    assert min(found[name].factor for name in found if name != "length") > 1.1
 
 
 def test_the_pages_of_a_tiny_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

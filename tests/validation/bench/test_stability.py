@@ -1,22 +1,25 @@
 """`python -m validation.bench stability`: green rows, red rows and runs that blow up, on the page and in the status."""
 
 import dataclasses
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
+from datasets.material import Material
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm import Recording
-from tests.validation.bench.sand_at_rest import at_rest
+from mpm import Recording, exact_solutions
+from tests.validation.bench.sand_at_rest import at_rest, scene_of
 from validation.bench.__main__ import main
 from validation.bench.stability import bench as page
+from validation.bench.stability import critical_height, verdict
 from validation.bench.stability import expectations as expect
-from validation.bench.stability import verdict
 from validation.bench.stability.rows import ROWS, Row
 
 POINT = next(row for row in ROWS if row.name == "one-point")
@@ -96,3 +99,28 @@ def test_a_row_brings_the_one_that_it_is_compared_with() -> None:
 def test_an_unknown_row_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("--rows", "one-pont", "--out", str(tmp_path)) == 2
     assert capsys.readouterr().err == "talus: one-pont: expected the name of a row: did you mean 'one-point'?\n"
+
+
+CUT = scene_of(material=Material(friction_deg=30.0, cohesion=1000.0))
+
+
+@pytest.mark.parametrize("critical", [0.6, 0.95, 1.2])
+def test_bisection_finds_what_fails(critical: float) -> None:
+    assert 0.2 / exact_solutions.critical_height(critical_height.at_ratio(CUT, critical)) == pytest.approx(critical)
+    found = critical_height.bracket(CUT, lambda scene: 0.2 / exact_solutions.critical_height(scene) > critical)
+    assert found.holds <= critical <= found.fails <= critical_height.WITHIN * found.holds
+
+
+@pytest.mark.parametrize(("friction_deg", "raised"), [(0.0, 0.0548), (30.0, 0.0720)])
+def test_little_tension_raises_the_critical_height(friction_deg: float, raised: float) -> None:
+    """The least over the width b of gamma H = 2 c t + gamma b t / 2 + T t (H / b - t)."""
+    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
+    found = exact_solutions.stability_number(friction_deg, 0.003)
+    assert found == pytest.approx(2.0 * t * (1.0 + raised), rel=1e-4)
+    widths = np.linspace(0.01, 0.2, 2000) * found
+    slices = (2.0 * t + 0.5 * widths * t - 0.003 * t**2) / (1.0 - 0.003 * t / widths)
+    assert found == pytest.approx(slices.min(), rel=1e-6)
+    assert exact_solutions.stability_number(friction_deg, 0.0) == pytest.approx(2.0 * t)
+    assert critical_height.bracket(CUT, lambda scene: True).tension == pytest.approx(0.003)
+    assert math.isnan(critical_height.bracket(CUT, lambda scene: True).holds)
+    assert math.isnan(critical_height.bracket(CUT, lambda scene: False).fails)

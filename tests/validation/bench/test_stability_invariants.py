@@ -30,9 +30,9 @@ def with_energy(flow: Trajectory, kind: str, series: list[float]) -> Trajectory:
     return dataclasses.replace(flow, summary=summary)
 
 
-def moved(flow: Trajectory, frame: int, point: int, place: tuple[float, ...]) -> Trajectory:
+def moved(flow: Trajectory, frame: int, particle: int, position: tuple[float, ...]) -> Trajectory:
     positions = flow.positions.copy()
-    positions[frame, point] = place
+    positions[frame, particle] = position
     return dataclasses.replace(flow, positions=positions)
 
 
@@ -56,32 +56,32 @@ def test_an_infinite_energy_is_found() -> None:
     assert found(invariants.finite, flow).value == 1
 
 
-@pytest.mark.parametrize("place", [(-1e-4, 0.1), (0.8001, 0.1), (0.4, -1e-4), (0.4, 0.41)])
-def test_a_point_outside_the_box_in_one_frame_is_found(place: tuple[float, float]) -> None:
-    finding = found(invariants.inside_box, moved(at_rest(), 2, 7, place))
+@pytest.mark.parametrize("position", [(-1e-4, 0.1), (0.8001, 0.1), (0.4, -1e-4), (0.4, 0.41)])
+def test_a_particle_outside_the_box_in_one_frame_is_found(position: tuple[float, float]) -> None:
+    finding = found(invariants.inside_box, moved(at_rest(), 2, 7, position))
     assert not finding.ok
     assert finding.value >= 0.0049
 
 
-def test_a_point_on_a_wall_is_inside() -> None:
+def test_a_particle_on_a_wall_is_inside() -> None:
     assert found(invariants.inside_box, moved(at_rest(), 2, 7, (0.8, 0.0))).ok
 
 
-@pytest.mark.parametrize(("place", "cells"), [((0.55, 0.19), 0.5), ((0.501, 0.1), 0.05), ((0.55, 0.0), 2.5)])
-def test_a_point_inside_a_baffle_is_found_also_on_the_face_that_it_stands_on(
-    place: tuple[float, float], cells: float
+@pytest.mark.parametrize(("position", "cells"), [((0.55, 0.19), 0.5), ((0.501, 0.1), 0.05), ((0.55, 0.0), 2.5)])
+def test_a_particle_inside_a_baffle_is_found_also_on_the_face_that_it_stands_on(
+    position: tuple[float, float], cells: float
 ) -> None:
-    finding = found(invariants.outside_baffles, moved(at_rest(scene_of(baffles=(BAFFLE,))), 3, 0, place))
+    finding = found(invariants.outside_baffles, moved(at_rest(scene_of(baffles=(BAFFLE,))), 3, 0, position))
     assert not finding.ok
     assert finding.value == pytest.approx(cells, rel=1e-3)
 
 
-@pytest.mark.parametrize("place", [(0.5, 0.1), (0.55, 0.2), (0.6, 0.0)])
-def test_a_point_on_a_face_is_outside(place: tuple[float, float]) -> None:
-    assert found(invariants.outside_baffles, moved(at_rest(scene_of(baffles=(BAFFLE,))), 3, 0, place)).ok
+@pytest.mark.parametrize("position", [(0.5, 0.1), (0.55, 0.2), (0.6, 0.0)])
+def test_a_particle_on_a_face_is_outside(position: tuple[float, float]) -> None:
+    assert found(invariants.outside_baffles, moved(at_rest(scene_of(baffles=(BAFFLE,))), 3, 0, position)).ok
 
 
-def test_a_point_under_a_baffle_that_hangs_is_outside() -> None:
+def test_a_particle_under_a_baffle_that_hangs_is_outside() -> None:
     hanging = Baffle(lower=(0.5, 0.1), size=(0.1, 0.1))
     assert found(invariants.outside_baffles, moved(at_rest(scene_of(baffles=(hanging,))), 3, 0, (0.55, 0.05))).ok
 
@@ -90,17 +90,17 @@ def test_without_baffles_there_is_nothing_to_be_inside_of() -> None:
     assert invariants.outside_baffles(at_rest()) is None
 
 
-def test_a_lost_point_and_a_point_too_many_are_found() -> None:
+def test_a_lost_particle_and_a_particle_too_many_are_found() -> None:
     flow = at_rest()
     for points in (slice(1, None), [0, *range(flow.positions.shape[1])]):
         assert found(invariants.mass, dataclasses.replace(flow, positions=flow.positions[:, points])).value > 1e-3
 
 
-def test_a_point_in_no_box_is_found() -> None:
+def test_a_particle_in_no_box_is_found() -> None:
     assert not found(invariants.mass, moved(at_rest(), 0, 0, (0.6, 0.1))).ok
 
 
-def test_a_mass_whose_points_went_to_its_neighbour_is_found() -> None:
+def test_a_mass_whose_particles_went_to_its_neighbour_is_found() -> None:
     halves = (Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), Mass(lower=(0.2, 0.0), size=(0.2, 0.2)))
     assert found(invariants.mass, at_rest(scene_of(*halves))).ok
     assert not found(invariants.mass, moved(at_rest(scene_of(*halves)), 0, 0, (0.21, 0.101))).ok
@@ -119,8 +119,8 @@ def test_momentum_from_nowhere_is_found() -> None:
 @pytest.mark.parametrize("factor", [0.99, 1.01])
 def test_a_floor_that_takes_another_weight_is_found(factor: float) -> None:
     flow = at_rest()
-    taken = (factor * np.array(flow.summary["wall_impulse"])).tolist()
-    finding = found(invariants.momentum, dataclasses.replace(flow, summary=flow.summary | {"wall_impulse": taken}))
+    impulse = (factor * np.array(flow.summary["wall_impulse"])).tolist()
+    finding = found(invariants.momentum, dataclasses.replace(flow, summary=flow.summary | {"wall_impulse": impulse}))
     assert finding.value == pytest.approx(0.01)
 
 
@@ -176,8 +176,8 @@ def test_energy_counts_from_the_lowest_corner_of_a_tilted_box() -> None:
     assert flow.summary["energy"]["potential"][0] < 0.0
     initial = exact_solutions.total_energy(flow)[0]
     weight = invariants.particle_masses(flow).sum() * 9.81
-    reach = initial + weight * 0.8 * np.sin(np.radians(60.0))
-    series = [0.0, 0.0, 0.0, 0.01 * reach, 0.0]
+    scale = initial + weight * 0.8 * np.sin(np.radians(60.0))
+    series = [0.0, 0.0, 0.0, 0.01 * scale, 0.0]
     assert found(invariants.energy, with_energy(flow, "elastic", series)).value == pytest.approx(0.01)
 
 

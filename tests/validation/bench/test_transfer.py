@@ -9,8 +9,19 @@ import pytest
 
 from datasets.trajectory import Trajectory
 from mpm.resolution import particle_steps
-from validation.bench.columns.transfer import Figures, criterion, figures, spread, write
-from validation.bench.columns.transfer_runs import APIC, DEFAULT, INFINITE, QUICK, Column, Plan
+from validation.bench.columns.transfer import (
+    APIC,
+    DEFAULT,
+    INFINITE,
+    QUICK,
+    Column,
+    Figures,
+    Plan,
+    criterion,
+    figures,
+    spread,
+    write,
+)
 
 PLAN = dataclasses.replace(QUICK, cells=(10, 20, 40, 80), seeds=(2, 1, 1, 1), relaxations=(APIC, 0.5, 1.0, INFINITE))
 

@@ -10,8 +10,8 @@ import pytest
 from datasets.errors import InputError
 from validation.bench.experiments import bench
 from validation.bench.experiments.angle import BOUNDS_DEG, CLOSE, AngleSearch, search_all
+from validation.bench.experiments.bench import write
 from validation.bench.experiments.computed import compute, extents_over_time
-from validation.bench.experiments.page import write
 from validation.bench.experiments.scores import error, rms
 from validation.experiments.experiment import Status, TimeSeries, read_experiments
 

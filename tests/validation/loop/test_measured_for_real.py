@@ -40,7 +40,7 @@ def rows() -> Rows:
     stations = measures.profile_stations(scene, 0.005)
     heights = measures.height_profile(deposit, particle_volumes(scene, len(deposit)), stations)
     x = np.linspace(0.0, measures.runout(deposit), 25)
-    near = [deposit[np.abs(deposit[:, 0] - place) < 0.01, 1] for place in x]
+    near = [deposit[np.abs(deposit[:, 0] - station) < 0.01, 1] for station in x]
     noise = 1.0 + 0.03 * np.random.default_rng(1).standard_normal((2, 25))
     return x, noise[0] * np.interp(x, stations, heights), noise[1] * np.array([each.max() for each in near])
 

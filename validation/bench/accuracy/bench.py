@@ -9,7 +9,6 @@ from datasets.files import write_text
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolved, resolved
 from validation.bench.accuracy import studies
 from validation.bench.accuracy.flows import OWN_STEP
-from validation.bench.accuracy.lengths import SMALLEST, PowerOfCells, compare
 from validation.bench.accuracy.pictures import draw_cost, draw_scenes
 from validation.bench.accuracy.studies import OTHER_PARTICLES, OTHER_STEP, OWN_PARTICLES, Findings, own
 from validation.report.page import Page, percent, signed
@@ -38,11 +37,10 @@ def bench(out: Path, *, quick: bool, keep: Path, dimension: int | None = None, s
 
 def write(out: Path, findings: Sequence[Findings], measured: Sequence[Measured], *, quick: bool = False) -> str:
     """Write accuracy.md and its pictures, and return the conclusion."""
-    powers = {each.study.dimension: compare(each) for each in findings}
     page = Page(
         "Error against cost",
         command="python -m validation.bench accuracy --ship --out docs",
-        conclusion=[sentence for each in findings for sentence in conclusion(each, measured, powers)],
+        conclusion=[sentence for each in findings for sentence in conclusion(each, measured)],
         quick=quick,
     )
     counts = " and ".join(f"{len(each.study.scenes)} in {each.study.dimension}D" for each in findings)
@@ -63,7 +61,7 @@ def write(out: Path, findings: Sequence[Findings], measured: Sequence[Measured],
     draw_cost(out / "accuracy.png", findings)
     page.picture("accuracy.png", "error against particle-steps")
     for each in findings:
-        describe(page, each, measured, powers[each.study.dimension])
+        describe(page, each, measured)
     page.section("Scene by scene")
     page.text("Signed error of the front over the cells, mean and standard deviation over the jitters.")
     draw_scenes(out / "accuracy-scenes.png", findings)
@@ -71,9 +69,7 @@ def write(out: Path, findings: Sequence[Findings], measured: Sequence[Measured],
     return page.write(out / "accuracy.md")
 
 
-def conclusion(
-    findings: Findings, measured: Sequence[Measured], powers: dict[int, list[PowerOfCells]]
-) -> tuple[str, str]:
+def conclusion(findings: Findings, measured: Sequence[Measured]) -> tuple[str, str]:
     """What was found in a dimension, two sentences from its numbers."""
     study, parts = findings.study, []
     selected = select(findings, STATED, measured)
@@ -88,16 +84,12 @@ def conclusion(
             f"on {cells:g} cells {usual}, with a step of {OTHER_STEP:g} {shorter}, with {OTHER_PARTICLES} particles per"
             f" axis {more}"
         )
-    best, ours = powers[study.dimension][0], next(p for p in powers[study.dimension] if p.length == SMALLEST)
-    scatter = f"by a factor of {best.factor:.2f} about one power of the cells across the {best.length}"
-    if best is not ours:
-        scatter += f", {ours.factor:.2f} across the {SMALLEST}"
     return (
         f"**{study.dimension}D**: {percent(STATED)} {needed} across the smallest side; the smallest bound is"
         f" {percent(smallest)}, with up to {max(study.cells):g} cells. If errors fall in proportion to the cell, the"
         f" references ({study.reference:g} cells) are {percent(findings.reference_error())} rms from the limit, beyond"
         " every bound.",
-        f"**{study.dimension}D**, rms error: {'; '.join(parts)}. Errors of the scenes scatter least {scatter}.",
+        f"**{study.dimension}D**, rms error: {'; '.join(parts)}.",
     )
 
 
@@ -109,7 +101,7 @@ def select(findings: Findings, tolerance: float, measured: Sequence[Measured]) -
         return None
 
 
-def describe(page: Page, findings: Findings, measured: Sequence[Measured], powers: Sequence[PowerOfCells]) -> None:
+def describe(page: Page, findings: Findings, measured: Sequence[Measured]) -> None:
     """The section of a dimension."""
     study = findings.study
     page.section(f"{study.dimension}D")
@@ -168,14 +160,6 @@ def describe(page: Page, findings: Findings, measured: Sequence[Measured], power
             f"front from {cells} to it": signed,
             f"scatter over jitters on {cells}": percent,
         },
-    )
-    page.text("""
-        Errors of all scenes as one power of the cells across a length of the mass, and the factor by which they scatter
-        about it (exp of the standard deviation of the logarithms):
-    """)
-    page.table(
-        [(each.length, each.exponent, each.factor) for each in powers],
-        formats={"cells across the": "", "exponent of the error": ".2f", "scatter factor": ".2f"},
     )
 
 

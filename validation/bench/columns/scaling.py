@@ -1,4 +1,4 @@
-"""`python -m validation.bench scaling`: runout and height of columns over their aspect ratio, beside experiments."""
+"""`python -m validation.bench scaling`: columns over their aspect ratio, beside experiments and other codes."""
 
 import math
 from collections.abc import Sequence
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mpm import AT_REST
+from validation.bench.columns.codes import Fronts, codes_conclusion, front_rows, fronts_of_all, grids, read_codes
 from validation.bench.columns.collapse import (
     FRICTION_DEG,
     STEP,
@@ -16,9 +17,9 @@ from validation.bench.columns.collapse import (
     quarter_cylinder,
     volume_error,
 )
-from validation.bench.columns.laws import HIGH, LARGEST, LOW, SMALLEST, Law, Series, aspect_axis, draw_laws, read_laws
+from validation.bench.columns.laws import HIGH, LARGEST, LOW, SMALLEST, Law, Series, read_laws
 from validation.report.page import Page, Row, signed
-from validation.report.plots import BLUE, figure
+from validation.report.plots import BLUE, GREEN, GREY, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
 ASPECTS = {
@@ -35,7 +36,7 @@ NAMES = {2: "2D", 3: "cylinder, 3D"}
 def bench(out: Path, *, quick: bool, keep: Path, seeds: int = 2) -> str:
     """Runout and final height over aspect ratios 0.5 to 8, in 2D and of cylinders in 3D: scaling.md.
 
-    quick: on an eighth of the cells in 2D, a third in 3D. seeds: jitters per column in 2D.
+    quick: on an eighth of the cells in 2D, a third in 3D. seeds: jitters per column in 2D, but beside other codes.
     """
     store, cells = RunStore(keep), {2: 4, 3: 4} if quick else CELLS
     main = [collapse(store, 2, cells[2], seeds), collapse(store, 3, cells[3], 1)]
@@ -44,7 +45,7 @@ def bench(out: Path, *, quick: bool, keep: Path, seeds: int = 2) -> str:
         *(collapse(store, 2, cells[2] // 2, seeds, friction_deg=angle) for angle in OTHER_ANGLES),
         collapse(store, 3, cells[3] // 2, 1),
     ]
-    return write(out, main, others, read_laws(), seeds, quick=quick)
+    return write(out, main, others, fronts_of_all(store, quick=quick), seeds, quick=quick)
 
 
 def collapse(store: RunStore, dimension: int, cells: int, seeds: int, *, friction_deg: float = FRICTION_DEG) -> Series:
@@ -66,14 +67,15 @@ def collapse(store: RunStore, dimension: int, cells: int, seeds: int, *, frictio
 
 
 def write(
-    out: Path, main: Sequence[Series], others: Sequence[Series], laws: Sequence[Law], seeds: int, *, quick: bool = False
+    out: Path, main: Sequence[Series], others: Sequence[Series], fronts: Fronts, seeds: int, *, quick: bool = False
 ) -> str:
-    """Write scaling.md and its picture, and return the conclusion. main: in 2D, then in 3D."""
+    """Write scaling.md and its picture, and return the conclusion. main: in 2D, then in 3D; fronts: of all codes."""
+    laws = read_laws()
     flat, cylinder = main
     page = Page(
         "Runout of columns over their aspect ratio",
         command=f"python -m validation.bench scaling --seeds {seeds} --out docs",
-        conclusion=conclusion(flat, cylinder, others, laws),
+        conclusion=[*conclusion(flat, cylinder, others, laws), codes_conclusion(fronts)],
         quick=quick,
     )
     page.text(f"""
@@ -137,6 +139,20 @@ def write(
             for each in (*main, *others)
         ]
     )
+    page.section("Other codes")
+    page.text("""
+        Fronts of the half columns of 30°, (d - L) / L, by other codes with the same cells, particles and step, without
+        volume correction; per cents are against Talus' default, AFLIP with a relaxation time.
+    """)
+    for cells in grids(fronts):
+        page.text(f"{cells} cells across the smaller of L and H:")
+        page.table(front_rows(fronts, cells))
+    page.text(
+        "\n".join(
+            f"- {code.name}: github.com/{code.repository} at `{code.commit[:10]}`. {code.settings}."
+            for code in read_codes().codes
+        )
+    )
     return page.write(out / "scaling.md")
 
 
@@ -150,6 +166,7 @@ def conclusion(flat: Series, cylinder: Series, others: Sequence[Series], laws: S
             for high in (False, True)
         ]
         lines.append(f"**{NAMES[series.dimension]}**: the front's exponent is {'; '.join(parts)}.")
+    parts = []
     for quantity, kind in (("front", "runout"), ("height", "height")):
         ratios = [
             series.prefactor(quantity, law) / law.prefactor
@@ -157,9 +174,8 @@ def conclusion(flat: Series, cylinder: Series, others: Sequence[Series], laws: S
             for law in laws
             if (law.dimension, law.quantity) == (series.dimension, kind) and law.prefactor is not None
         ]
-        lines.append(
-            f"At the published exponents our {quantity}s are {min(ratios):.2f} to {max(ratios):.2f} of the published."
-        )
+        parts.append(f"{quantity}s are {min(ratios):.2f} to {max(ratios):.2f}")
+    lines.append(f"At the published exponents our {', our '.join(parts)} of the published.")
     in_2d = sorted((each for each in others if each.dimension == 2), key=lambda each: each.friction_deg)
     half = next(each for each in in_2d if each.friction_deg == flat.friction_deg)
     lines.append(
@@ -250,20 +266,35 @@ def draw(path: Path, main: Sequence[Series], laws: Sequence[Law]) -> None:
         for axis, (series, quantity, title) in zip(axes[0], panes, strict=True):
             of_front = quantity == "front"
             kind = "runout" if of_front else "height"
-            draw_laws(axis, [law for law in laws if (law.dimension, law.quantity) == (series.dimension, kind)])
+            colours = dict[str, str]()
+            for law in laws:
+                if (law.dimension, law.quantity) == (series.dimension, kind) and law.prefactor is not None:
+                    label = None if law.source in colours else law.source
+                    colour = colours.setdefault(law.source, (INK, ORANGE, GREEN, GREY)[len(colours)])
+                    ends = np.array([max(law.above, SMALLEST), min(law.below, LARGEST)])
+                    line = law.prefactor * ends**law.exponent
+                    axis.plot(ends, line, "--", color=colour, linewidth=1.3, label=label)
             axis.plot(*series.values(quantity), "o", color=BLUE, markersize=5, label=f"Talus, {quantity}")
             if of_front:
                 axis.plot(
                     *series.values("runout"), "o", color=BLUE, markersize=4, mfc="none", label="furthest particle"
                 )
             for high in (False, True) if of_front else (True,):
-                law = series.fit(quantity, high=high)
+                ours = series.fit(quantity, high=high)
                 ends = np.array([HIGH, LARGEST] if high else [SMALLEST, LOW])
-                axis.plot(ends, law(ends), color=BLUE, linewidth=1.0)
+                axis.plot(ends, ours(ends), color=BLUE, linewidth=1.0)
                 middle = np.array([math.sqrt(ends[0] * ends[1])])
-                label = f"{law.prefactor:.2f} $a^{{{law.exponent:.2f}}}$"
                 axis.annotate(
-                    label, (middle[0], law(middle)[0]), xytext=(8, -18), textcoords="offset points", color=BLUE
+                    f"{ours.prefactor:.2f} $a^{{{ours.exponent:.2f}}}$",
+                    (middle[0], ours(middle)[0]),
+                    xytext=(8, -18),
+                    textcoords="offset points",
+                    color=BLUE,
                 )
-            aspect_axis(axis, ticks=(0.5, 1, 2, 5, 10, 20) if of_front else (0.5, 1, 2))
             axis.set(title=title, ylabel="(d - L) / L" if of_front else "h / L")
+            axis.set(xscale="log", yscale="log", xlabel="aspect ratio a = H / L")
+            ticks = (0.5, 1, 2, 5, 10, 20) if of_front else (0.5, 1, 2)
+            axis.set_xticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
+            axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+            axis.minorticks_off()
+            axis.legend()

@@ -53,7 +53,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 def solve(problem: Problem, folder: Path) -> Outcome | None:
     """Run the loop on a shipped problem in a process of its own; None where it failed."""
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
-    origin = Origin.of(problem, f"python {shlex.join(arguments)}", folder)
+    origin = Origin.from_problem(problem, f"python {shlex.join(arguments)}", folder)
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
     print(f"\n{origin.command}", flush=True)

@@ -35,7 +35,7 @@ class Origin(Record):
     """Whether MPM runs of an earlier start were there: the total does not count their seconds then."""
 
     @staticmethod
-    def of(problem: Problem, command: str, folder: Path) -> "Origin":
+    def from_problem(problem: Problem, command: str, folder: Path) -> "Origin":
         """The origin of a result that is about to be made in `folder`."""
         return Origin(
             command=command,
@@ -109,7 +109,7 @@ def is_current(outcome: Outcome) -> bool:
     """Whether it is of its problem as it is now and, as far as is known, of today's surrogate."""
     if outcome.origin is None:
         return True
-    now = Origin.of(outcome.problem, "", outcome.folder)
+    now = Origin.from_problem(outcome.problem, "", outcome.folder)
     return (outcome.origin.problem, outcome.origin.weights) == (now.problem, now.weights)
 
 

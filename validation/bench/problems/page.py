@@ -176,8 +176,8 @@ def made(outcome: Outcome) -> dict[str, object]:
     command, day, machine = (
         (f"`{origin.command}`", origin.date, origin.machine) if origin else ("not recorded", "-", "-")
     )
-    note = "resumed: the total does not count what had run before" if origin and origin.resumed else ""
-    return {"problem": name(outcome), "command": command, "date": day, "machine": machine, "": note}
+    remark = "resumed: the total does not count what had run before" if origin and origin.resumed else ""
+    return {"problem": name(outcome), "command": command, "date": day, "machine": machine, "": remark}
 
 
 def _losses(mpm: float, surrogate: float, initial: float, iterations: int) -> str:
