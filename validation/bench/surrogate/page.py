@@ -149,7 +149,7 @@ def both(errors: Sequence[float], limit: float = inf) -> str:
     return f"{percent(mean(errors), limit)} ({extreme})" if len(errors) > 1 else extreme
 
 
-def metrics(group: Sequence[Comparison], limit: float) -> Row:
+def metrics(group: Sequence[Comparison], limit: float) -> dict[str, str]:
     """All errors of one comparison, or mean and worst of those of a model from one start."""
     moments = np.mean([each.rmse for each in group], axis=0)
     return {
