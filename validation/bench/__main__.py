@@ -87,18 +87,11 @@ BENCHES = {
         module="validation.bench.speed.gns",
         summary="rates of the GNS beside a textbook's network: rollout, gradient, training step",
     ),
-    "memory": Bench(
-        module="validation.bench.speed.memory", summary="memory of a gradient through a rollout, over nodes and steps"
-    ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
-        summary="cost and quality of a gradient by every method: on problems, over unknowns, over particles",
+        summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
     ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
-    "ablation": Bench(
-        module="validation.bench.speed.ablation",
-        summary="which choices of the network and its training lower the error soonest",
-    ),
 }
 
 

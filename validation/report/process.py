@@ -12,14 +12,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class OutOfMemory(WorkFailed):
-    """The system killed the process."""
-
-
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
-    """`work(...)` in a new interpreter; what it raises is raised here. Raises OutOfMemory."""
+    """`work(...)` in a new interpreter; what it raises is raised here. Raises WorkFailed."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         try:
             return pool.submit(work, *args, **kwargs).result()
         except BrokenProcessPool:
-            raise OutOfMemory("killed, out of memory") from None
+            raise WorkFailed("killed, out of memory") from None

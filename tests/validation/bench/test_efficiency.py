@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import os
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.particles import particle_count
 from inverse.observations import Target, build
@@ -19,10 +22,18 @@ from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import bench, columns, gradients, records
 from validation.bench.efficiency import page as efficiency_page
 from validation.bench.efficiency.columns import Size, Task, Usage, Work
-from validation.bench.efficiency.findings import best_of, crossing, particles_cost, unknowns_cosine, unknowns_cost
+from validation.bench.efficiency.findings import (
+    best_of,
+    crossing,
+    particles_cost,
+    particles_memory,
+    unknowns_cosine,
+    unknowns_cost,
+)
 from validation.bench.efficiency.methods import PAPER_STEP_DEG, ForwardModel, GradientBy, methods
 from validation.bench.efficiency.records import (
     AD,
+    AD_LONG,
     FD_GNS,
     FD_JITTER,
     FD_MPM,
@@ -38,6 +49,7 @@ from validation.bench.efficiency.records import (
 )
 from validation.bench.efficiency.search import Iterate, Models, improvements, search, thinned
 from validation.report import plots
+from validation.report.process import isolated
 
 TRUTH = 24.0
 ORIGIN = Origin(machine="a machine", date="2000-01-01", key="k")
@@ -205,13 +217,23 @@ def test_costs_are_multiplied_from_what_was_run() -> None:
     assert whole[AD, 1].seconds == whole[AD, 10].seconds == pytest.approx(6.0)
     assert whole[FD_GNS, 10].seconds == pytest.approx(21 * 2.0)
     assert whole[FD_MPM, 10].seconds == pytest.approx(2.0 + 1.0)
+    assert whole[AD_LONG, 1].seconds == pytest.approx(6.0)
+    assert (AD_LONG, 10) not in whole
     assert [whole[key].measured for key in ((AD, 1), (FD_GNS, 1), (FD_MPM, 10))] == ["", "one rollout", ""]
-    part = costs(Size(scale=5.6, most_runs=2))
+    part = costs(Size(scale=5.0, most_runs=2))
     assert part[FD_MPM, 10].seconds == pytest.approx(2.0 + 1.0)
     assert (part[FD_MPM, 10].memory, part[FD_MPM, 10].measured) == (10_000, "2 of 20 runs side by side")
     # Two runs side by side are run once for both.
     assert [task.runs for task in tasks if task.work is Work.MPM] == [2, 20, 2]
-    assert [particle_count(columns.column(size.scale)) for size in columns.SIZES] == [3_200, 12_800, 100_352]
+    assert [particle_count(columns.column(size.scale)) for size in columns.SIZES] == [3_200, 12_800, 80_000]
+
+
+def test_work_in_a_process_returns_raises_or_is_killed() -> None:
+    assert isolated(os.getpid) != os.getpid()
+    with pytest.raises(ZeroDivisionError):
+        isolated(divmod, 1, 0)
+    with pytest.raises(WorkFailed, match="out of memory"):
+        isolated(signal.raise_signal, signal.SIGKILL)
 
 
 def row(method: str, *curve: tuple[float, float], ended: str = "by itself") -> MethodResult:
@@ -272,7 +294,12 @@ def over_particles(ad: float = 1.0) -> OverParticles:
             )
             for n in (1, 10, 100)
             for unknowns in (1, 10)
-            for method, seconds in ((AD, ad * n), (FD_GNS, 10.0 * unknowns * n), (FD_MPM, 0.1 * unknowns * n**1.5))
+            for method, seconds in (
+                (AD, ad * n),
+                *([(AD_LONG, 8.0 * ad * n)] if unknowns == 1 else []),
+                (FD_GNS, 10.0 * unknowns * n),
+                (FD_MPM, 0.1 * unknowns * n**1.5),
+            )
         ),
     )
 
@@ -298,6 +325,9 @@ def test_sentences_follow_the_numbers() -> None:
         text := particles_cost(over_particles(ad=0.5))
     )
     assert "from about 25,000 particles on" in text
+    memory, long = particles_memory(over_particles(ad=1.5))
+    assert memory == f"Memory at 100,000 particles and one unknown: {AD} 1 GB, {FD_GNS} 1 GB, {FD_MPM} 1 GB."
+    assert "400 steps, of 100,000 nodes take 1 GB and 20.0 minutes; the paper's code exceeds 16 GB at about" in long
     slow, fast = row("AD, GNS", (3.0, 1e-2), (30.0, 1e-3)), row("differences, MPM", (1.0, 2e-2), (9.0, 1e-5))
     text = best_of(result(slow, fast))
     assert "Least MPM loss 1.0e-05 (at the truth 1.0e-06) by differences, MPM" in text

@@ -24,7 +24,7 @@ from inverse.problem import Problem
 from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 from mpm.process import processors
 from mpm.simulation import simulate_many
-from validation.bench.efficiency.records import AD, FD_GNS, FD_MPM, Cost, Origin, OverParticles
+from validation.bench.efficiency.records import AD, AD_LONG, FD_GNS, FD_MPM, Cost, Origin, OverParticles
 from validation.bench.efficiency.search import WARM_UP_S
 from validation.report.memory import peak, reset_peak, resident
 from validation.report.process import isolated
@@ -33,6 +33,8 @@ SCENE = "column-tall-42"
 STEP_DEG = 0.5
 """Between the angles of the runs of a difference; their cost does not depend on it."""
 UNKNOWNS = (1, 10)
+LONG_STEPS = 400
+"""As many as the rollouts whose gradient does not fit into the memory of the paper's GPU."""
 
 
 class Work(StrEnum):
@@ -40,6 +42,8 @@ class Work(StrEnum):
 
     AD = "AD"
     """Forward and backward through the GNS."""
+    LONG = "AD, many steps"
+    """The same through `LONG_STEPS` steps."""
     GNS = "GNS"
     """One rollout, as differences of the GNS run one after the other."""
     MPM = "MPM"
@@ -82,8 +86,8 @@ class Size:
     """Most runs of the MPM side by side."""
 
 
-SIZES = (Size(scale=1.0), Size(scale=2.0), Size(scale=5.6, most_runs=2))
-"""3,200, 12,800 and 100,352 particles."""
+SIZES = (Size(scale=1.0), Size(scale=2.0), Size(scale=5.0, most_runs=2))
+"""3,200, 12,800 and 80,000 particles, 20,000 nodes."""
 QUICK = (Size(scale=1.0, most_runs=2),)
 Run = Callable[[Task], Usage]
 
@@ -136,13 +140,16 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         forward, rest = middle - began, time.perf_counter() - middle
     else:
         simulator = checkpoint.load(model).simulator.requires_grad_(False)
+        if task.work is Work.LONG:
+            long = dataclasses.replace(scene, duration=LONG_STEPS * simulator.settings.step)
+            problem = dataclasses.replace(problem, scene=long)
         target = start * 0.0
         automatic(GnsForward(simulator, None, short, observation), target)(start)
         gns = GnsForward(simulator, None, problem, observation)
         nodes = len(gns.indices)
         reset_peak()
         before, began = resident() or peak(), time.perf_counter()
-        if task.work is Work.AD:
+        if task.work in (Work.AD, Work.LONG):
             evaluated = automatic(gns, target)(start)
             forward, rest = evaluated.forward_s, evaluated.backward_s
         else:
@@ -160,9 +167,9 @@ def in_process(task: Task) -> Usage:
 def over_particles(origin: Origin, *, sizes: Sequence[Size] = SIZES, run: Run = in_process) -> OverParticles:
     """Every gradient in every size, one after the other."""
     found: list[Cost] = []
-    with tqdm(total=len(sizes) * 3, desc="particles", unit="case", dynamic_ncols=True) as progress:
+    with tqdm(total=len(sizes) * 4, desc="particles", unit="case", dynamic_ncols=True) as progress:
         for size in sizes:
-            for costs in (_by_ad, _by_gns, _by_mpm):
+            for costs in (_by_ad, _by_long_ad, _by_gns, _by_mpm):
                 progress.set_postfix_str(f"{size.scale:g} times the column")
                 found += costs(run, size)
                 progress.update()
@@ -186,6 +193,12 @@ def _by_ad(run: Run, size: Size) -> list[Cost]:
     used = run(Task(work=Work.AD, scale=size.scale))
     seconds = used.forward + used.rest
     return [_cost(AD, used, each, seconds=seconds, memory=used.extra, measured="") for each in UNKNOWNS]
+
+
+def _by_long_ad(run: Run, size: Size) -> list[Cost]:
+    """The same through many steps."""
+    used = run(Task(work=Work.LONG, scale=size.scale))
+    return [_cost(AD_LONG, used, 1, seconds=used.forward + used.rest, memory=used.extra, measured="")]
 
 
 def _by_gns(run: Run, size: Size) -> list[Cost]:

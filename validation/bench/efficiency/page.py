@@ -6,9 +6,10 @@ from matplotlib.axes import Axes
 
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import gradients
-from validation.bench.efficiency.findings import best_of, conclusion, costs_of, gradient_curve
+from validation.bench.efficiency.findings import PAPER_BYTES, PAPER_NODES, best_of, conclusion, costs_of, gradient_curve
 from validation.bench.efficiency.records import (
     AD,
+    AD_LONG,
     FD_GNS,
     FD_MPM,
     MethodResult,
@@ -34,7 +35,8 @@ PARTICLES_TEXT = """
     The paper's tall column on the same cells, longer and higher with its box; a second of flow. Each case is a process
     of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
     two rollouts for each unknown and one more; runs of the MPM side by side, with their memory. AD's pass is the same
-    for any number of unknowns.
+    for any number of unknowns; a step leaves its state, its activations are computed again in the backward pass, except
+    for the last steps that half a GiB holds. "400 steps": AD through a longer flow, beside the paper's stated limit.
 """
 
 
@@ -204,6 +206,11 @@ def draw_particles(path: Path, over: OverParticles) -> None:
                     for each, value in zip(costs, values, strict=True):
                         fill = "none" if each.measured else colour
                         axis.plot(each.particles, value, "o", color=colour, mfc=fill, markersize=5)
+        long = costs_of(over, AD_LONG, 1)
+        right.plot(
+            [each.particles for each in long], [each.memory / 1.0e9 for each in long], "o:", color=INK, label=AD_LONG
+        )
+        right.plot(PAPER_NODES, PAPER_BYTES / 1.0e9, "x", color=INK, label="the paper's code fails, 400 steps")
         logarithmic(left, "particles", "seconds per gradient")
         logarithmic(right, "particles", "peak memory above the start [GB]")
 

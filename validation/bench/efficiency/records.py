@@ -18,6 +18,8 @@ from validation.report.machine import GNS, MPM, machine
 FILE = "efficiency.json"
 AD, FD_GNS, FD_MPM, FD_JITTER = "AD, GNS", "differences, GNS", "differences, MPM", "differences, MPM, another jitter"
 """Methods of a gradient."""
+AD_LONG = "AD, GNS, 400 steps"
+"""Of a longer flow; the others are of one second."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from datasets.errors import InputError
 from validation.bench.speed import columns
 from validation.bench.speed.networks import (
     BATCH,
+    LONGEST,
     MOST_BYTES,
     ONCE,
     PAPER,
@@ -33,8 +34,6 @@ from validation.report.machine import GNS
 from validation.report.page import Page, Row
 from validation.report.plots import BLUE, GREEN, ORANGE, figure, pane
 
-LONGEST = 5.0
-"""A step of the textbook's that would take longer [s] is left out."""
 COLOURS = {Kind.OURS: BLUE, Kind.TEXTBOOK: ORANGE, Kind.PAPER: GREEN}
 PICTURE = "speed-gns.png"
 STEPS = f"""
@@ -48,19 +47,19 @@ STEPS = f"""
     (`validation/bench/speed/textbook.py`): latents on edges, a perceptron on the concatenation of both ends and the
     edge, `index_add`. Here it has the width, the layers, the hidden layers and the radius of our model, which has its
     background grid on top; **{Kind.PAPER}** is the paper's size, with two hidden layers, on the same nodes. All run in
-    one process under the same settings of PyTorch. Their columns are ratios to ours.
+    one process on one thread. Their columns are ratios to ours.
 """
 SECOND = f"""
     The paper's tall column (`{SCENE}`), from rest. Ours is run through all its steps; its gradient keeps the
     activations of as many steps as half a GiB holds and computes the others again. The textbook's seconds are those of
     one step times the steps, its gradient with a checkpoint at every step, as the paper does it (forward, and again
-    with the backward pass); its memory is that of one step. The last line is the paper's network at the paper's
+    with the backward pass). The last line is the paper's network at the paper's
     resolution: every particle of the MPM, steps of {1000.0 * PAPER.step:g} ms, radius {1000.0 * PAPER.radius:g} mm.
 """
 
 
-def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 3, longest: float = LONGEST, threads: int = 1) -> str:
-    """Measure seconds and memory of a step beside a textbook's network, over sizes; about four minutes.
+def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 3) -> str:
+    """Measure seconds of a step beside a textbook's network, over sizes; about four minutes.
 
     Parameters
     ----------
@@ -72,23 +71,16 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 3, longest: float
         Not used: times are of one run.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
-    longest
-        Steps of the textbook's that would take longer [s] are left out.
-    threads
-        Threads of PyTorch.
     """
-    for key, value in (("--rounds", rounds), ("--threads", threads)):
-        if value < 1:
-            raise InputError(f"expected at least 1, got {value}", key=key)
-    if not longest > 0.0:
-        raise InputError(f"expected a positive number of seconds, got {longest:g}", key="--longest")
+    if rounds < 1:
+        raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     rounds = 1 if quick else rounds
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     torch.manual_seed(0)
     models = families()
-    costs = measured(models, rounds, longest, QUICK_SIZES if quick else SIZES)
-    command = f"python -m validation.bench speed-gns --rounds {rounds} --longest {longest:g} --threads {threads}"
-    text = page(models, costs, rollout_costs(models, rounds), command=command, longest=longest, quick=quick)
+    costs = measured(models, rounds, QUICK_SIZES if quick else SIZES)
+    command = f"python -m validation.bench speed-gns --rounds {rounds}"
+    text = page(models, costs, rollout_costs(models, rounds), command=command, quick=quick)
     draw(out / PICTURE, models, costs)
     return text.write(out / "speed-gns.md")
 
@@ -99,7 +91,6 @@ def page(
     seconds: Sequence[RolloutCost],
     *,
     command: str,
-    longest: float,
     quick: bool = False,
 ) -> Page:
     """The page, from what was measured."""
@@ -122,7 +113,7 @@ def page(
     text.text(STEPS)
     text.text(f"""
         Left out is what would take more than {MOST_BYTES / 1.0e9:g} GB, and of the textbook's what would take more than
-        {longest:g} s; there the cost expected from the next smaller size is given (~).
+        {LONGEST:g} s; there the cost expected from the next smaller size is given (~).
     """)
     for each in models:
         settings = each.settings
@@ -133,8 +124,6 @@ def page(
             f" steps of {1000.0 * settings.step:g} ms. Weights: {weights}."
         )
         text.table(time_rows(each, costs))
-        text.text("Peak memory [MB] of the same above what was held before:")
-        text.table(memory_rows(each, costs))
     return text
 
 
@@ -170,7 +159,6 @@ def rollout_row(each: RolloutCost) -> Row:
         "steps": each.steps,
         "forward [s]": each.forward.written(digits),
         "with gradient [s]": each.gradient.written(digits),
-        "peak memory [MB]": megabytes(each.peak),
     }
 
 
@@ -198,25 +186,6 @@ def time_rows(each: Family, costs: Costs) -> list[Row]:
                 row[f"{measure}: {kind}"] = theirs.left_out or compared
         rows.append(row)
     return rows
-
-
-def memory_rows(each: Family, costs: Costs) -> list[Row]:
-    """A line per size: megabytes of each measure and network."""
-    return [
-        {"nodes": f"{nodes:,}"}
-        | {
-            f"{measure}: {kind}": found.left_out or megabytes(found.peak)
-            for measure in Measure
-            for kind in each.networks
-            for found in [cost(each, costs, kind, measure, nodes)]
-        }
-        for nodes in sizes(each, costs)
-    ]
-
-
-def megabytes(size: int | None) -> str:
-    """A size in bytes, - where the system cannot tell."""
-    return "-" if size is None else f"{size / 1.0e6:,.0f}"
 
 
 def draw(path: Path, models: Sequence[Family], costs: Costs) -> None:

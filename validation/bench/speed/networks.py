@@ -1,4 +1,4 @@
-"""Seconds and memory of a step of the GNS beside the textbook's network, over sizes, and of a whole second."""
+"""Seconds of a step of the GNS beside the textbook's network, over sizes, and of a whole second."""
 
 import copy
 import dataclasses
@@ -42,6 +42,8 @@ WARM_UP = 200
 """Nodes of the first step of each network."""
 MOST_BYTES = 6.0e9
 """What would take more memory is left out."""
+LONGEST = 5.0
+"""A step of the textbook's that would take longer [s] is left out."""
 PAPER_WIDTH, PAPER_LAYERS = 128, 10
 SCENE = "column-tall-42"
 PAPER = ModelSettings(cell=0.005, radius=0.015, frames_per_step=1, history=5)
@@ -101,7 +103,7 @@ class StepCost:
     seconds: tuple[float, ...] = ()
     """Of a step, in each round."""
     peak: int | None = None
-    """Memory above what was held before [bytes], where the system can tell."""
+    """Memory above what was held before [bytes], where the system can tell; by it larger cases are left out."""
     left_out: str = ""
     """The expected cost, extrapolated from the next smaller case, of a case that was not run."""
 
@@ -205,11 +207,11 @@ def edges(settings: ModelSettings, nodes: int) -> int:
 
 
 def measured(
-    models: Sequence[Family], rounds: int, longest: float, sizes: Mapping[int, Sequence[int]] = SIZES
+    models: Sequence[Family], rounds: int, sizes: Mapping[int, Sequence[int]] = SIZES
 ) -> dict[StepCase, StepCost]:
     """All cases, those of up to `ONCE` seconds in turn in `rounds` rounds.
 
-    A case that is expected to take more than `MOST_BYTES`, or of the textbook's more than `longest` [s], is left out.
+    A case that is expected to take more than `MOST_BYTES`, or of the textbook's more than `LONGEST` [s], is left out.
     """
     costs: dict[StepCase, StepCost] = {}
     again: dict[StepCase, Callable[[], float]] = {}
@@ -220,7 +222,7 @@ def measured(
         last: tuple[int, StepCost] | None = None
         for nodes in sizes[each.settings.dimension]:
             case = StepCase(family=each.name, kind=kind, measure=measure, nodes=nodes)
-            limit = math.inf if kind is Kind.OURS else longest
+            limit = math.inf if kind is Kind.OURS else LONGEST
             expected = too_costly(nodes / last[0], last[1], limit) if last else ""
             if expected:
                 costs[case] = StepCost(left_out=expected)
@@ -265,8 +267,6 @@ class RolloutCost:
     """[s]."""
     gradient: Spread
     """Forward and backward [s]."""
-    peak: int | None
-    """Of the gradient, above what was held before [bytes]."""
 
 
 def initial(settings: ModelSettings) -> InitialState:
@@ -293,7 +293,7 @@ def rollout_cost(name: str, simulator: Simulator, rounds: int) -> RolloutCost:
         assert math.isfinite(float(friction.grad.sum()))
 
     first = seconds_of(forward)
-    peak = extra(gradient)
+    gradient()
     work = {"forward": partial(seconds_of, forward), "gradient": partial(seconds_of, gradient)}
     found = turns(work, 1 if first > LONG_ROLLOUT else rounds, f"one second, {name}")
     return RolloutCost(
@@ -303,7 +303,6 @@ def rollout_cost(name: str, simulator: Simulator, rounds: int) -> RolloutCost:
         run=True,
         forward=spread(found["forward"]),
         gradient=spread(found["gradient"]),
-        peak=peak,
     )
 
 
@@ -318,7 +317,7 @@ def extrapolated_cost(name: str, network: nn.Module, settings: ModelSettings) ->
     gradient = step(network, start.state, start.conditions, Measure.GRADIENT)
     forward()
     one = mean_seconds(forward)
-    peak = extra(gradient)
+    gradient()
     both = mean_seconds(gradient)
     return RolloutCost(
         name=name,
@@ -327,7 +326,6 @@ def extrapolated_cost(name: str, network: nn.Module, settings: ModelSettings) ->
         run=False,
         forward=spread([start.steps * one]),
         gradient=spread([start.steps * (one + both)]),
-        peak=peak,
     )
 
 

@@ -108,11 +108,6 @@ class Comparison:
         return float(self.surrogate.runout[-1] / self.runout - 1.0)
 
     @property
-    def same_runout_error(self) -> float:
-        """The same against the surrogate's particles in the MPM."""
-        return float(self.surrogate.runout[-1] / self.mpm.runout[-1] - 1.0)
-
-    @property
     def profile_error(self) -> float:
         """Area between the height profiles of the deposits over that under the MPM's."""
         return measures.profile_error(self.surrogate.profile, self.mpm.profile)

@@ -128,11 +128,6 @@ def mean(errors: Sequence[float]) -> float:
     return float(np.mean(np.abs(errors)))
 
 
-def rms(errors: Sequence[float]) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
 def worst(errors: Sequence[float]) -> float:
     """The error of the largest amount, with its sign."""
     return max(errors, key=abs)
@@ -148,29 +143,26 @@ def percent(fraction: float, limit: float = inf) -> str:
     return "-" if np.isnan(fraction) else bold(f"{100.0 * fraction:.1f} %", abs(fraction) > limit)
 
 
-def with_sign(fraction: float, limit: float = inf) -> str:
-    """The same with its sign."""
-    return bold(signed(fraction), abs(fraction) > limit)
-
-
 def both(errors: Sequence[float], limit: float = inf) -> str:
-    """Mean, and in brackets the worst."""
-    return f"{percent(mean(errors), limit)} ({with_sign(worst(errors), limit)})"
+    """Mean, and in brackets the worst; of a single one its value with its sign."""
+    extreme = bold(signed(worst(errors)), abs(worst(errors)) > limit)
+    return f"{percent(mean(errors), limit)} ({extreme})" if len(errors) > 1 else extreme
 
 
-def metrics(each: Comparison, limit: float) -> dict[str, str]:
-    """All errors of one comparison."""
+def metrics(group: Sequence[Comparison], limit: float) -> Row:
+    """All errors of one comparison, or mean and worst of those of a model from one start."""
+    moments = np.mean([each.rmse for each in group], axis=0)
     return {
-        "model": f"`{each.model}`",
-        "start": each.start.value,
-        "front: all, same particles": f"{with_sign(each.front_error, limit)},"
-        f" {with_sign(each.same_front_error, limit)}",
-        "runout: all, same particles": f"{with_sign(each.runout_error)}, {with_sign(each.same_runout_error)}",
-        "MPM's scatter": percent(each.scatter),
-        "profile": percent(each.profile_error),
-        "particles at 1/4, 1/2, end [mm]": " / ".join(f"{1000.0 * moment:.0f}" for moment in each.rmse),
-        "kinetic energy": percent(each.kinetic_error, ENERGY_CRITERION),
-        "potential energy": percent(each.potential_error, ENERGY_CRITERION),
+        "model": f"`{group[0].model}`",
+        "start": group[0].start.value,
+        "front": both([each.front_error for each in group], limit),
+        "front, same particles": both([each.same_front_error for each in group], limit),
+        "runout": both([each.runout_error for each in group]),
+        "MPM's scatter": percent(float(np.mean([each.scatter for each in group]))),
+        "profile": both([each.profile_error for each in group]),
+        "particles at 1/4, 1/2, end [mm]": " / ".join(f"{1000.0 * moment:.1f}" for moment in moments),
+        "kinetic energy": both([each.kinetic_error for each in group], ENERGY_CRITERION),
+        "potential energy": both([each.potential_error for each in group], ENERGY_CRITERION),
     }
 
 
@@ -221,11 +213,11 @@ def columns_section(text: Page, found: Columns, seeds: int) -> None:
     text.picture("gns-front.png", "front error over the angle of friction")
     text.table(
         [
-            summary(variant, group, trained)
+            summary(group, trained)
             for trained in COLUMN_CRITERIA
-            for variant, group in by_variant(
+            for group in by_variant(
                 joined(group for column, group in found.items() if column.trained is trained)
-            ).items()
+            ).values()
         ]
     )
     papers = {name: found[column] for name, column in paper_columns().items() if column in found}
@@ -246,27 +238,13 @@ def listed(values: Iterable[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def summary(variant: tuple[str, Start], group: Sequence[Comparison], trained: bool) -> Row:
+def summary(group: Sequence[Comparison], trained: bool) -> Row:
     """Errors of one model from one start over the columns of a range."""
     limit = COLUMN_CRITERIA[trained]
-    fronts = [each.front_error for each in group]
-    return {
-        "model": f"`{variant[0]}`",
-        "start": variant[1].value,
-        "angles": "trained" if trained else "outside",
-        "front": both(fronts, limit),
-        "rms": percent(rms(fronts), limit),
-        "within": f"{sum(abs(error) <= limit for error in fronts)} of {len(group)}",
-        "same particles": both([each.same_front_error for each in group], limit),
-        "MPM's scatter": percent(float(np.mean([each.scatter for each in group]))),
-        "runout": both([each.runout_error for each in group]),
-        "profile": both([each.profile_error for each in group]),
-        "particles at 1/4, 1/2, end [mm]": " / ".join(
-            f"{1000.0 * each:.1f}" for each in np.mean([each.rmse for each in group], axis=0)
-        ),
-        "kinetic energy": both([each.kinetic_error for each in group], ENERGY_CRITERION),
-        "potential energy": both([each.potential_error for each in group], ENERGY_CRITERION),
-    }
+    within = sum(abs(each.front_error) <= limit for each in group)
+    return {"angles": "trained" if trained else "outside", "within": f"{within} of {len(group)}"} | metrics(
+        group, limit
+    )
 
 
 def paper_row(name: str, group: Sequence[Comparison]) -> Row:
@@ -309,7 +287,7 @@ def layers_section(text: Page, found: Scenes) -> None:
                 "velocities, lowest layer first": name,
                 "MSE [1e-4 m²]": f"{1e4 * each.mse:.2f}",
                 "MPM's own": f"{1e4 * each.mpm_mse:.2f}",
-                **metrics(each, COLUMN_CRITERIA[True]),
+                **metrics([each], COLUMN_CRITERIA[True]),
             }
             for name, group in found.items()
             for each in group
@@ -334,7 +312,7 @@ def baffles_section(text: Page, found: Scenes) -> None:
                 "scene": f"`{name}`",
                 "the paper's runout": percent(PAPER_BAFFLES.get(name, float("nan"))),
                 "upstream depth": f"{percent(each.depth_errors[0])} ({percent(each.depth_errors[1])})",
-                **metrics(each, BAFFLES_CRITERION),
+                **metrics([each], BAFFLES_CRITERION),
             }
             for name, group in found.items()
             for each in group
