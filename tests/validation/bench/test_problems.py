@@ -80,7 +80,7 @@ def test_two_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     assert loop == list(names), "results are kept"
 
 
-def test_another_problem_or_surrogate_is_solved_again(tmp_path: Path, loop: list[str]) -> None:
+def test_another_problem_or_surrogate_begins_anew(tmp_path: Path, loop: list[str]) -> None:
     call(tmp_path, "friction-tall-42")
     origin = tmp_path / "runs" / "friction-tall-42" / ORIGIN
     for key in ("problem", "weights"):
