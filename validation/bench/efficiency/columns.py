@@ -16,7 +16,7 @@ from datasets.scene import Domain, Mass, Scene
 from gns.inference import SHIPPED
 from gns.initial import Start
 from gns.model import checkpoint
-from inverse.forward.gns import GnsForward
+from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic
 from inverse.observations import build
@@ -43,7 +43,7 @@ class Work(StrEnum):
     AD = "AD"
     """Forward and backward through the GNS."""
     LONG = "AD, many steps"
-    """The same through `LONG_STEPS` steps."""
+    """The same through `LONG_STEPS` steps, none of whose activations are kept."""
     GNS = "GNS"
     """One rollout, as differences of the GNS run one after the other."""
     MPM = "MPM"
@@ -147,7 +147,8 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
             problem = dataclasses.replace(problem, scene=long)
         target = start * 0.0
         automatic(GnsForward(simulator, None, short, observation), target)(start)
-        gns = GnsForward(simulator, None, problem, observation)
+        kept_gib = 0.0 if task.work is Work.LONG else MEMORY_GIB
+        gns = GnsForward(simulator, None, problem, observation, kept_gib)
         nodes = len(gns.indices)
         reset_peak()
         before, began = resident() or peak(), time.perf_counter()

@@ -36,7 +36,8 @@ PARTICLES_TEXT = """
     of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
     two rollouts for each unknown and one more; runs of the MPM side by side, with their memory. AD's pass is the same
     for any number of unknowns; a step leaves its state, its activations are computed again in the backward pass, except
-    for the last steps that half a GiB holds. "400 steps": AD through a longer flow, beside the paper's stated limit.
+    for the last steps that half a GiB holds. "400 steps": AD through a longer flow, no activations kept, beside the
+    paper's stated limit.
 """
 
 
