@@ -8,10 +8,32 @@
 A problem is a TOML file (docs/formats.md) or a `Problem` built in Python.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 import gns  # noqa: F401  (sets what torch reads when it is loaded, before a module here loads torch)
-from inverse.inversion import invert
-from inverse.problem import Problem, read_problem
-from inverse.result import Result
-from inverse.settings import ObservationSettings, Parameter, TargetSettings
+
+if TYPE_CHECKING:
+    from inverse.inversion import invert
+    from inverse.problem import Problem, read_problem
+    from inverse.result import Result
+    from inverse.settings import ObservationSettings, Parameter, TargetSettings
+
+_MODULES = {
+    "ObservationSettings": "inverse.settings",
+    "Parameter": "inverse.settings",
+    "Problem": "inverse.problem",
+    "Result": "inverse.result",
+    "TargetSettings": "inverse.settings",
+    "invert": "inverse.inversion",
+    "read_problem": "inverse.problem",
+}
 
 __all__ = ["ObservationSettings", "Parameter", "Problem", "Result", "TargetSettings", "invert", "read_problem"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: the forward models need neither the MPM's kernels nor plots, a hundred MiB."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
