@@ -42,6 +42,7 @@ def still(scenes: Sequence[Scene], *, precision: str, record: Recording, **_: An
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::UserWarning")  # A thin body, a block that nothing holds: rows that warn.
 def test_rows_for_real(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("--quick", "--out", str(tmp_path)) == 0
     text = (tmp_path / "stability.md").read_text()
