@@ -22,6 +22,10 @@ RENAMED = {
     "hidden": "twin",
     "least": "minimise",
     "several_within": "joint_within",
+    "beyond": "explanation",
+    "course": "series",
+    "says": "comment",
+    "unsaid": "assumptions",
 }
 """Keys of older files, at any depth, and what they are called now."""
 
