@@ -8,7 +8,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.scene import Scene
 
 FRONT_QUANTILE = 0.995
@@ -61,36 +60,6 @@ def height_profile(
     length = np.full(len(stations), spacing)
     length[[0, -1]] *= 0.5
     return np.asarray(height / length)
-
-
-def thickness_map(
-    positions: Positions, volume: float | NDArray[np.floating], scene: Scene, spacing: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Thickness of a deposit in 3D at its initial density [m], shape [X, Z], seen from above: a map of its volume.
-
-    Also the x and the z [m] of its stations, about `spacing` [m] apart, walls included, shapes [X] and [Z]. The volume
-    of the particles (`volume` [m^3] each, one for all or shape [N]) is shared bilinearly between the four nearest
-    stations and divided by the area that a station stands for (half of it at a wall, a quarter in a corner): conserves
-    volume and is continuous in the positions, as `height_profile`. Raises InputError in 2D.
-    """
-    if scene.dimension != 3:
-        raise InputError("expected a scene in 3D for a map, of one in 2D take the profile", key="domain.size")
-    stations = [np.linspace(0.0, length, round(length / spacing) + 1) for length in scene.domain.size[::2]]
-    shape = (len(stations[0]), len(stations[1]))
-    left, share = [], []
-    for axis, along in zip((0, 2), stations, strict=True):
-        coordinate = np.clip(positions[:, axis].astype(np.float64) / along[1], 0.0, len(along) - 1.0)
-        left.append(np.minimum(coordinate.astype(np.int64), len(along) - 2))
-        share.append(coordinate - left[-1])
-    thickness = np.zeros(shape[0] * shape[1])
-    for right, ahead in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        part = (share[0] if right else 1.0 - share[0]) * (share[1] if ahead else 1.0 - share[1])
-        at = (left[0] + right) * shape[1] + left[1] + ahead
-        thickness += np.bincount(at, volume * part, minlength=len(thickness))
-    lengths = [np.full(len(along), along[1]) for along in stations]
-    for length in lengths:
-        length[[0, -1]] *= 0.5
-    return thickness.reshape(shape) / np.outer(*lengths), stations[0], stations[1]
 
 
 def profile_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:

@@ -167,6 +167,11 @@ class Result:
         return errors
 
     @property
+    def answers(self) -> list[dict[str, Any]]:
+        """Every answer that the observation is known to allow: unknowns, half-widths, weight and misfit in the MPM."""
+        return [{"unknowns": self.unknowns, "half_widths": self.certainty, "weight": 1.0, "misfit": self.loss_mpm}]
+
+    @property
     def evaluations(self) -> list[Evaluation]:
         """Every evaluation of the surrogate's loss, in order; those of other starts come last."""
         return [evaluation for stage in self._stages for evaluation in stage.evaluations]
@@ -200,6 +205,7 @@ class Result:
                 "verdict": self.verdict.value,
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
+                "answers": self.answers,
                 "identifiability": None
                 if self.identifiability is None
                 else identifiability_record(self.identifiability),

@@ -6,10 +6,8 @@ the run and the version of this package.
 
 import dataclasses
 import hashlib
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -140,13 +138,3 @@ class RunStore:
         if failed is not None:
             raise failed
         return stored
-
-
-@contextmanager
-def store_in(folder: Path | None) -> Iterator[RunStore]:
-    """A store in `folder`; without one, in a folder that is removed at the end."""
-    if folder is not None:
-        yield RunStore(folder)
-        return
-    with tempfile.TemporaryDirectory() as temporary:
-        yield RunStore(Path(temporary))

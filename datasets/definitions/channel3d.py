@@ -1,6 +1,6 @@
 """Channel3D: Obstacle3D's flows in a box twice as long, our own addition to the paper's training set.
 
-In a box of 1 m every flow soon meets the far wall. Here it runs out: the layer that gets past the baffles thins until
+In a box of 1 m every flow soon is at the far wall. Here it runs out: the layer that gets past the baffles thins until
 it stops. Baffles are fewer, none at all, or more, and differ more in size. The masses of the first half are
 Obstacle3D's; those of the second are low, slabs rather than towers, so that thin fast layers are no exception.
 """
@@ -13,16 +13,15 @@ from datasets.definitions.obstacle3d import (
     CELLS,
     GAP,
     HIGHEST_START,
-    PARTICLES_PER_AXIS,
     SIDE_SPEED,
     SPEED,
     TRIES,
     apart,
     draw_mass,
+    thrown_at,
     vector,
 )
-from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 
 SIZE = 480
 TOWERS = 240
@@ -51,21 +50,7 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
     mass = draw_next(stream)
     while (baffles := draw_baffles(stream, mass, count)) is None:
         mass = draw_next(stream)
-    return Scene(
-        domain=Domain(size=(LENGTH, 1.0, 1.0), cell=1 / CELLS),
-        material=Material(friction_deg=35.0, density=1800.0, young=2.0e6, poisson=0.3),
-        masses=(mass,),
-        baffles=baffles,
-        duration=1.0,
-        frame_dt=0.0025,
-        # Not stated in the paper; `scenes/baffles-2.toml` says why.
-        floor_friction=0.43,
-        wall_friction=0.43,
-        baffle_friction=0.43,
-        step_fraction=0.9,
-        particles_per_axis=PARTICLES_PER_AXIS,
-        seed=jitter_seed(stream),
-    )
+    return thrown_at(mass, baffles, jitter_seed(stream), length=LENGTH, duration=1.0)
 
 
 def draw_slab(stream: np.random.Generator) -> Mass:

@@ -57,12 +57,17 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
     mass = draw_mass(stream)
     while (baffles := draw_baffles(stream, mass, count)) is None:
         mass = draw_mass(stream)
+    return thrown_at(mass, baffles, jitter_seed(stream), length=1.0, duration=0.875)
+
+
+def thrown_at(mass: Mass, baffles: tuple[Baffle, ...], seed: int, *, length: float, duration: float) -> Scene:
+    """The paper's sand and time step in a box `length` [m] long, 1 m high and wide, for `duration` [s]."""
     return Scene(
-        domain=Domain(size=(1.0, 1.0, 1.0), cell=1 / CELLS),
+        domain=Domain(size=(length, 1.0, 1.0), cell=1 / CELLS),
         material=Material(friction_deg=35.0, density=1800.0, young=2.0e6, poisson=0.3),
         masses=(mass,),
         baffles=baffles,
-        duration=0.875,
+        duration=duration,
         frame_dt=0.0025,
         # Not stated in the paper; `scenes/baffles-2.toml` says why.
         floor_friction=0.43,
@@ -70,7 +75,7 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
         baffle_friction=0.43,
         step_fraction=0.9,
         particles_per_axis=PARTICLES_PER_AXIS,
-        seed=jitter_seed(stream),
+        seed=seed,
     )
 
 

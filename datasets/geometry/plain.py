@@ -1,4 +1,4 @@
-"""Scenes for those who know nothing solid but boxes along the axes: the surrogate, the formats of other codes."""
+"""Scenes whose solids are boxes along the axes alone, as the surrogate and the formats of other codes require."""
 
 from datasets.errors import InputError
 from datasets.scene import Scene

@@ -77,14 +77,6 @@ EXTRA_STEPS = 60
 MOST_STEPS = 600
 
 
-def initial_stress(scene: Scene, particles: Particles, positions: Floats | None = None) -> Floats:
-    """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx).
-
-    As `initial_tractions`, which has the rest.
-    """
-    return initial_tractions(scene, particles, positions)[0]
-
-
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
 

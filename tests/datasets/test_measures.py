@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
 from datasets.material import Material
 from datasets.measures import (
     UPSTREAM,
@@ -14,7 +13,6 @@ from datasets.measures import (
     profile_error,
     profile_stations,
     runout,
-    thickness_map,
     toe,
     upstream_depth,
 )
@@ -130,43 +128,3 @@ def test_energies_of_points_that_fall() -> None:
     assert potential[0] == pytest.approx(6.0 * 9.81)
     np.testing.assert_allclose(potential + kinetic, potential[0])
     assert kinetic_energy(velocities[-1], 2.0) == pytest.approx(0.5 * 6.0 * (9.81 * 0.2) ** 2)
-
-
-def deep_scene() -> Scene:
-    """A box of 0.4 x 0.2 x 0.3 m."""
-    return Scene(
-        domain=Domain(size=(0.4, 0.2, 0.3), cell=0.02),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.3)),),
-    )
-
-
-def test_thickness_of_a_slab() -> None:
-    """A slab over the whole floor, 0.1 m thick, with a second one of 0.05 m on the half of it behind x = 0.2 m."""
-    spacing = 0.01
-    lattice = np.stack(
-        np.meshgrid(*(np.arange(spacing / 2, length, spacing) for length in (0.4, 0.15, 0.3)), indexing="ij"), axis=-1
-    ).reshape(-1, 3)
-    slab = lattice[(lattice[:, 1] < 0.1) | (lattice[:, 0] < 0.2)]
-    thickness, x, z = thickness_map(slab, spacing**3, deep_scene(), 0.02)
-    np.testing.assert_allclose(x, np.linspace(0.0, 0.4, 21))
-    np.testing.assert_allclose(z, np.linspace(0.0, 0.3, 16))
-    np.testing.assert_allclose(thickness[x < 0.19], 0.15)
-    np.testing.assert_allclose(thickness[x > 0.21], 0.1)
-
-
-def test_a_map_conserves_volume_and_its_rows_are_the_profile() -> None:
-    stream, scene = np.random.default_rng(2), deep_scene()
-    points, volumes = stream.random((500, 3)) * scene.domain.size, stream.random(500) * 1e-6
-    thickness, x, z = thickness_map(points, volumes, scene, 0.05)
-    widths = np.full(len(z), z[1])
-    widths[[0, -1]] *= 0.5
-    np.testing.assert_allclose(thickness @ widths, height_profile(points, volumes, x), rtol=1e-9)
-    lengths = np.full(len(x), x[1])
-    lengths[[0, -1]] *= 0.5
-    assert lengths @ thickness @ widths == pytest.approx(volumes.sum())
-
-
-def test_a_map_in_two_dimensions_is_refused(scene: Scene) -> None:
-    with pytest.raises(InputError, match="expected a scene in 3D"):
-        thickness_map(block(0.1, 0.1), 1.0, scene, 0.05)

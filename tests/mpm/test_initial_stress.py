@@ -12,7 +12,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from mpm import WITH_FIELDS, simulate
 from mpm.arrays.layout import PADDING
-from mpm.initial.stress import Equilibrium, initial_stress, overburden
+from mpm.initial.stress import Equilibrium, initial_tractions, overburden
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -37,7 +37,7 @@ def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
 
 
 def stress_of(scene: Scene) -> NDArray[np.float64]:
-    return initial_stress(scene, initial_particles(scene))
+    return initial_tractions(scene, initial_particles(scene))[0]
 
 
 def fastest(scene: Scene, precision: str) -> float:
@@ -143,7 +143,7 @@ def test_an_elastic_block_stands_still_on_its_own(floor_friction: float) -> None
     block = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), k0="elastic")
     scene = with_masses(BED_2D, block, material=STIFF_CLAY, floor_friction=floor_friction, duration=0.25)
     particles = initial_particles(scene)
-    stress = initial_stress(scene, particles)
+    stress = initial_tractions(scene, particles)[0]
     # Nothing holds it at its sides: the stress across a vertical section is zero in the mean, the weight is not.
     assert abs(np.mean(stress[:, 0])) < 0.01 * np.abs(np.mean(stress[:, 1])) or floor_friction > 0.0
     assert -np.mean(stress[:, 1]) == pytest.approx(0.5 * SAND.density * 9.81 * 0.3, rel=0.05)

@@ -41,11 +41,6 @@ class Result(inverse_result.Result):
     """The reason why no learned surrogate proposed; None where one did."""
 
     @property
-    def answers(self) -> list[dict[str, object]]:
-        """Every answer that the MPM checked: its `unknowns`, `half_widths` and `misfit` in the MPM."""
-        return [{"unknowns": self.unknowns, "half_widths": self.certainty, "misfit": self.loss_mpm}]
-
-    @property
     def deposit(self) -> NDArray[np.floating]:
         """The MPM's deposit at the answer [m], shape [N, D]."""
         return np.asarray(self.found.checks[0].trajectory.positions[-1])
