@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.geometry.plain import check_plain
-from datasets.particles import initial_particles, mass_counts, particle_volumes
+from datasets.particles import initial_particles, mass_counts
 from datasets.scene import Scene
-from datasets.training.samples import corners, frames_per_step, point_cohesion
+from datasets.training.samples import Surroundings, check_known
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
 from gns.model.settings import ModelSettings
-from gns.model.state import Conditions, State, Tensors
+from gns.model.state import Conditions, Ground, State, Tensors
+from gns.units import Units
 
 MPM_SECONDS = 0.05
 """Time [s] that the MPM computes where a rollout starts from its frames: a twentieth of a run of one second."""
@@ -103,36 +103,81 @@ def initial_state(
     Raises InputError for a scene outside of what the model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
+    units = Units.of(scene, settings)
+    step = units.time * settings.step
+    particles = initial_particles(scene)
     if frames is None:
-        particles = initial_particles(scene)
         known = particles.positions[None].astype(np.float32)
-        velocity0, friction = particles.velocities.astype(np.float32), particles.friction
     else:
-        stride = frames_per_step(frames.scene.frame_dt, settings.step, "start")
-        known, velocity0, friction = frames.positions[::stride], frames.velocity0, frames.friction
-    volumes = particle_volumes(scene, len(friction))
+        if frames.positions.shape[1] != len(particles.friction):
+            message = f"expected the {len(particles.friction)} particles of the scene, got {frames.positions.shape[1]}"
+            raise InputError(message, where="start", key="positions")
+        known = resampled(frames, step)
+    velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
     rng = np.random.default_rng(seed)
-    thinned = thin(known[0], volumes, cell=settings.cell, kept=settings.particles_per_cell, rng=rng)
+    cell = units.length * settings.cell
+    thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
     kept = thinned.indices
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
-        state=State.observed(history, torch.from_numpy(velocity0), step=settings.step, history=settings.history),
-        conditions=Conditions(
-            friction=torch.from_numpy(friction[kept]),
-            cohesion=torch.from_numpy(point_cohesion(scene, len(friction), "")[kept]),
-            volume=torch.from_numpy(thinned.volumes),
-            size=scene.domain.size,
-            gravity=scene.gravity,
-            baffles=torch.from_numpy(corners(scene)).unsqueeze(0) if scene.baffles else None,
+        state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
+        conditions=conditions_of(
+            Surroundings.of(scene, cell),
+            friction=particles.friction[kept],
+            cohesion=particles.cohesion[kept],
+            volume=thinned.volumes,
+            spacing=cell,
+            units=units,
         ),
         scene=scene,
-        step=settings.step,
-        steps=max(0, round(scene.duration / settings.step) - len(known) + 1),
+        step=step,
+        steps=max(0, round(scene.duration / step) - len(known) + 1),
         known=known,
         velocity0=velocity0,
         indices=kept,
     )
+
+
+def conditions_of(
+    around: Surroundings, *, friction: Floats, cohesion: Floats, volume: Floats, spacing: float, units: Units
+) -> Conditions:
+    """The conditions of a single flow; spacing: between two elevations of its ground [m]."""
+
+    def number(value: float) -> Tensor:
+        return torch.tensor([value], dtype=torch.float32)
+
+    ground = None
+    if around.ground is not None:
+        elevation, roughness = (torch.from_numpy(field).unsqueeze(0) for field in around.ground)
+        ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
+    some = len(around.baffles) > 0
+    return Conditions(
+        friction=torch.from_numpy(friction),
+        cohesion=torch.from_numpy(cohesion),
+        volume=torch.from_numpy(volume),
+        size=torch.from_numpy(around.size).unsqueeze(0),
+        gravity=torch.from_numpy(around.gravity).unsqueeze(0),
+        floor_friction=number(around.floor_friction),
+        wall_friction=number(around.wall_friction),
+        damping=number(around.damping),
+        baffles=torch.from_numpy(around.baffles).unsqueeze(0) if some else None,
+        baffle_friction=torch.from_numpy(around.baffle_friction).unsqueeze(0) if some else None,
+        ground=ground,
+        units=units,
+    )
+
+
+def resampled(frames: Trajectory, step: float) -> Floats:
+    """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
+    wanted = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
+    right = np.clip(np.searchsorted(frames.time, wanted), 1, max(1, len(frames.time) - 1))
+    if len(frames.time) == 1:
+        return frames.positions
+    left = right - 1
+    share = (wanted - frames.time[left]) / (frames.time[right] - frames.time[left])
+    between = share[:, None, None].astype(np.float32)
+    return np.asarray((1.0 - between) * frames.positions[left] + between * frames.positions[right])
 
 
 def first_frames(trajectory: Trajectory, seconds: float = MPM_SECONDS) -> Trajectory:
@@ -151,14 +196,4 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
     if scene.dimension != settings.dimension:
         raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
-    check_plain(scene, "the model")
-    if scene.baffles and not settings.baffles:
-        raise InputError("expected a scene without baffles, the model has none", key="baffles")
-    if scene.slope_deg != 0.0:
-        raise InputError("expected a level floor, the model has no other", key="slope_deg")
-    if any(mass.release is not None for mass in scene.masses):
-        raise InputError("expected masses that are free from the start, the model has no barriers", key="masses")
-    densities = {scene.material_of(mass).density for mass in scene.masses}
-    if len(densities) > 1:
-        got = " and ".join(f"{density:g}" for density in sorted(densities))
-        raise InputError(f"expected masses of one density, the model has no others, got {got} kg/m^3", key="masses")
+    check_known(scene, "the model")

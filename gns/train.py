@@ -139,18 +139,14 @@ def load(
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
 
     def split(dataset: Path, name: str) -> Flows:
-        return load_flows(dataset, name, step=settings.step, dimension=settings.dimension, progress=progress)
+        return load_flows(
+            dataset, name, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=progress
+        )
 
     train = [split(dataset, "train") for dataset in datasets]
     valid = [split(dataset, "valid") for dataset in datasets]
     frames = max(2 * settings.history + 1, *training.unroll)
-    for first, flow in ((flows[0], flow) for flows in (*train, *valid) for flow in flows):
-        if (flow.size, flow.gravity) != (first.size, first.gravity):
-            raise InputError(f"expected the domain and gravity of {first.name}", where=flow.name)
-        if len(flow.baffles) and not settings.baffles:
-            raise InputError(
-                "expected flows without baffles, or a model with --baffles", where=flow.name, key="baffles"
-            )
+    for flow in (flow for flows in (*train, *valid) for flow in flows):
         if len(flow.positions) <= frames:
             message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"
             raise InputError(message, where=flow.name)

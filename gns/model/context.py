@@ -1,9 +1,8 @@
 """The grid context: information across the whole domain in one step, through a background grid.
 
 A message-passing step carries information over one cutoff radius, while a step of the model spans many. Latents are
-scattered to a coarse grid over the domain, convolved there, and interpolated back to the nodes of the graph: a
-receptive field as wide as the domain for little more time (the idea of CoRGI, arXiv 2511.22938). Walls are the zero
-padding around the grid.
+scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the graph: a
+receptive field as wide as the flow for little more time (the idea of CoRGI, arXiv 2511.22938).
 """
 
 import torch
@@ -16,8 +15,8 @@ from gns.model.settings import ModelSettings
 
 
 def channels(settings: ModelSettings) -> int:
-    """Input channels of every grid node: `gns.model.grid.column_features`, and the occupancy of its cell by baffles."""
-    return settings.dimension + 2 + (1 if settings.baffles else 0)
+    """Input channels of every grid node: `gns.model.grid.column_features`, and the share of its cell that is no room."""
+    return settings.dimension + 3
 
 
 class GridContext(nn.Module):

@@ -14,8 +14,6 @@ from gns.model.simulator import Normalisation, Simulator
 from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
-Domain = tuple[tuple[float, ...], float]
-"""Extent of the box [m] and gravity [m/s^2]."""
 SHARE_FIRST = 0.15
 """Share of samples that start with the flow itself: from positions and velocities alone."""
 SHARE_EARLY = 0.10
@@ -73,36 +71,32 @@ class UnrolledLoss(nn.Module):
         """The loss of unrolling `batch` to its last target; kept_steps: see `gns.unroll.unroll`."""
         steps = len(batch.targets)
         with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=self.mixed):
-            positions = unroll(self.simulator, batch.state, batch.conditions, steps, kept_steps=kept_steps)
+            positions = unroll(
+                self.simulator,
+                batch.state,
+                batch.conditions(self.simulator.settings.cell),
+                steps,
+                kept_steps=kept_steps,
+            )
         scale = self.loss_scale * self.simulator.acceleration_scale
         return rollout_loss(positions, batch.targets, scale)
 
 
 class Curriculum:
-    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries.
-
-    A batch is of one domain and gravity, and so are all flows of a dataset.
-    """
+    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries."""
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings) -> None:
-        self._settings = settings
-        self._domains: dict[Domain, list[Sequence[Flow]]] = {}
-        for flows in datasets:
-            self._domains.setdefault((flows[0].size, flows[0].gravity), []).append(flows)
-        # As many times as a domain has datasets, so that these get equal shares.
-        self._shares = [domain for domain, group in self._domains.items() for _ in group]
+        self._settings, self._datasets = settings, datasets
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """`count` samples with `steps` targets, side by side."""
-        domain = self._shares[int(rng.integers(len(self._shares)))]
-        samples = [self.draw(domain, steps, rng) for _ in range(count)]
-        settings, (size, gravity) = self._settings, domain
-        return batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+        samples = [self.draw(steps, rng) for _ in range(count)]
+        return batched(samples, step=self._settings.step, history=self._settings.history)
 
-    def draw(self, domain: Domain, steps: int, rng: np.random.Generator) -> Sample:
-        """One sample of a domain with `steps` targets."""
-        settings, datasets = self._settings, self._domains[domain]
-        flows = datasets[int(rng.integers(len(datasets)))]
+    def draw(self, steps: int, rng: np.random.Generator) -> Sample:
+        """One sample with `steps` targets."""
+        settings = self._settings
+        flows = self._datasets[int(rng.integers(len(self._datasets)))]
         flow = flows[int(rng.integers(len(flows)))]
         sample = cut(
             flow,
@@ -113,7 +107,7 @@ class Curriculum:
             kept=settings.particles_per_cell,
             rng=rng,
         )
-        return turned(sample, flow.size, rng)
+        return turned(sample, settings.cell, rng)
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
@@ -129,12 +123,13 @@ class Curriculum:
         return int(anywhere[0])
 
 
-def turned(sample: Sample, size: tuple[float, ...], rng: np.random.Generator) -> Sample:
-    """The sample in a random one of the symmetries of its box [m]: gravity is along y, no other axis is special."""
+def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:
+    """The sample in a random one of the symmetries of its box; spacing: between two elevations of its ground [m]."""
+    size = sample.surroundings.size
     for axis in (axis for axis in range(len(size)) if axis != UP):
         if rng.random() < 0.5:
-            sample = mirrored(sample, axis, size[axis])
-    if len(size) == 3 and size[0] == size[2] and rng.random() < 0.5:
+            sample = mirrored(sample, axis, spacing)
+    if len(size) == 3 and rng.random() < 0.5:
         sample = exchanged(sample)
     return sample
 
@@ -156,7 +151,7 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
                 continue
             moved = np.diff(flow.positions[time : time + 3], axis=0)
             change = moved[1] - moved[0]
-            change[:, UP] += flow.gravity * flow.step**2
+            change -= flow.surroundings.gravity * flow.step**2
             displacement += float(np.square(moved[0], dtype=np.float64).sum())
             acceleration += float(np.square(change, dtype=np.float64).sum())
             count += change.size

@@ -157,7 +157,9 @@ class Run:
         """Steps whose activations fit into the memory; the others are computed a second time, to the same result."""
         particles, steps = batch.targets.shape[1], len(batch.targets)
         if not self.position.particle_bytes:
-            measured = step_activation_bytes(self.simulator, batch.state, batch.conditions)
+            measured = step_activation_bytes(
+                self.simulator, batch.state, batch.conditions(self.simulator.settings.cell)
+            )
             self.position.particle_bytes = MARGIN * measured / particles
         return min(steps, int(self.memory_gib * 2**30 / (self.position.particle_bytes * particles)))
 
