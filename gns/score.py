@@ -33,7 +33,7 @@ class Score:
     friction_deg: float
     """Mean angle of friction [deg]."""
     front_error: float
-    """Front of the deposit, model less MPM, over the flow's extent, from its rear at the start to the MPM's front [-]."""
+    """Front of the deposit, model less MPM, over the extent: from the rear at the start to the MPM's front [-]."""
     profile_error: float
     """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
     rmse: tuple[float, float, float]

@@ -83,7 +83,7 @@ class UnrolledLoss(nn.Module):
 
 
 class Curriculum:
-    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries."""
+    """Draws training samples: datasets in equal shares, their flows alike, each in a random one of its symmetries."""
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings) -> None:
         self._settings, self._datasets = settings, datasets
