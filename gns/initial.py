@@ -69,17 +69,21 @@ class InitialState(Tensors):
         """Times of the known positions and of those to come [s], shape [F + steps]."""
         return self.step * np.arange(len(self.known) + self.steps, dtype=np.float64)
 
-    def of_mass(self, mass: int | None) -> Tensor:
-        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n].
+    @property
+    def mass(self) -> NDArray[np.int32]:
+        """Index of the scene's mass that each particle belongs to, shape [n].
 
         Raises InputError where the particles are not those of the scene's masses.
         """
         counts = mass_counts(self.scene)
         if self.indices.max() >= sum(counts):
             raise InputError(f"expected the {sum(counts)} particles of the scene's masses, there are more")
-        index = np.repeat(np.arange(len(counts)), counts)[self.indices]
+        return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
+
+    def of_mass(self, mass: int | None) -> Tensor:
+        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n]."""
         shared = np.array([each.material is None for each in self.scene.masses])
-        return torch.from_numpy(shared[index] if mass is None else index == mass)
+        return torch.from_numpy(shared[self.mass] if mass is None else self.mass == mass)
 
     def with_conditions(self, **changes: Any) -> "InitialState":
         """The same state under other conditions, those of `Conditions` by name."""
