@@ -33,11 +33,12 @@ class Score:
     friction_deg: float
     """Mean angle of friction [deg]."""
     front_error: float
-    """Front of the deposit, model less MPM, over the flow's extent, from its rear at the start to the MPM's front [-]."""
+    """Front of the deposit beyond the MPM's, over the deposit's extent from its rear to its front [-].
+
+    The front is the end that has moved farther, to the left or to the right.
+    """
     profile_error: float
     """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
-    rmse: tuple[float, float, float]
-    """Root mean square distance of the particles [m] at a quarter, half and all of the rollout."""
     kinetic_error: float
     """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
     seconds: float
@@ -76,15 +77,19 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
         for flow, sample, positions in zip(group, samples, np.split(moved, ends, axis=1), strict=True):
             distance = np.square(positions - sample.targets).sum(axis=2).mean(axis=1) ** 0.5
             deposit = flow.positions[-1]
-            front = measures.front(deposit)
-            extent = front - float(flow.positions[0, :, 0].min())
+            start, end = np.array(measures.ends(flow.positions[0])), np.array(measures.ends(deposit))
+            extent = float(end[1] - end[0])
+            # Outwards on both sides; the end that ran farther is the front.
+            outward = np.array([-1.0, 1.0])
+            side = int(np.argmax(outward * (end - start)))
+            off = outward * (np.array(measures.ends(positions[-1])) - end)
             apart = measures.transport_distance(positions[-1], sample.volume, deposit, flow.volume)
             scores.append(
                 Score(
                     name=flow.name,
                     released=flow.released,
                     friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
-                    front_error=(measures.front(positions[-1]) - front) / extent,
+                    front_error=float(off[side]) / extent,
                     profile_error=apart / extent,
                     kinetic_error=kinetic_error(positions, sample, settings.step),
                     seconds=seconds,
