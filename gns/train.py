@@ -258,9 +258,7 @@ def validate(run: Run, outputs: Outputs, log: Log) -> None:
         "profile_error_released": round(float(np.mean([score.profile_error for score in released])), 4),
         "front_error": round(float(np.mean([abs(score.front_error) for score in scores])), 4),
         "profile_error": round(float(np.mean([score.profile_error for score in scores])), 4),
-        "rmse_quarter": round(float(np.mean([score.rmse[0] for score in scores])), 5),
-        "rmse_half": round(float(np.mean([score.rmse[1] for score in scores])), 5),
-        "rmse_end": round(float(np.mean([score.rmse[2] for score in scores])), 5),
+        "kinetic_error": round(float(np.mean([score.kinetic_error for score in scores])), 4),
     }
     log.row(row)
     position.log_size = log.size
