@@ -16,7 +16,7 @@ from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
 
 MARGIN = 0.06
-"""Distance of corners within which two scenes are neighbours, over the length of the body (the root of its area) [-]."""
+"""Distance of corners within which two scenes are neighbours, over the body's length (the root of its area) [-]."""
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
 """Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
 ASPECT_MARGIN = 0.04
