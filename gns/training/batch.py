@@ -12,7 +12,7 @@ from gns.model.state import Conditions, Ground, State
 
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
-TIME_FIRST = ("displacements", "targets")
+TIME_FIRST = ("displacements", "targets", "shares")
 """Whose first axis is time, so that samples are joined along the second."""
 Floats = np.typing.NDArray[np.float32]
 
@@ -24,6 +24,7 @@ class Particles(Data):  # type: ignore[misc]
     | pos                            | m          | [N, D]                                          |
     | displacements                  | m per step | [H, N, D], newest last                          |
     | targets                        | m          | [K, N, D], the coming steps                     |
+    | shares                         | m          | [K, N, D], of each sample; see `Sample.shares`  |
     | friction, cohesion, volume     | -, Pa, m^D | [N]                                             |
     | box, gravity                   | m, m/s^2   | [B, D]; extent of the boxes                     |
     | floor_friction, wall_friction, damping | -  | [B]                                             |
@@ -86,6 +87,7 @@ def _particles(sample: Sample, boxes: int, raster: tuple[int, ...], *, step: flo
         pos=state.positions,
         displacements=state.displacements,
         targets=torch.from_numpy(sample.targets),
+        shares=torch.from_numpy(sample.shares),
         friction=torch.from_numpy(sample.friction),
         cohesion=torch.from_numpy(sample.cohesion),
         volume=torch.from_numpy(sample.volume),
