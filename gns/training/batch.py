@@ -10,7 +10,7 @@ from datasets.training.samples import Sample
 from gns.conditions import NO_GROUND, conditions_of, tensors_of
 from gns.model.state import Conditions, State
 
-TIME_FIRST = ("displacements", "targets")
+TIME_FIRST = ("displacements", "targets", "shares")
 """Whose first axis is time, so that samples are joined along the second."""
 
 
@@ -21,6 +21,7 @@ class Particles(Data):  # type: ignore[misc]
     | pos                            | m          | [N, D]                                          |
     | displacements                  | m per step | [H, N, D], newest last                          |
     | targets                        | m          | [K, N, D], the coming steps                     |
+    | shares                         | m          | [K, N, D], of each sample; see `Sample.shares`  |
     | friction, cohesion, volume     | -, Pa, m^D | [N]                                             |
     | box, gravity                   | m, m/s^2   | [B, D]; extent of the boxes                     |
     | floor_friction, wall_friction, damping | -  | [B]                                             |
@@ -62,6 +63,7 @@ def batched(samples: list[Sample], *, step: float, history: int) -> Particles:
                 pos=state.positions,
                 displacements=state.displacements,
                 targets=torch.from_numpy(sample.targets),
+                shares=torch.from_numpy(sample.shares),
                 friction=torch.from_numpy(sample.friction),
                 cohesion=torch.from_numpy(sample.cohesion),
                 volume=torch.from_numpy(sample.volume),

@@ -9,10 +9,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions import flows3d
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D, FRICTION_DEG
 from datasets.definitions.flows2d import AREA, FLOWS2D, KINDS, is_variant
+from datasets.definitions.flows3d import FLOWS3D
 from datasets.definitions.held_out import is_held_out
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.errors import InputError
@@ -22,7 +23,7 @@ from datasets.particles import initial_particles, released_volume
 from datasets.scene import Baffle, Mass, Scene
 
 every = pytest.mark.parametrize(
-    "definition", [FLOWS2D, FLOW2D, OBSTACLE3D, CHANNEL3D], ids=lambda definition: definition.name
+    "definition", [FLOWS2D, FLOW2D, OBSTACLE3D], ids=lambda definition: definition.name
 )
 
 
@@ -44,7 +45,6 @@ DRAWN = {
     "flows2d": "",
     "flow2d": "71d164625d9d0b46",
     "obstacle3d": "a1040b34a80c7f51",
-    "channel3d": "3b6146bba9857f15",
 }
 """Digest of the first 40 scenes of seed 0, which weights that ship were trained on."""
 
@@ -247,29 +247,37 @@ def test_baffles_stand_anywhere_between_the_nodes() -> None:
     assert np.all((shares > 0.06) & (shares < 0.14))
 
 
-def test_channel3d_is_what_it_says() -> None:
-    entries = all_entries(CHANNEL3D)
-    assert splits(entries) == {Split.TRAIN: 432, Split.VALID: 24, Split.TEST: 24}
-    counts = Counter(len(entry.scene.baffles) for entry in entries)
-    assert counts == dict.fromkeys(range(6), 80)
-    three_cells = 3 * 0.03125 - 1e-9
-    (design,) = read_scene("baffles-2").masses
-    for number, entry in enumerate(entries):
-        scene = entry.scene
-        assert scene.domain.size == (2.0, 1.0, 1.0)
-        (mass,) = scene.masses
-        if number < 240:
-            assert min(mass.size) >= 0.25
-        else:
-            assert 3 / 32 <= mass.size[1] <= 8 / 32
-        # The paper's scene of two baffles in such a box is none of these, nor near one.
-        assert max(abs(a - b) for a, b in zip(mass.size, design.size, strict=True)) > 0.03
-        for baffle in scene.baffles:
-            assert 0.15 <= baffle.size[1] <= 0.35
-            assert all(0.10 <= baffle.size[axis] <= 0.17 for axis in (0, 2))
-            assert three_cells <= baffle.lower[0] - mass.lower[0] - mass.size[0] <= three_cells + 0.6 + 1e-8
-            assert baffle.lower[0] + baffle.size[0] <= 2.0
-        assert all(clearance(a, b) >= three_cells for a, b in combinations(scene.baffles, 2))
+def test_flows3d_is_what_it_says() -> None:
+    entries = FLOWS3D.entries(seed=0, count=80)
+    assert entries[:30] == FLOWS3D.entries(seed=0, count=30)
+    scenes = [entry.scene for entry in entries]
+    assert all(released_volume(scene) == pytest.approx(flows3d.VOLUME) for scene in scenes)
+    assert {len(scene.baffles) for scene in scenes} >= set(range(flows3d.MOST_BAFFLES))
+    with_baffles = [scene for scene in scenes if scene.baffles]
+    turned = [scene for scene in with_baffles if any(baffle.turned_deg for baffle in scene.baffles)]
+    assert 0.2 < len(turned) / len(with_baffles) < 0.5
+    assert any(scene.solids for scene in scenes)
+    assert any(scene.slope_deg for scene in scenes)
+    assert 0.2 < np.mean([scene.material.cohesion == 0.0 for scene in scenes]) < 0.6
+    # A variant is released from the same place.
+    for index in (index for index in range(80) if flows3d.is_variant(index)):
+        first, second = scenes[index - len(flows3d.KINDS)], scenes[index]
+        assert [mass.lower for mass in first.masses] == [mass.lower for mass in second.masses]
+        assert first != second
+
+
+def test_a_shipped_3d_scene_is_held_out_whatever_its_size_and_mirrored_or_turned() -> None:
+    scene = read_scene("baffles-5")
+    assert is_held_out(scene)
+    moved = dataclasses.replace(scene.baffles[0], lower=(0.6, 0.0, 0.2), turned_deg=4.0)
+    assert is_held_out(dataclasses.replace(scene, baffles=(moved, *scene.baffles[1:])))
+    turned = dataclasses.replace(scene.baffles[0], turned_deg=45.0)
+    assert not is_held_out(dataclasses.replace(scene, baffles=(turned, *scene.baffles[1:])))
+    two = read_scene("baffles-2")
+    across = [
+        dataclasses.replace(b, lower=(*b.lower[:2], two.domain.size[2] - b.lower[2] - b.size[2])) for b in two.baffles
+    ]
+    assert is_held_out(dataclasses.replace(two, baffles=tuple(across)))
 
 
 @pytest.mark.parametrize(("name", "points", "baffles"), [("baffles-2", 11_010, 2), ("baffles-5", 32_113, 5)])

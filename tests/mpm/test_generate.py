@@ -240,7 +240,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["flow3d"], "one of flows2d, flow2d, obstacle3d, channel3d"),
+        (["flow3d"], "one of flows2d, flow2d, flows3d, obstacle3d"),
         (["absent.toml"], "absent.toml: expected a TOML file"),
         (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
         (["obstacle3d", "--count", "1001"], "1 to 1000"),
