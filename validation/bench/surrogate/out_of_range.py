@@ -56,7 +56,7 @@ def row(count: int) -> tuple[Baffle, ...]:
 
 
 def out_of_range(settings: ModelSettings) -> dict[str, Scene]:
-    """The scenes by their reasons. A model that does not scale its scenes sees lengths, too; one that does, does not."""
+    """The scenes by their reasons, for a model in 2D."""
     assert settings.dimension == 2
     return {
         "angle of friction of 5°": of_sand(friction_deg=5.0),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +151,7 @@ def mpm_seconds(prices: Prices, error: float) -> float | None:
     points = curve(prices)
     if error >= points[0].error:
         return points[0].seconds
-    for coarser, finer in zip(points, points[1:], strict=False):
+    for coarser, finer in pairwise(points):
         if finer.error <= error:
             share = math.log(error / coarser.error) / math.log(finer.error / coarser.error)
             return math.exp((1.0 - share) * math.log(coarser.seconds) + share * math.log(finer.seconds))

@@ -47,7 +47,7 @@ class Score(Record):
     runout: float
     """Error of the largest x over the extent, of as many particles as the model has [-]."""
     depth: float | None
-    """Mean difference over time of the depths upstream of the baffles over the reference's largest [-]; None without."""
+    """Mean difference over time of the depths before the baffles over the reference's largest [-]; None without."""
     at_wall: bool
     """Whether the reference's front leans on the wall ahead."""
     rightwards: bool
