@@ -257,7 +257,7 @@ def test_strength_of_the_answer_to_friction(tiny: Model) -> None:
     # The model's strength is its derivative along the reference, here also by differences.
     own = friction.model_strength(profile, tiny, reference)
     double = dataclasses.replace(tiny, simulator=tiny.simulator.double())
-    forward = GnsForward(double.simulator, None, profile, build(profile.observation, BLOCK))
+    forward = GnsForward(double.simulator, profile, build(profile.observation, BLOCK))
     ahead, behind = forward.observe([profile.initial + 0.01, profile.initial - 0.01])
     assert own == pytest.approx((ahead - behind) / 0.02 @ reference / (reference @ reference), rel=0.02)
     assert friction.within([Strengths(front=1.05, profile=1.2, seconds=1.0)], "front") == 1

@@ -19,14 +19,13 @@ import torch
 from tqdm import tqdm
 
 from datasets.records import Record
-from gns.initial import Start
 from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Simulate
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import by_differences
 from inverse.observations import Values, build
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, Parameter, TargetSettings
 from mpm import simulate_many
 from validation.bench.surrogate.accuracy import Accuracy
 from validation.bench.surrogate.held_out import HeldOut, other_jitter
@@ -86,7 +85,6 @@ def problem_of(each: HeldOut, observed: str) -> Problem:
         ),
         observation=ObservationSettings(kind=observed),
         target=TargetSettings(twin=True),
-        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
@@ -105,7 +103,7 @@ def answer(problem: Problem, simulate: Simulate, seeds: int = 1, cells: int | No
 
 def model_strength(problem: Problem, model: Model, reference: Values) -> float:
     """A model's strength, by automatic differentiation."""
-    forward = GnsForward(model.simulator, None, problem, build(problem.observation, problem.scene))
+    forward = GnsForward(model.simulator, problem, build(problem.observation, problem.scene))
     point = torch.tensor(problem.initial, requires_grad=True)
     weights = torch.from_numpy(reference / (reference @ reference))
     return float(torch.autograd.grad(forward.predict(point) @ weights, point)[0])

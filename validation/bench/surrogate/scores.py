@@ -11,6 +11,7 @@ from datasets.records import Record
 from datasets.scene import Scene
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
+from gns.inference import energies
 from gns.initial import resampled
 from validation.bench.surrogate.held_out import core_seconds
 
@@ -109,8 +110,10 @@ def compare(rollout: Trajectory, truth: Trajectory, cell: float) -> Score:
     step = rollout.frame_dt
     same = resampled(truth, step)[: len(rollout.positions)]
     ours = rollout.positions[: len(same)]
+    gravity = truth.scene.gravity_vector
+    # Over the density: volumes are the masses.
     predicted, target = (
-        energies(positions, flow.velocity0, flow.volumes, step, truth.scene)
+        np.array([*energies(positions, flow.velocity0, flow.volumes, step=step, gravity=gravity).values()])
         for positions, flow in ((ours, rollout), (same, truth))
     )
     start = float(target[:, 0].sum()) - lowest(truth) * truth.volumes.sum()
@@ -133,20 +136,8 @@ def compare(rollout: Trajectory, truth: Trajectory, cell: float) -> Score:
     )
 
 
-def energies(positions: Floats, velocity0: Floats, volume: Series, step: float, scene: Scene) -> Series:
-    """Kinetic and potential energy over the density at each time [J m^D / kg], shape [2, T].
-
-    positions: `step` [s] apart [m], shape [T, n, D]. Velocities are central differences, the first is `velocity0`. On a
-    slope gravity has a component along x, and so has the potential energy.
-    """
-    velocities = np.gradient(positions, step, axis=0)
-    velocities[0] = velocity0
-    potential = -(positions.astype(np.float64) @ np.array(scene.gravity_vector)) @ volume
-    return np.stack((measures.kinetic_energy(velocities, volume), potential))
-
-
 def lowest(truth: Trajectory) -> float:
-    """Potential energy over the mass of the lowest point that a flow comes to [J/kg]."""
+    """Potential energy over the mass of the lowest point that a flow comes to [J/kg]; on a slope it falls along x."""
     return float(-(truth.positions @ np.array(truth.scene.gravity_vector)).max())
 
 

@@ -16,7 +16,6 @@ import torch
 from tqdm import tqdm
 
 from datasets.records import Record
-from gns.initial import Start
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Simulate
 from inverse.forward.mpm import MpmForward
@@ -25,7 +24,6 @@ from inverse.observations.reading import read_target
 from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from inverse.settings import OptimiserSettings
 from mpm import LAST, simulate_many
 from validation.bench.efficiency.gradients import blocks_problem, differences, sampled
 from validation.bench.surrogate.models import Model
@@ -104,7 +102,6 @@ def problem_on(columns: int, layers: int, cells: int, pair: int = 0, *, duration
         problem,
         scene=dataclasses.replace(coarse(problem.scene, cells), seed=2 * pair),
         target=dataclasses.replace(problem.target, seed=2 * pair + 1),
-        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
