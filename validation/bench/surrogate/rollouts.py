@@ -13,7 +13,7 @@ import gns
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Floats, Trajectory
-from gns.inference import WEIGHTS
+from gns.inference import models
 from gns.initial import initial_state
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
@@ -50,7 +50,7 @@ class ShippedModel:
 
 def load(paths: Sequence[Path]) -> list[ShippedModel]:
     """The models at `paths`, or those that ship. Raises InputError."""
-    found = list(paths) or sorted(WEIGHTS.glob("*.pt"))
+    found = list(paths) or models()
     names = [path.stem for path in found]
     if not found or len(set(names)) < len(names):
         raise InputError(f"expected models of different names, got {', '.join(names) or 'none'}", key="--models")
