@@ -2,13 +2,14 @@
 
 import dataclasses
 import sys
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from tabulate import tabulate
+from tqdm import tqdm
 
 from datasets import command_line, measures
 from datasets.errors import InputError
@@ -31,12 +32,12 @@ class Comparison:
     """Of the flows, as predicted [m], shape [n]."""
 
 
-def compare(ensemble: Ensemble, flows: Iterable[Flow], *, seed: int) -> dict[str, Comparison]:
+def compare(ensemble: Ensemble, flows: Sequence[Flow], *, seed: int, progress: bool = False) -> dict[str, Comparison]:
     """Roll out `flows` from their starts: front, and transport of the deposit, against the MPM's; by observation."""
     settings = ensemble.model.settings
     rng = np.random.default_rng(seed)
     rows: dict[str, list[tuple[float, float, float]]] = {"front": [], "transport": []}
-    for flow in flows:
+    for flow in tqdm(flows, desc="rollouts", unit="flow", disable=not progress):
         steps = len(flow.positions) - 1
         sample = cut(
             flow,
@@ -99,7 +100,7 @@ def calibrate(
     ]
     if not flows:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
-    compared = compare(ensemble, flows, seed=seed)
+    compared = compare(ensemble, flows, seed=seed, progress=True)
     if check:
         found = calibrations(path)
     else:

@@ -83,6 +83,8 @@ class Quantity:
     values: Values
     """Its values in a scene; none where the scene has no such thing."""
     bound: Bound = Bound.BOTH
+    ratio: bool = False
+    """Whether the width of its range is a ratio, not a difference."""
 
 
 def material(number: Callable[[Material, Body], float | None]) -> Values:
@@ -262,10 +264,10 @@ QUANTITIES: dict[str, Quantity] = {
     "slope_deg": Quantity(unit="deg", values=lambda scene, _: [scene.slope_deg]),
     "slope_length": Quantity(unit="l", values=slope_length, bound=Bound.UPPER),
     "masses": Quantity(unit="", values=lambda scene, _: [float(len(scene.masses))]),
-    "mass_aspect": Quantity(unit="", values=aspect),
-    "mass_length": Quantity(unit="l", values=extent(0)),
-    "mass_height": Quantity(unit="l", values=extent(1)),
-    "mass_width": Quantity(unit="l", values=extent(2)),
+    "mass_aspect": Quantity(unit="", values=aspect, ratio=True),
+    "mass_length": Quantity(unit="l", values=extent(0), ratio=True),
+    "mass_height": Quantity(unit="l", values=extent(1), ratio=True),
+    "mass_width": Quantity(unit="l", values=extent(2), ratio=True),
     "drop": Quantity(
         unit="l", values=lambda scene, body: [float(heights_above_ground(scene).max()) / body.length], bound=Bound.UPPER
     ),
@@ -313,6 +315,16 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
     return {name: (round(min(values), 9), round(max(values), 9)) for name, values in found.items() if values}
 
 
+def admitted(low: float, high: float, *, ratio: bool) -> Range:
+    """A range with `MARGIN` of its width on either side, and rounding."""
+    rounding = 1.0e-6 * max(abs(low), abs(high))
+    if ratio:
+        slack = (high / low) ** MARGIN
+        return low / slack - rounding, high * slack + rounding
+    slack = MARGIN * (high - low)
+    return low - slack - rounding, high + slack + rounding
+
+
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
     """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
     if scene.gravity <= 0.0:
@@ -329,12 +341,13 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
             found.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")
             continue
         low, high = ranges[name]
-        slack = MARGIN * (high - low) + 1e-6 * max(abs(low), abs(high))
-        below = low - min(values) if quantity.bound is not Bound.UPPER else -math.inf
-        above = max(values) - high if quantity.bound is not Bound.LOWER else -math.inf
-        if max(below, above) <= slack:
+        lowest, highest = admitted(low, high, ratio=quantity.ratio)
+        below = quantity.bound is not Bound.UPPER and min(values) < lowest
+        above = quantity.bound is not Bound.LOWER and max(values) > highest
+        if not (below or above):
             continue
         trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        worst, by = (max(values), f"{above:.2g} above") if above > below else (min(values), f"{below:.2g} below")
+        worst = max(values) if above else min(values)
+        by = f"{worst - high:.2g} above" if above else f"{low - worst:.2g} below"
         found.append(f"{name} {worst:.3g}{unit} (trained: {trained}, {by})")
     return found

@@ -142,10 +142,15 @@ def calibrated(errors: Floats, spreads: Floats, extents: Floats, command: str = 
 
 def half_width(calibration: Calibration, spread: Floats | float, extent: Floats | float, level: float) -> Floats:
     """w [m] of the band of a level, from spread and extent [m], numbers or arrays. Raises InputError."""
+    return quantile(calibration, level) * uncertain(spread, extent, calibration.floor)
+
+
+def quantile(calibration: Calibration, level: float) -> float:
+    """q of the band of a level. Raises InputError."""
     key = f"{level:g}"
     if key not in calibration.quantiles:
         raise InputError(f"expected one of {', '.join(calibration.quantiles)}, got {key}", key="level")
-    return calibration.quantiles[key] * uncertain(spread, extent, calibration.floor)
+    return calibration.quantiles[key]
 
 
 def standard_deviation(calibration: Calibration, values: Floats, extent: Floats | float) -> Floats:
@@ -212,4 +217,5 @@ def calibrations(path: Path) -> Mapping[str, Calibration]:
 
 def covered(calibration: Calibration, errors: Floats, spreads: Floats, extents: Floats, level: float) -> float:
     """Share of flows within the band of a level [-]; errors, spreads and extents [m], shape [n]."""
-    return float(np.mean(np.abs(errors) <= half_width(calibration, spreads, extents, level)))
+    ratios = np.abs(errors) / uncertain(spreads, extents, calibration.floor)
+    return float(np.mean(ratios <= quantile(calibration, level)))

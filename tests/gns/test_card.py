@@ -110,11 +110,13 @@ def sand(**changes: Any) -> Scene:
 
 
 def blocked(*lengths: float, bottom: float = 0.0, height: float = 0.1, x: float = 0.5) -> Scene:
+    """The column in a box of 3 m, before baffles of these lengths."""
     baffles = []
     for length in lengths:
         baffles.append(Baffle(lower=(x, bottom), size=(length, height)))
         x += length + 0.05
-    return dataclasses.replace(COLUMN, baffles=tuple(baffles), baffle_friction=0.3)
+    domain = Domain(size=(3.0, 1.0), cell=0.01)
+    return dataclasses.replace(COLUMN, domain=domain, baffles=tuple(baffles), baffle_friction=0.3)
 
 
 def on(slope: float, friction: float = 0.4) -> Scene:
@@ -158,7 +160,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "baffle_length": lambda: blocked(0.3),
     "baffle_height": lambda: blocked(0.1, height=0.6),
     "baffle_foot": lambda: blocked(0.1, bottom=0.2),
-    "baffle_distance": lambda: dataclasses.replace(blocked(0.1, x=2.0), domain=Domain(size=(3.0, 1.0), cell=0.01)),
+    "baffle_distance": lambda: blocked(0.1, x=2.0),
     "duration": lambda: dataclasses.replace(COLUMN, duration=3.0),
     "spacing": lambda: dataclasses.replace(COLUMN, domain=Domain(size=(1.0, 1.0), cell=0.05)),
     "gravity": lambda: dataclasses.replace(COLUMN, gravity=0.0),
@@ -230,7 +232,7 @@ def test_ranges_have_no_units_where_a_model_scales_its_scenes() -> None:
     assert outside(far, ranges) == []
     other = ranges_of([far], SCALED)
     assert other == {name: pytest.approx(values, rel=1e-6) for name, values in ranges.items()}
-    absolute = ranges_of([scaled(COLUMN, 1.0, 9.81)], dataclasses.replace(SCALED, body_length=None))
+    absolute = ranges_of([moved(1.5, 0.0)], dataclasses.replace(SCALED, body_length=None))
     assert [found.split()[0] for found in outside(far, absolute)] == ["length", "density", "gravity"]
 
 
