@@ -14,7 +14,7 @@ from inverse.problem import Problem, read_problem
 from inverse.result import Purpose, Verdict
 from mpm import ALL, LAST, simulate_many
 from validation.loop import propose
-from validation.loop.check import DIFFERENCES, FRAMES, TWIN, History, Task
+from validation.loop.check import DIFFERENCES, TWIN, History, Task
 from validation.loop.result import Result, record
 from validation.loop.source import choose
 from validation.loop.verdict import judge, refine
@@ -76,9 +76,7 @@ def run(task: Task, *, without_surrogate: str | None = None) -> Result:
     """Propose, check, correct, and judge; without_surrogate: the reason why the source is no learned surrogate."""
     began = time.perf_counter()
     problem, target = task.problem, task.target
-    frames = task.source.first_frames(problem.scene_at(problem.initial))
-    beginning = None if frames is None else task.store(FRAMES)([frames])[0]
-    proposal, history = propose.first(task, task.source.start(beginning))
+    proposal, history = propose.first(task, task.source.start(None))
     history = (improve if problem.target.minimise else search)(task, history, proposal)
     answer, uncertainty, history = refine(task, history)
     verdict = judge(task, history, answer, uncertainty)
