@@ -263,11 +263,12 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
 
 
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)
-def test_every_model_that_ships_has_a_card_and_a_calibration(weights: Path) -> None:
+def test_every_model_that_ships_has_a_card(weights: Path) -> None:
     found = known(weights)
     assert set(found.ranges) <= set(QUANTITIES)
     assert found.data.updates
-    assert found.calibration is not None
+    # That of the models that are used where none is named is known.
+    assert found.calibration is not None or weights not in (shipped(2), shipped(3))
 
 
 @pytest.mark.skipif(not shipped(2).exists(), reason="no 2D model ships")

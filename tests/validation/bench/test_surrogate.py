@@ -125,7 +125,7 @@ def tiny(tmp_path: Path) -> ShippedModel:
         width=8, layers=2, rounds=1, grid_channels=4, grid_layers=1, frames_per_step=2, frame_dt=0.005
     )
     normalisation = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
-    path = tmp_path / "tiny.pt"
+    path = tmp_path / "tiny.safetensors"
     provenance = {"log": {"updates": 3000}, "seed": 7, "datasets": ["none: 0"]}
     checkpoint.save(path, Simulator(settings, normalisation), provenance)
     (model,) = load([path])
