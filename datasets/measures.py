@@ -67,12 +67,18 @@ def profile_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> 
     return float(np.abs(found - expected).sum() / expected.sum())
 
 
+def ends(positions: Positions) -> tuple[float, float]:
+    """The x [m] that 0.5 % and that 99.5 % of the particles are behind: the rear and the front of a deposit."""
+    rear, front = np.quantile(positions[:, 0].astype(np.float64), (1.0 - FRONT_QUANTILE, FRONT_QUANTILE))
+    return float(rear), float(front)
+
+
 SHARES = 20
 """Parts of equal volume by whose places along x two deposits are compared."""
 
 
 def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume from the rear to the front, shape [SHARES].
+    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES].
 
     volume: of the particles [m^D], shape [N].
     """

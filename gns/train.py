@@ -95,8 +95,6 @@ def train(
         raise InputError(f"expected a number of at least 0, got {memory_gib}", key="memory_gib")
     budget = Budget(minutes=minutes, updates=updates)
     with joined(device) as processes:
-        if mixed and processes.device.type != "cuda":
-            raise InputError("expected a GPU, there is nothing to gain on a CPU", key="mixed")
         groups, valid = load(datasets, model, training, progress=processes.first)
         simulator = Simulator(model, statistics(groups)) if begin is None else starting_model(begin, model)
         run = Run(simulator, training, seed=seed, processes=processes, mixed=mixed, memory_gib=memory_gib)
@@ -123,7 +121,7 @@ def train(
             log = Log(out, size=position.log_size, updates=position.updates, tensorboard=tensorboard)
         outputs = Outputs(out=out, log=log, valid=valid, provenance=provenance)
         try:
-            fit(run, Curriculum(groups, model), budget, Clock(clock), outputs)
+            fit(run, Curriculum(groups, model, pairs=training.pairs), budget, Clock(clock), outputs)
             if log is not None:
                 report_length(out, log, total_updates(provenance) + run.position.updates, model.dimension)
         finally:
@@ -260,9 +258,7 @@ def validate(run: Run, outputs: Outputs, log: Log) -> None:
         "profile_error_released": round(float(np.mean([score.profile_error for score in released])), 4),
         "front_error": round(float(np.mean([abs(score.front_error) for score in scores])), 4),
         "profile_error": round(float(np.mean([score.profile_error for score in scores])), 4),
-        "rmse_quarter": round(float(np.mean([score.rmse[0] for score in scores])), 5),
-        "rmse_half": round(float(np.mean([score.rmse[1] for score in scores])), 5),
-        "rmse_end": round(float(np.mean([score.rmse[2] for score in scores])), 5),
+        "kinetic_error": round(float(np.mean([score.kinetic_error for score in scores])), 4),
     }
     log.row(row)
     position.log_size = log.size

@@ -35,7 +35,8 @@ class Interaction(nn.Module):
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
         """The sum of the messages to each node."""
-        receiver, sender, weight = self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T
+        receiver, sender = self.from_receiver(x).float(), self.from_sender(x).float()
+        weight = self.from_offset.weight.T
         if x.is_cpu:
             return fused_message_sum(receiver, sender, weight, graph)
         return message_sum(receiver, sender, weight, graph)

@@ -47,6 +47,12 @@ class TrainingSettings:
     """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    shares: float = 0.0
+    """Weight of the distance between the distributions of the particles and of the truth (`share_loss`)."""
+    changes: float = 0.0
+    """Weight of the error in the answer to a change, in pairs."""
+    pairs: float = 0.0
+    """Share of batches that are made of pairs: a flow and its variant."""
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
     validate_minutes: float = 5.0
@@ -113,7 +119,15 @@ class Run:
         self.training, self.seed, self.processes, self.memory_gib = training, seed, processes, memory_gib
         self.average = AveragedModel(self.simulator, avg_fn=self._averaged)
         self.optimiser = torch.optim.Adam(self.simulator.parameters(), lr=training.learning_rate)
-        self.model = processes.wrapped(UnrolledLoss(self.simulator, loss_scale=training.loss_scale, mixed=mixed))
+        self.model = processes.wrapped(
+            UnrolledLoss(
+                self.simulator,
+                loss_scale=training.loss_scale,
+                shares=training.shares,
+                changes=training.changes,
+                mixed=mixed,
+            )
+        )
         self.position = Position()
 
     def _averaged(self, average: Tensor, current: Tensor, updates: Tensor | int) -> Tensor:

@@ -203,7 +203,7 @@ def columns_section(text: Page, found: Columns, seeds: int) -> None:
     text.text(f"""
         Columns of {AREA:g} m² at the left wall, {listed(ASPECTS)} times as high as long, at angles of friction of
         {listed(ANGLES)}°; the paper's four are among them. The training data keep a distance from them
-        (`datasets/definitions/releases2d.py`) and have angles of {TRAINED[0]:g} to {TRAINED[1]:g}°. Criterion of the
+        (`datasets/definitions/held_out.py`) and have angles of {TRAINED[0]:g} to {TRAINED[1]:g}°. Criterion of the
         front: {100 * COLUMN_CRITERIA[True]:g} % inside that range, {100 * COLUMN_CRITERIA[False]:g} % outside. {seeds}
         jitter seeds. Mean and, in brackets, worst.
     """)

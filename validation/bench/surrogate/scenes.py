@@ -11,7 +11,7 @@ from datasets.scene import Domain, Mass, Scene
 from validation.bench.columns.paper import read_paper
 
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
-"""Height over length of the columns; `datasets.definitions.releases2d` keeps a distance from them."""
+"""Height over length of the columns; `datasets.definitions.held_out` keeps a distance from them."""
 ANGLES = (12.0, 18.0, 21.0, 26.0, 33.0, 42.0, 48.0)
 """Angles of friction [deg]."""
 TRAINED = (15.0, 45.0)
