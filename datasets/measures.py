@@ -78,7 +78,7 @@ SHARES = 20
 
 
 def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume from the rear to the front, shape [SHARES].
+    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES].
 
     volume: of the particles [m^D], shape [N].
     """

@@ -58,7 +58,7 @@ class Trajectory:
     A learned simulator follows some of them, each with the volume of those that it stands for.
     """
     mass: NDArray[np.int32] | None = None
-    """Index of the scene's mass that each particle belongs to, shape [N]; absent where the particles are the scene's."""
+    """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None

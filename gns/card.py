@@ -18,12 +18,8 @@ from pathlib import Path
 
 from datasets import files
 from datasets.command_line import run
-from datasets.definitions.channel3d import CHANNEL3D
-from datasets.definitions.definition import Definition, Split
-from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.layers2d import LAYERS2D
-from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D
+from datasets.definitions import DEFINITIONS
+from datasets.definitions.definition import Split
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.records import Record, from_mapping
@@ -32,7 +28,6 @@ from gns.inference import shipped
 from gns.model import checkpoint
 from gns.training.convergence import SHORT, summary, total_updates
 
-DEFINITIONS: dict[str, Definition] = {each.name: each for each in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width."""
 

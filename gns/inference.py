@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from datasets.scene import Scene
 from datasets.trajectory import Floats, Trajectory
 from gns.initial import initial_state
 from gns.model import checkpoint
-from gns.model.grid import UP
 from gns.model.simulator import Simulator
 from gns.unroll import unroll
 
@@ -96,7 +96,7 @@ def simulate(
         "toe": list(measures.toe(deposit)),
         "steps": initial.steps,
         "particles": len(initial.indices),
-        "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity),
+        "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity_vector),
         "wall_s": wall,
         "device": str(device),
         "start": initial.start.value,
@@ -107,22 +107,24 @@ def simulate(
         velocity0=initial.velocity0,
         friction=initial.conditions.friction.numpy(),
         volume=volume,
+        mass=initial.mass,
         scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
 
 
 def energies(
-    positions: Floats, velocity0: Floats, mass: NDArray[np.float64], *, step: float, gravity: float
+    positions: Floats, velocity0: Floats, mass: NDArray[np.float64], *, step: float, gravity: Sequence[float]
 ) -> dict[str, list[float]]:
     """Kinetic and potential energy at each time [J, in 2D per metre of width], by name as the MPM's.
 
-    positions: `step` [s] apart [m], shape [T, n, D]; velocity0: at the first [m/s], [n, D]; mass: [kg], [n].
-    Velocities are central differences, at the end one-sided; a particle at y = 0 has no potential energy.
+    positions: `step` [s] apart [m], shape [T, n, D]; velocity0: at the first [m/s], [n, D]; mass: [kg], [n];
+    gravity: [m/s^2], [D]. Velocities are central differences, at the end one-sided; a particle in the lower corner of
+    the box has no potential energy.
     """
     velocities = np.gradient(positions, step, axis=0) if len(positions) > 1 else np.empty_like(positions)
     velocities[0] = velocity0
     kinetic = 0.5 * np.square(velocities).sum(axis=2) @ mass
-    potential = gravity * (positions[:, :, UP] @ mass)
+    potential = -(positions @ np.array(gravity)) @ mass
     series = {"kinetic": kinetic, "potential": potential}
     return {name: [float(f"{value:.6g}") for value in values] for name, values in series.items()}

@@ -16,8 +16,9 @@ from datasets.scene import Scene
 from datasets.training.samples import Surroundings, check_known
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
+from gns.conditions import conditions_of, tensors_of
 from gns.model.settings import ModelSettings
-from gns.model.state import Conditions, Ground, State, Tensors
+from gns.model.state import Conditions, State, Tensors
 from gns.units import Units
 
 MPM_SECONDS = 0.05
@@ -68,20 +69,24 @@ class InitialState(Tensors):
         """Times of the known positions and of those to come [s], shape [F + steps]."""
         return self.step * np.arange(len(self.known) + self.steps, dtype=np.float64)
 
-    def of_mass(self, mass: int | None) -> Tensor:
-        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n].
+    @property
+    def mass(self) -> NDArray[np.int32]:
+        """Index of the scene's mass that each particle belongs to, shape [n].
 
         Raises InputError where the particles are not those of the scene's masses.
         """
         counts = mass_counts(self.scene)
         if self.indices.max() >= sum(counts):
             raise InputError(f"expected the {sum(counts)} particles of the scene's masses, there are more")
-        index = np.repeat(np.arange(len(counts)), counts)[self.indices]
+        return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
+
+    def of_mass(self, mass: int | None) -> Tensor:
+        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n]."""
         shared = np.array([each.material is None for each in self.scene.masses])
-        return torch.from_numpy(shared[index] if mass is None else index == mass)
+        return torch.from_numpy(shared[self.mass] if mass is None else self.mass == mass)
 
     def with_conditions(self, **changes: Any) -> "InitialState":
-        """The same state under other conditions: `friction`, `cohesion`, `volume` or `baffles`, as tensors."""
+        """The same state under other conditions, those of `Conditions` by name."""
         return dataclasses.replace(self, conditions=dataclasses.replace(self.conditions, **changes))
 
     def with_displacements(self, displacements: Tensor) -> "InitialState":
@@ -123,10 +128,10 @@ def initial_state(
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(
-            Surroundings.of(scene, cell),
-            friction=particles.friction[kept],
-            cohesion=particles.cohesion[kept],
-            volume=thinned.volumes,
+            tensors_of(Surroundings.of(scene, cell)),
+            friction=torch.from_numpy(particles.friction[kept]),
+            cohesion=torch.from_numpy(particles.cohesion[kept]),
+            volume=torch.from_numpy(thinned.volumes),
             spacing=cell,
             units=units,
         ),
@@ -136,35 +141,6 @@ def initial_state(
         known=known,
         velocity0=velocity0,
         indices=kept,
-    )
-
-
-def conditions_of(
-    around: Surroundings, *, friction: Floats, cohesion: Floats, volume: Floats, spacing: float, units: Units
-) -> Conditions:
-    """The conditions of a single flow; spacing: between two elevations of its ground [m]."""
-
-    def number(value: float) -> Tensor:
-        return torch.tensor([value], dtype=torch.float32)
-
-    ground = None
-    if around.ground is not None:
-        elevation, roughness = (torch.from_numpy(field).unsqueeze(0) for field in around.ground)
-        ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
-    some = len(around.baffles) > 0
-    return Conditions(
-        friction=torch.from_numpy(friction),
-        cohesion=torch.from_numpy(cohesion),
-        volume=torch.from_numpy(volume),
-        size=torch.from_numpy(around.size).unsqueeze(0),
-        gravity=torch.from_numpy(around.gravity).unsqueeze(0),
-        floor_friction=number(around.floor_friction),
-        wall_friction=number(around.wall_friction),
-        damping=number(around.damping),
-        baffles=torch.from_numpy(around.baffles).unsqueeze(0) if some else None,
-        baffle_friction=torch.from_numpy(around.baffle_friction).unsqueeze(0) if some else None,
-        ground=ground,
-        units=units,
     )
 
 

@@ -21,7 +21,6 @@ from gns.training.batch import batched
 from gns.training.convergence import total_updates
 from gns.unroll import unroll
 
-
 ERRORS = ("profile_error", "kinetic_error")
 """Beside that of the front."""
 

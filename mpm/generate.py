@@ -156,7 +156,7 @@ def simulate_all(
 
 
 def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> None:
-    """Simulate `scene` and save its trajectory, or of it what `storage` says, to `path`; runs in a process of the pool."""
+    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool."""
     # Taichi belongs to the processes that simulate: the one that directs them does not import it.
     from mpm import Recording, simulate
 

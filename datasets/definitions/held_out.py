@@ -2,11 +2,13 @@
 
 Two scenes are neighbours if, in units of the released body's own length and measured from its lower corner, every
 corner of every mass and baffle of the one lies within `MARGIN` of the same corner of the other, mirrored or not, and
-the masses are as close to the box's sides or not in contact with them either. Angles, velocities and friction do not
-count: a neighbour is excluded at every material.
+the masses are as close to the box's sides or not in contact with them either. Of a turned baffle the corners are those
+of the box around it. Angles, velocities and friction do not count: a neighbour is excluded at every material.
 """
 
+from collections.abc import Iterator
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,10 @@ from datasets.library import SCENES, read_scene
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
 
+UP = 1
+"""The axis that points up."""
 MARGIN = 0.06
-"""Distance of corners within which two scenes are neighbours, over the length of the body (the root of its area) [-]."""
+"""Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
 """Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
 ASPECT_MARGIN = 0.04
@@ -48,37 +52,40 @@ def neighbours(scene: Scene, other: Scene) -> bool:
     """Whether two scenes of one dimension are neighbours."""
     if (len(scene.masses), len(scene.baffles)) != (len(other.masses), len(other.baffles)):
         return False
-    theirs = shape(other)
+    theirs, walls = next(images(other))
     return any(
-        bool((np.abs(mine - theirs) <= MARGIN).all()) and np.array_equal(walls, touches_all(other))
-        for mine, walls in ((shape(scene), touches_all(scene)), mirrored(scene))
+        bool((np.abs(mine - theirs) <= MARGIN).all()) and np.array_equal(touched, walls)
+        for mine, touched in images(scene)
     )
 
 
-def shape(scene: Scene) -> NDArray[np.float64]:
-    """Corners of masses, then of baffles, each in order of their lower corner, in body lengths; shape [K, 2, D]."""
-    masses, baffles = (boxes(group, scene.dimension) for group in (scene.masses, scene.baffles))
+def images(scene: Scene) -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_]]]:
+    """A scene and its mirror images along x and, in 3D, z and both: `shape`, and the sides that masses touch [H, 2]."""
     unit = released_volume(scene) ** (1.0 / scene.dimension)
-    origin = masses[:, 0].min(axis=0)
-    return (np.concatenate((ordered(masses), ordered(baffles))) - origin) / unit
-
-
-def mirrored(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """`shape` and `touches_all` of the scene mirrored along x."""
-    unit = released_volume(scene) ** (1.0 / scene.dimension)
-    parts = []
-    for group in (scene.masses, scene.baffles):
-        corners = boxes(group, scene.dimension)
-        corners[:, :, 0] = scene.domain.size[0] - corners[:, ::-1, 0]
-        parts.append(ordered(corners))
-    origin = parts[0][:, 0].min(axis=0)
-    return (np.concatenate(parts) - origin) / unit, touches_all(scene)[::-1]
+    level = [axis for axis in range(scene.dimension) if axis != UP]
+    touched = touches_all(scene)
+    for flips in product((False, True), repeat=len(level)):
+        groups = [boxes(group, scene.dimension) for group in (scene.masses, scene.baffles)]
+        sides = touched.copy()
+        for number, axis in enumerate(level):
+            if flips[number]:
+                sides[number] = sides[number, ::-1]
+                for corners in groups:
+                    corners[..., axis] = scene.domain.size[axis] - corners[:, ::-1, axis]
+        masses, baffles = map(ordered, groups)
+        yield (np.concatenate((masses, baffles)) - masses[:, 0].min(axis=0)) / unit, sides
 
 
 def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> NDArray[np.float64]:
-    """Lower and upper corner of each, shape [K, 2, D]."""
+    """Lower and upper corner of each [m], of a turned baffle those of the box around it; shape [K, 2, D]."""
     lower, size = (np.array([getattr(each, key) for each in group]).reshape(-1, dimension) for key in ("lower", "size"))
-    return np.stack((lower, lower + size), axis=1)
+    turn = np.radians([getattr(each, "turned_deg", 0.0) for each in group])
+    plane = [0, dimension - 1]
+    cosine, sine = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
+    extent = size.astype(np.float64)
+    extent[:, plane] = cosine * size[:, plane] + sine * size[:, plane[::-1]]
+    middle = lower + 0.5 * size
+    return np.stack((middle - 0.5 * extent, middle + 0.5 * extent), axis=1)
 
 
 def ordered(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -87,11 +94,12 @@ def ordered(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def touches(scene: Scene, mass: Mass) -> NDArray[np.bool_]:
-    """Whether a mass leans on the left and on the right side of the box, shape [2]."""
+    """Whether a mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
     slack = 0.5 * scene.domain.cell
-    return np.array([mass.lower[0] <= slack, mass.lower[0] + mass.size[0] >= scene.domain.size[0] - slack])
+    lower, size, box = (np.delete(np.array(each), UP) for each in (mass.lower, mass.size, scene.domain.size))
+    return np.stack((lower <= slack, lower + size >= box - slack), axis=1)
 
 
 def touches_all(scene: Scene) -> NDArray[np.bool_]:
-    """Whether any mass leans on the left and on the right side of the box, shape [2]."""
+    """Whether any mass leans on these sides of the box, shape [H, 2]."""
     return np.any([touches(scene, mass) for mass in scene.masses], axis=0)

@@ -112,7 +112,7 @@ class Surroundings:
     baffle_friction: Floats
     """Coulomb coefficient of each baffle [-], shape [K]."""
     ground: tuple[Floats, Floats] | None
-    """Elevation [m] and Coulomb coefficient [-] of terrain, `spacing` apart from x = 0 (and z = 0) on, each [X(, Z)]."""
+    """Elevation [m] and Coulomb coefficient [-] of terrain, `spacing` apart from x = 0 (and z = 0) on, [X(, Z)]."""
 
     @staticmethod
     def of(scene: Scene, spacing: float) -> "Surroundings":

@@ -15,7 +15,7 @@ from gns.model.settings import ModelSettings
 
 
 def channels(settings: ModelSettings) -> int:
-    """Input channels of every grid node: `gns.model.grid.column_features`, and the share of its cell that is no room."""
+    """Input channels of every grid node: `gns.model.grid.column_features`, and the share of its cell without room."""
     return settings.dimension + 3
 
 

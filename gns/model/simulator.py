@@ -136,8 +136,8 @@ def settled(displacements: Tensor, limit: float) -> Tensor:
     """Displacements [m], shape [N, D], of which those well below `limit` [m] fade.
 
     A model of static friction: small errors of the acceleration no longer add up to an endless creep. Sand that begins
-    to move exceeds the limit after one step, unless its acceleration is below limit / dt^2. The fourth power stops a tenth
-    of the limit to a ten-thousandth and takes a sixteenth of twice the limit.
+    to move exceeds the limit after one step, unless its acceleration is below limit / dt^2. The fourth power leaves
+    of a tenth of the limit a ten-thousandth, and takes a sixteenth of twice the limit.
     """
     fourth = (displacements.square().sum(dim=1, keepdim=True) / limit**2).square()
     return displacements * (fourth / (1.0 + fourth))

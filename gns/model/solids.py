@@ -301,7 +301,7 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
 
 
 def _outer(parts: list[Tensor]) -> Tensor:
-    """The product over the axes of a grid: of [..., X] and [..., Y] (and [..., Z]) the one of shape [..., X, Y(, Z)]."""
+    """The product over the axes of a grid: of [..., X], [..., Y] (and [..., Z]) the one of shape [..., X, Y(, Z)]."""
     product = parts[0]
     for part in parts[1:]:
         product = product.unsqueeze(-1) * part.view(*part.shape[:-1], *(1,) * (product.dim() - part.dim() + 1), -1)

@@ -1,7 +1,7 @@
 """What a simulation step takes and gives."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import torch
@@ -17,12 +17,12 @@ class Tensors:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """The same record on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
+        for each in dataclasses.fields(self):
+            value = getattr(self, each.name)
             if isinstance(value, Tensor):
-                moved[field.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+                moved[each.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
             elif isinstance(value, Tensors):
-                moved[field.name] = value.to(device, dtype)
+                moved[each.name] = value.to(device, dtype)
         return dataclasses.replace(self, **moved)
 
 
@@ -103,7 +103,7 @@ class Conditions(Tensors):
     """Coulomb coefficient of these baffles [-], shape [B, K]."""
     ground: Ground | None = None
     """Terrain; absent where no sample has any."""
-    units: Units = Units()
+    units: Units = field(default_factory=Units)
     """What one unit of the model is in these samples."""
 
     @property

@@ -2,19 +2,16 @@
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch_geometric.data import Batch, Data
 
-from datasets.training.samples import Sample, Surroundings
-from gns.model.state import Conditions, Ground, State
+from datasets.training.samples import Sample
+from gns.conditions import NO_GROUND, conditions_of, tensors_of
+from gns.model.state import Conditions, State
 
-ABSENT = -10.0
-"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 TIME_FIRST = ("displacements", "targets", "shares")
 """Whose first axis is time, so that samples are joined along the second."""
-Floats = np.typing.NDArray[np.float32]
 
 
 class Particles(Data):  # type: ignore[misc]
@@ -42,22 +39,13 @@ class Particles(Data):  # type: ignore[misc]
 
     def conditions(self, spacing: float) -> Conditions:
         """What is constant during their rollout; spacing: between two elevations of the ground [m]."""
-        some_baffles, some_ground = self.baffles.shape[1] > 0, self.elevation.shape[1] > 0
-        return Conditions(
+        return conditions_of(
+            self,
             friction=self.friction,
             cohesion=self.cohesion,
             volume=self.volume,
-            size=self.box,
-            gravity=self.gravity,
-            floor_friction=self.floor_friction,
-            wall_friction=self.wall_friction,
-            damping=self.damping,
+            spacing=spacing,
             batch=self.batch,
-            baffles=self.baffles if some_baffles else None,
-            baffle_friction=self.baffle_friction if some_baffles else None,
-            ground=Ground(elevation=self.elevation, friction=self.ground_friction, spacing=spacing)
-            if some_ground
-            else None,
         )
 
 
@@ -65,60 +53,25 @@ def batched(samples: list[Sample], *, step: float, history: int) -> Particles:
     """Join samples; they have equally many targets. `.to(device)` moves all of it."""
     boxes = max(len(sample.surroundings.baffles) for sample in samples)
     rasters = [sample.surroundings.ground[0].shape for sample in samples if sample.surroundings.ground is not None]
-    raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or (0,)
-    batch: Particles = Batch.from_data_list(
-        [_particles(sample, boxes, raster, step=step, history=history) for sample in samples]
-    )
+    raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or NO_GROUND
+    parts = []
+    for sample in samples:
+        frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
+        state = State.observed(frames, velocity0, step=step, history=history)
+        parts.append(
+            Particles(
+                pos=state.positions,
+                displacements=state.displacements,
+                targets=torch.from_numpy(sample.targets),
+                shares=torch.from_numpy(sample.shares),
+                friction=torch.from_numpy(sample.friction),
+                cohesion=torch.from_numpy(sample.cohesion),
+                volume=torch.from_numpy(sample.volume),
+                **tensors_of(sample.surroundings, boxes=boxes, raster=raster),
+            )
+        )
+    batch: Particles = Batch.from_data_list(parts)
     return batch
-
-
-def _particles(sample: Sample, boxes: int, raster: tuple[int, ...], *, step: float, history: int) -> Particles:
-    """A sample with its baffles padded to so many boxes, and its ground to that raster."""
-    frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
-    state = State.observed(frames, velocity0, step=step, history=history)
-    around = sample.surroundings
-    baffles, friction = padded_baffles(around, boxes)
-    elevation, roughness = padded_ground(around, raster)
-
-    def number(value: float) -> Tensor:
-        return torch.tensor([value], dtype=torch.float32)
-
-    return Particles(
-        pos=state.positions,
-        displacements=state.displacements,
-        targets=torch.from_numpy(sample.targets),
-        shares=torch.from_numpy(sample.shares),
-        friction=torch.from_numpy(sample.friction),
-        cohesion=torch.from_numpy(sample.cohesion),
-        volume=torch.from_numpy(sample.volume),
-        box=torch.from_numpy(around.size).unsqueeze(0),
-        gravity=torch.from_numpy(around.gravity).unsqueeze(0),
-        floor_friction=number(around.floor_friction),
-        wall_friction=number(around.wall_friction),
-        damping=number(around.damping),
-        baffles=torch.from_numpy(baffles).unsqueeze(0),
-        baffle_friction=torch.from_numpy(friction).unsqueeze(0),
-        elevation=torch.from_numpy(elevation).unsqueeze(0),
-        ground_friction=torch.from_numpy(roughness).unsqueeze(0),
-    )
-
-
-def padded_baffles(around: Surroundings, boxes: int) -> tuple[Floats, Floats]:
-    """Corners [boxes, 2, D] and friction [boxes] of baffles, and of absent ones."""
-    baffles = np.full((boxes, 2, len(around.size)), ABSENT, np.float32)
-    friction = np.zeros(boxes, np.float32)
-    baffles[: len(around.baffles)] = around.baffles
-    friction[: len(around.baffles)] = around.baffle_friction
-    return baffles, friction
-
-
-def padded_ground(around: Surroundings, raster: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Elevation and friction of the ground over a raster; where a sample has none it lies far below."""
-    if around.ground is None:
-        return np.full(raster, ABSENT, np.float32), np.zeros(raster, np.float32)
-    ends = [(0, count - own) for count, own in zip(raster, around.ground[0].shape, strict=True)]
-    elevation, friction = (np.pad(field, ends, mode="edge") for field in around.ground)
-    return elevation, friction
 
 
 def perturbed(batch: Particles, noise: float, generator: torch.Generator) -> Particles:

@@ -111,7 +111,7 @@ class UnrolledLoss(nn.Module):
 
 
 class Curriculum:
-    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries."""
+    """Draws training samples: datasets in equal shares, their flows alike, each in a random one of its symmetries."""
 
     def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, pairs: float = 0.0) -> None:
         """pairs: share of batches of a flow and its variant, which starts from the same particles."""

@@ -33,7 +33,7 @@ class Given(Curriculum):
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """All of them."""
         settings = self._settings
-        joint = batched(self._samples, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=settings.history)
+        joint = batched(self._samples, step=settings.step, history=settings.history)
         return joint.apply(lambda values: values.double() if values.is_floating_point() else values)
 
 
@@ -60,7 +60,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
     lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path
 ) -> None:
     simulator, rng = lively.double(), np.random.default_rng(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
+    flows = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
     samples = [
         cut(flow, now=now, steps=STEPS, history=settings.history, cell=cell, kept=1, rng=rng)
         for flow, now, cell in zip(flows, (0, 5, 9), (0.01, 0.01, 0.015), strict=False)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.training.samples import Flows, Sample, load_flows
+from datasets.training.samples import Flows, Sample, Surroundings, load_flows
 from gns.model.settings import ModelSettings
 from gns.training.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
 
@@ -36,13 +36,13 @@ def test_the_steps_left_are_the_area_under_the_schedule() -> None:
 @pytest.fixture
 def flows(dataset: Path, settings: ModelSettings) -> Flows:
     """The training flows."""
-    return load_flows(dataset, "train", step=settings.step, dimension=2)
+    return load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
 
 
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw((flows[0].size, flows[0].gravity), 4, rng) for _ in range(60)]
+    drawn = [curriculum.draw(4, rng) for _ in range(60)]
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -52,21 +52,29 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
         assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
 
-def test_a_batch_is_of_one_domain_and_datasets_have_equal_shares(flows: Flows, settings: ModelSettings) -> None:
-    wide = [dataclasses.replace(flow, size=(1.2, 0.4)) for flow in flows]
+def test_a_batch_joins_domains_and_datasets_have_equal_shares(flows: Flows, settings: ModelSettings) -> None:
+    around = dataclasses.replace(flows[0].surroundings, size=np.array([1.2, 0.4], np.float32))
+    wide = [dataclasses.replace(flow, surroundings=around) for flow in flows]
     curriculum, rng = Curriculum([flows, wide, wide], settings), np.random.default_rng(0)
-    sizes = [curriculum.batch(2, 1, rng).conditions.size for _ in range(120)]
-    assert set(sizes) == {(0.6, 0.4), (1.2, 0.4)}
-    assert 0.5 < np.mean([size == (1.2, 0.4) for size in sizes]) < 0.8
+    sizes = torch.cat([curriculum.batch(2, 1, rng).box for _ in range(60)])
+    assert {tuple(size) for size in sizes.tolist()} == {
+        tuple(size) for size in torch.tensor([[0.6, 0.4], [1.2, 0.4]]).tolist()
+    }
+    assert 0.5 < (sizes[:, 0] > 1.0).float().mean() < 0.8
 
 
-def test_statistics_leave_gravity_out(flows: Flows) -> None:
+@pytest.mark.parametrize("along", [0.0, 3.0])
+def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
+    gravity = np.array([along, -9.81], np.float32)
     time = np.arange(8) * 0.01
-    falling = np.zeros((8, 5, 2), np.float32)
-    falling[..., 0] = 0.1 * np.arange(5)
-    falling[..., 1] = 0.9 - 0.5 * 9.81 * time[:, None] ** 2
+    corner = np.stack((0.1 * np.arange(5), np.full(5, 0.9)), axis=1)
+    falling = (corner + 0.5 * time[:, None, None] ** 2 * gravity).astype(np.float32)
     flow = dataclasses.replace(
-        flows[0], positions=falling, friction=np.ones(5, np.float32), velocity0=np.zeros((5, 2), np.float32)
+        flows[0],
+        positions=falling,
+        friction=np.ones(5, np.float32),
+        velocity0=np.zeros((5, 2), np.float32),
+        surroundings=dataclasses.replace(flows[0].surroundings, gravity=gravity),
     )
     found = statistics([[flow]])
     assert found.acceleration < 1e-6
@@ -94,7 +102,7 @@ def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monk
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
     curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
-    drawn = [curriculum.draw((flow.size, flow.gravity), 1, rng) for _ in range(30)]
+    drawn = [curriculum.draw(1, rng) for _ in range(30)]
     assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
 
 
@@ -103,6 +111,16 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
     rng = np.random.default_rng(0)
     corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
     one = np.ones(1, np.float32)
+    around = Surroundings(
+        size=np.array(size, np.float32),
+        gravity=np.array([3.0, -9.0, 0.0], np.float32)[: len(size)],
+        floor_friction=0.4,
+        wall_friction=0.2,
+        damping=0.0,
+        baffles=np.stack((corner, corner + 0.1))[None],
+        baffle_friction=one,
+        ground=None,
+    )
     sample = Sample(
         frames=corner.reshape(1, 1, -1),
         velocity0=corner.reshape(1, -1),
@@ -110,13 +128,16 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         friction=one,
         cohesion=one,
         volume=one,
-        baffles=np.stack((corner, corner + 0.1))[None],
+        surroundings=around,
     )
     found = set()
     for _ in range(100):
-        other = turned(sample, size, rng)
+        other = turned(sample, 0.01, rng)
         found.add(tuple(np.round(other.targets[0, 0].astype(float), 5)))
-        assert (other.baffles[:, 0] < other.baffles[:, 1]).all()
+        baffles = other.surroundings.baffles
+        assert (baffles[:, 0] < baffles[:, 1]).all()
         # The point is a corner of the baffle, and stays one.
-        assert np.isclose(other.baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+        assert np.isclose(baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+        # Gravity turns with the velocities.
+        assert float(other.velocity0[0] @ other.surroundings.gravity) == pytest.approx(0.1 * 3.0 - 0.2 * 9.0)
     assert len(found) == ways

@@ -27,7 +27,7 @@ def flying(flow: Flow) -> Flow:
 def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     simulator: Simulator, settings: ModelSettings, dataset: Path
 ) -> None:
-    flows = load_flows(dataset, "valid", step=settings.step, dimension=2)
+    flows = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)
     right, wrong = evaluate(simulator, [flying(flows[0]), flows[1]], seed=0, at_once=1)
     assert not right.released
     assert max(abs(right.front_error), right.rmse[2]) < 2e-3
@@ -41,13 +41,24 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert validation_score([wrong]) > validation_score([right])
 
 
-def test_flows_side_by_side_are_of_one_domain_and_length(settings: ModelSettings, dataset: Path) -> None:
-    flow = load_flows(dataset, "valid", step=settings.step, dimension=2)[0]
-    wide = dataclasses.replace(flow, size=(1.2, 0.4))
-    short = dataclasses.replace(wide, positions=wide.positions[:-3])
-    groups = list(grouped([flow, flow, flow, wide, short, short], 2))
-    assert [len(group) for group in groups] == [2, 1, 1, 2]
-    assert groups[2][0].size == (1.2, 0.4)
+def test_flows_side_by_side_are_of_one_length(settings: ModelSettings, dataset: Path) -> None:
+    flow = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)[0]
+    short = dataclasses.replace(flow, positions=flow.positions[:-3])
+    groups = list(grouped([flow, flow, flow, short, short], 2))
+    assert [len(group) for group in groups] == [2, 1, 2]
+    assert groups[2][0] is short
+
+
+def test_a_deposit_is_compared_with_all_particles_of_the_flow(
+    simulator: Simulator, settings: ModelSettings, dataset: Path
+) -> None:
+    flow = flying(load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)[0])
+    (whole,) = evaluate(simulator, [flow], seed=0)
+    # A sixtieth of the particles lands further ahead, which no model knows.
+    ahead = flow.positions.copy()
+    ahead[-1, : len(ahead[0]) // 60, 0] += 0.3
+    (found,) = evaluate(simulator, [dataclasses.replace(flow, positions=ahead)], seed=0)
+    assert found.front_error < whole.front_error - 0.2
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.scene import Baffle
+from datasets.geometry.solid import Solid
+from datasets.scene import Baffle, Domain
 from datasets.training.samples import Flow, load_flows
 from datasets.trajectory import Trajectory
 from gns import train as command
@@ -136,14 +137,20 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
     assert same(checkpoint.read(tmp_path / "best.pt")["state"], checkpoint.read(unbroken / "best.pt")["state"])
 
 
-def test_baffles_need_a_model_with_baffles(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:
     column = Trajectory.load(dataset / "valid" / "0000.npz")
-    scene = dataclasses.replace(column.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
-    for split in ("train", "valid"):
-        dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / "a.npz")
-    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2") == 2
-    assert "a.npz: baffles: expected flows without baffles" in capsys.readouterr().err
-    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2", "--baffles") == 0
+    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.3, 0.0), (0.6, 0.1)), friction=0.5)
+    for name, change in (
+        ("baffle", {"baffles": (Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),)}),
+        ("slope", {"slope_deg": 10.0}),
+        ("terrain", {"solids": (ramp,)}),
+        ("wide", {"domain": Domain(size=(0.8, 0.4), cell=0.01)}),
+    ):
+        scene = dataclasses.replace(column.scene, **change)
+        for split in ("train", "valid"):
+            dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / f"{name}.npz")
+    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2", "--batch", "4", "--validate-flows", "4") == 0
+    assert len((tmp_path / "out" / "scores.md").read_text().splitlines()) > 2
 
 
 def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,7 +161,7 @@ def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypa
 
 
 def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:
-    released = load_flows(dataset, "train", step=settings.step, dimension=2)
+    released = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
 
     def names(flows: list[Flow]) -> list[str]:
         return [flow.name for flow in flows]

@@ -22,7 +22,7 @@ from tests.gns.conftest import NORMALISATION
 @pytest.fixture
 def curriculum(dataset: Path, settings: ModelSettings) -> Curriculum:
     """The flows with a formula."""
-    return Curriculum([load_flows(dataset, "train", step=settings.step, dimension=2)], settings)
+    return Curriculum([load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)], settings)
 
 
 def begin(settings: ModelSettings, **flags: float) -> Run:
@@ -33,7 +33,7 @@ def begin(settings: ModelSettings, **flags: float) -> Run:
 
 def test_the_loss_falls(dataset: Path, settings: ModelSettings, curriculum: Curriculum) -> None:
     torch.manual_seed(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
+    flows = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
     run = Run(Simulator(settings, statistics([flows])), TrainingSettings(warmup=5), seed=0)
     losses = [run.update(curriculum, steps=2, rate=1e-2) for _ in range(60)]
     assert np.mean(losses[-10:]) < 0.5 * np.mean(losses[:5])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.definitions.releases2d import held_out
+from datasets.definitions.held_out import held_out_column
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
@@ -79,7 +79,7 @@ def test_no_held_out_scene_is_near_the_training_data() -> None:
     columns = scenes.columns()
     for column in columns:
         (mass,) = column.scene.masses
-        assert held_out(*mass.size)
+        assert held_out_column(column.scene)
         assert mass.size[0] * mass.size[1] == pytest.approx(scenes.AREA, rel=1e-2)
     papers = scenes.paper_columns()
     assert len(papers) == 4
