@@ -37,9 +37,9 @@ class Interaction(nn.Module):
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
         """The sum of the messages to each node."""
         receiver, sender = self.from_receiver(x), self.from_sender(x)
-        # Under autocast these are in bfloat16, and sums are not; in double precision they stay as they are.
-        precision = torch.promote_types(receiver.dtype, torch.float32)
-        receiver, sender = receiver.to(precision), sender.to(precision)
+        # Half precision under autocast is not for sums; double stays double.
+        full = torch.promote_types(receiver.dtype, torch.float32)
+        receiver, sender = receiver.to(full), sender.to(full)
         weight = self.from_offset.weight.T
         if x.is_cpu:
             return fused_message_sum(receiver, sender, weight, graph)

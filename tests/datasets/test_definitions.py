@@ -22,7 +22,9 @@ from datasets.material import Material
 from datasets.particles import initial_particles, released_volume
 from datasets.scene import Baffle, Mass, Scene
 
-every = pytest.mark.parametrize("definition", [FLOWS2D, FLOW2D, OBSTACLE3D], ids=lambda definition: definition.name)
+every = pytest.mark.parametrize(
+    "definition", [FLOWS2D, FLOW2D, FLOWS3D, OBSTACLE3D], ids=lambda definition: definition.name
+)
 
 
 @cache
@@ -41,6 +43,7 @@ def test_a_smaller_dataset_is_a_prefix_of_a_larger_one(definition: Definition) -
 
 DRAWN = {
     "flows2d": "03da22001541a9c2",
+    "flows3d": "d21446dc39662ab7",
     "flow2d": "71d164625d9d0b46",
     "obstacle3d": "a1040b34a80c7f51",
 }
@@ -68,7 +71,7 @@ def test_every_scene_has_its_own_shape_and_jitter(definition: Definition) -> Non
     entries = [
         entry
         for index, entry in enumerate(all_entries(definition))
-        if definition is not FLOWS2D or not is_variant(index)
+        if definition.storage is None or not is_variant(index)
     ]
     assert len({entry.scene.seed for entry in entries}) == len(entries)
     assert len({entry.scene.masses for entry in entries}) > 0.9 * len(entries)

@@ -72,5 +72,3 @@ def reference_errors(scenes: Sequence[HeldOut], references: References) -> tuple
         [deposit(flow.positions[-1], flow.volumes, truth) for flow, truth in zip(own, finer, strict=True)],
         [deposit(flow.positions[-1], flow.volumes, truth) for flow, truth in zip(others, own, strict=True)],
     )
-
-

@@ -106,8 +106,8 @@ def test_a_longer_column_has_as_many_neighbours_per_node() -> None:
 
 def test_shipped_models_are_found(tmp_path: Path) -> None:
     for name in ("flow-fast", "flow"):
-        checkpoint.save(tmp_path / f"{name}.pt", tiny(), {})
-    checkpoint.save(tmp_path / "hill.pt", tiny(dataclasses.replace(SETTINGS, dimension=3)), {})
+        checkpoint.save(tmp_path / f"{name}.safetensors", tiny(), {})
+    checkpoint.save(tmp_path / "hill.safetensors", tiny(dataclasses.replace(SETTINGS, dimension=3)), {})
     found = networks.families(tmp_path)
     assert [each.name for each in found] == ["flow", "flow-fast", "hill"]
     # The second model has the nodes and the radius of the first.
