@@ -17,7 +17,7 @@ from gns.unroll import unroll
 SHARE_EARLY = 0.12
 """Share of the other samples that starts just after, with part of the history made up from the initial velocities."""
 SHARE_MOVING = 0.70
-"""Share of them that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
+"""Share of them that starts while the flow moves; the rest starts anywhere: settled deposits, too, must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
@@ -41,7 +41,7 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
 
 
 def share_loss(positions: Tensor, shares: Tensor, batch: Tensor, samples: int, scale: float) -> tuple[Tensor, Tensor]:
-    """How far the parts of each cloud lie from those of the truth: along each axis, its n-th particle from the n-th part.
+    """How far the parts of a cloud lie from those of the truth: along each axis, the n-th particle from the n-th part.
 
     positions, shares: [m], shape [K, N, D]; batch: sample of each particle, shape [N]; scale: distance [m] that counts
     as one. Returns the mean smooth L1 distance of all samples, and that of the differences between the errors of one

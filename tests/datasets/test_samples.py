@@ -20,6 +20,7 @@ from datasets.training.samples import (
     load_flows,
     mirrored,
     particle_cohesion,
+    shares_of,
 )
 from datasets.trajectory import Trajectory
 
@@ -51,6 +52,17 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
     assert np.array_equal(sample.frames, flow.positions[given])
     assert np.array_equal(sample.targets, flow.positions[now + 1 : now + 4])
     assert sample.volume.sum() == pytest.approx(flow.volume.sum())
+
+
+def test_shares_are_those_of_all_particles(flow: Flow) -> None:
+    # Four parts of a row of 400 particles, from x = 0 to 1: their middles, whatever the order.
+    row = np.stack((np.linspace(0.0, 1.0, 400), np.full(400, 0.2)), axis=1).astype(np.float32)
+    shuffled = np.random.default_rng(0).permutation(row)[None]
+    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 0], [0.125, 0.375, 0.625, 0.875], atol=2e-3)
+    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 1], 0.2, rtol=1e-6)
+    sample = cut(flow, now=2, steps=3, history=3, cell=1.0, kept=1, rng=np.random.default_rng(0))
+    assert sample.targets.shape == sample.shares.shape == (3, 1, 2)
+    np.testing.assert_allclose(sample.shares[:, 0], np.median(flow.positions[3:6], axis=1), atol=1e-7)
 
 
 def test_a_flow_on_a_slope_has_its_gravity(trajectory: Trajectory) -> None:
@@ -109,6 +121,7 @@ def stretch() -> Sample:
         frames=rng.random((3, 7, 3), np.float32),
         velocity0=rng.random((7, 3), np.float32),
         targets=rng.random((2, 7, 3), np.float32),
+        shares=np.sort(rng.random((2, 7, 3), np.float32), axis=1),
         friction=rng.random(7, np.float32),
         cohesion=rng.random(7, np.float32),
         volume=rng.random(7, np.float32),

@@ -9,7 +9,16 @@ import torch
 
 from datasets.training.samples import Flows, Sample, Surroundings, load_flows
 from gns.model.settings import ModelSettings
-from gns.training.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
+from gns.training.objective import (
+    Curriculum,
+    partners,
+    remaining_steps,
+    rollout_loss,
+    share_loss,
+    statistics,
+    turned,
+    unrolled_steps,
+)
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -42,7 +51,7 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw(4, rng) for _ in range(60)]
+    drawn = [curriculum.draw(flows[index % 4], index % 6, 4, rng) for index in range(60)]
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -95,15 +104,52 @@ def test_statistics_of_many_times_are_sampled_and_always_the_same(
 
 
 def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.training.objective.SHARE_FIRST", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_EARLY", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_MOVING", 1.0)
     flow = flows[0]
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
-    curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
-    drawn = [curriculum.draw(1, rng) for _ in range(30)]
-    assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
+    curriculum, rng = Curriculum([[longer]], settings, first=0.0), np.random.default_rng(0)
+    for _ in range(30):
+        batch = curriculum.batch(1, 1, rng)
+        assert (batch.targets[0] - batch.pos).abs().max() > 1e-4
+
+
+def test_all_samples_may_start_with_their_flow(flows: Flows, settings: ModelSettings) -> None:
+    batch = Curriculum([flows], settings, first=1.0).batch(6, 2, np.random.default_rng(0))
+    # Nothing has moved before.
+    assert not batch.displacements.any()
+    assert (batch.pos[:, 0] < 0.13).any()
+
+
+def test_a_pair_starts_from_the_same_particles_in_the_same_mirror(flows: Flows, settings: ModelSettings) -> None:
+    first, other = flows[0], flows[1]
+    variant = dataclasses.replace(first, friction=first.friction + np.float32(0.1))
+    assert partners([first, other, variant]) == {0: 2, 2: 0}
+    curriculum, rng = Curriculum([[first, variant]], settings, pairs=1.0), np.random.default_rng(0)
+    for _ in range(10):
+        batch = curriculum.batch(2, 3, rng)
+        one, two = (batch.batch == sample for sample in (0, 1))
+        assert torch.equal(batch.pos[one], batch.pos[two])
+        torch.testing.assert_close(
+            (batch.friction[one] - batch.friction[two]).abs(), torch.full((int(one.sum()),), 0.1)
+        )
+
+
+def test_the_loss_of_shares_sees_distributions_and_changes_alone() -> None:
+    generator = torch.Generator().manual_seed(0)
+    cloud = torch.rand(2, 30, 2, generator=generator)
+    shares = torch.cat((cloud.sort(dim=1).values,) * 2, dim=1)
+    batch = torch.arange(60) // 30
+    moved = torch.cat((cloud[:, torch.randperm(30, generator=generator)], cloud), dim=1)
+    mean, changed = share_loss(moved, shares, batch, 2, 0.01)
+    assert (mean.item(), changed.item()) == pytest.approx((0.0, 0.0), abs=1e-9)
+    # Both half a scale too far: wrong, but the answer to the change is right.
+    mean, changed = share_loss(moved + 0.005, shares, batch, 2, 0.01)
+    assert (mean.item(), changed.item()) == pytest.approx((0.125, 0.0), abs=1e-4)
+    apart = moved + 0.005 * batch.view(-1, 1)
+    mean, changed = share_loss(apart, shares, batch, 2, 0.01)
+    assert (mean.item(), changed.item()) == pytest.approx((0.0625, 0.125), abs=1e-4)
 
 
 @pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
@@ -125,6 +171,7 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         frames=corner.reshape(1, 1, -1),
         velocity0=corner.reshape(1, -1),
         targets=corner.reshape(1, 1, -1),
+        shares=corner.reshape(1, 1, -1),
         friction=one,
         cohesion=one,
         volume=one,
