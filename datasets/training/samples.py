@@ -294,9 +294,9 @@ def shares_of(positions: Floats, parts: int) -> Floats:
     positions: [m], shape [K, N, D], of particles that stand for about the same volume.
     """
     ordered = np.sort(positions, axis=1)
-    place = (np.arange(parts) + 0.5) / parts * positions.shape[1] - 0.5
-    below = np.clip(place.astype(np.int64), 0, positions.shape[1] - 2)
-    share = (place - below).astype(np.float32)[:, None]
+    rank = (np.arange(parts) + 0.5) / parts * positions.shape[1] - 0.5
+    below = np.clip(rank.astype(np.int64), 0, positions.shape[1] - 2)
+    share = (rank - below).astype(np.float32)[:, None]
     return np.asarray((1.0 - share) * ordered[:, below] + share * ordered[:, below + 1])
 
 
