@@ -85,7 +85,11 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out_at_any_size(aspect:
     assert is_held_out(column(length, 1.03 * height))
     # Away from the walls its aspect is none of those that are tested.
     assert not is_held_out(column(length, height, left=0.5))
-    assert not is_held_out(column(length, 1.2 * height))
+
+
+@pytest.mark.parametrize("aspect", [0.6, 0.88, 1.2, 2.4, 3.6])
+def test_columns_between_the_held_out_aspects_are_not(aspect: float) -> None:
+    assert not is_held_out(column(0.2, 0.2 * aspect))
 
 
 def test_a_scene_of_other_corners_walls_or_masses_is_no_neighbour() -> None:
