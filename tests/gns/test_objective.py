@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.training.samples import Flows, Sample, Surroundings, load_flows
+from datasets.training.samples import Flows, Sample, Surroundings, load_flows, shares_of
 from gns.model.settings import ModelSettings
 from gns.training.objective import (
     Curriculum,
@@ -51,7 +51,7 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw(flows[index % 4], index % 6, 4, rng) for index in range(60)]
+    drawn = curriculum.samples(60, 4, rng)
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -110,49 +110,11 @@ def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monk
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
     curriculum, rng = Curriculum([[longer]], settings, first=0.0), np.random.default_rng(0)
-    for _ in range(30):
-        batch = curriculum.batch(1, 1, rng)
-        assert (batch.targets[0] - batch.pos).abs().max() > 1e-4
+    drawn = curriculum.samples(30, 1, rng)
+    assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
 
 
-def test_all_samples_may_start_with_their_flow(flows: Flows, settings: ModelSettings) -> None:
-    batch = Curriculum([flows], settings, first=1.0).batch(6, 2, np.random.default_rng(0))
-    # Nothing has moved before.
-    assert not batch.displacements.any()
-    assert (batch.pos[:, 0] < 0.13).any()
-
-
-def test_a_pair_starts_from_the_same_particles_in_the_same_mirror(flows: Flows, settings: ModelSettings) -> None:
-    first, other = flows[0], flows[1]
-    variant = dataclasses.replace(first, friction=first.friction + np.float32(0.1))
-    assert partners([first, other, variant]) == {0: 2, 2: 0}
-    curriculum, rng = Curriculum([[first, variant]], settings, pairs=1.0), np.random.default_rng(0)
-    for _ in range(10):
-        batch = curriculum.batch(2, 3, rng)
-        one, two = (batch.batch == sample for sample in (0, 1))
-        assert torch.equal(batch.pos[one], batch.pos[two])
-        torch.testing.assert_close(
-            (batch.friction[one] - batch.friction[two]).abs(), torch.full((int(one.sum()),), 0.1)
-        )
-
-
-def test_the_loss_of_shares_sees_distributions_and_changes_alone() -> None:
-    generator = torch.Generator().manual_seed(0)
-    cloud = torch.rand(2, 30, 2, generator=generator)
-    shares = torch.cat((cloud.sort(dim=1).values,) * 2, dim=1)
-    batch = torch.arange(60) // 30
-    moved = torch.cat((cloud[:, torch.randperm(30, generator=generator)], cloud), dim=1)
-    mean, changed = share_loss(moved, shares, batch, 2, 0.01)
-    assert (mean.item(), changed.item()) == pytest.approx((0.0, 0.0), abs=1e-9)
-    # Both half a scale too far: wrong, but the answer to the change is right.
-    mean, changed = share_loss(moved + 0.005, shares, batch, 2, 0.01)
-    assert (mean.item(), changed.item()) == pytest.approx((0.125, 0.0), abs=1e-4)
-    apart = moved + 0.005 * batch.view(-1, 1)
-    mean, changed = share_loss(apart, shares, batch, 2, 0.01)
-    assert (mean.item(), changed.item()) == pytest.approx((0.0625, 0.125), abs=1e-4)
-
-
-@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
+@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 8)])
 def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
     rng = np.random.default_rng(0)
     corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
@@ -188,3 +150,38 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         # Gravity turns with the velocities.
         assert float(other.velocity0[0] @ other.surroundings.gravity) == pytest.approx(0.1 * 3.0 - 0.2 * 9.0)
     assert len(found) == ways
+
+
+def test_share_loss_is_zero_where_the_distributions_agree_and_tells_common_errors_from_wrong_answers() -> None:
+    generator = torch.Generator().manual_seed(0)
+    positions = torch.rand((3, 20, 2), generator=generator)
+    batch = torch.arange(2).repeat_interleave(10)
+    shares = torch.cat([positions[:, batch == each].sort(dim=1).values for each in (0, 1)], dim=1)
+    apart, changed = share_loss(positions, shares, batch, 2, 0.01)
+    assert apart == changed == 0.0
+    # Another particle in each place is the same deposit.
+    apart, _ = share_loss(positions[:, torch.arange(10).flip(0).repeat(2) + 10 * batch], shares, batch, 2, 0.01)
+    assert apart == 0.0
+    # An error that both have is no wrong answer to what differs between them.
+    apart, changed = share_loss(positions + 0.005, shares, batch, 2, 0.01)
+    assert apart == pytest.approx(0.125, rel=1e-4)
+    assert changed == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pairs_are_of_variants_and_start_from_the_same_particles(flows: Flows, settings: ModelSettings) -> None:
+    varied = [
+        dataclasses.replace(flow, seed=number // 2, positions=flows[number // 2 * 2].positions)
+        for number, flow in enumerate(flows)
+    ]
+    assert partners(varied) == {0: 1, 1: 0, 2: 3, 3: 2}
+    curriculum = Curriculum([varied], settings, pairs=1.0)
+    samples = curriculum.samples(8, 3, np.random.default_rng(0))
+    for first, second in zip(samples[::2], samples[1::2], strict=True):
+        assert np.array_equal(first.frames, second.frames)
+        assert first.friction[0] != second.friction[0]
+
+
+def test_shares_are_the_middles_of_equal_parts_of_all_particles() -> None:
+    positions = np.random.default_rng(0).permutation(40).reshape(1, 40, 1).astype(np.float32)
+    assert shares_of(positions, 40)[0, :, 0] == pytest.approx(np.arange(40))
+    assert shares_of(positions, 4)[0, :, 0] == pytest.approx([4.5, 14.5, 24.5, 34.5])
