@@ -82,7 +82,7 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     assert units.length == pytest.approx((0.1 * 0.16) ** 0.5 / 0.28, rel=0.1)
     assert initial.step == units.time * settings.step
     assert initial.times[-1] == pytest.approx(SCENE.duration)
-    assert len(initial.indices) > 3 * len(initial_state(SCENE, SETTINGS).indices)
+    assert len(initial.indices) > 2 * len(initial_state(SCENE, SETTINGS).indices)
     assert float(initial.conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
 
 
