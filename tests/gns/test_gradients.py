@@ -78,7 +78,8 @@ def test_the_gradient_is_that_of_central_differences(problem: tuple[Simulator, S
 
     length = torch.zeros((), dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(end(length), length)
-    step = torch.tensor(1.0e-3, dtype=torch.float64)
+    # Small: the slope of the ground jumps from one elevation to the next, and a particle may cross there.
+    step = torch.tensor(1.0e-5, dtype=torch.float64)
     with torch.no_grad():
         difference = (end(step) - end(-step)) / (2.0 * step)
     assert abs(difference) > 1e-5
