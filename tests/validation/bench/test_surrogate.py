@@ -251,8 +251,9 @@ def tiny(tmp_path: Path) -> Model:
     simulator = Simulator(settings, normalisation)
     with torch.no_grad():
         simulator.network.decoder.mlp[-1].weight.normal_(std=0.3)
-    path = tmp_path / "tiny.pt"
-    checkpoint.save(path, simulator, {"log": {"updates": 3000}, "datasets": ["none: 0"]})
+    path = tmp_path / "tiny.safetensors"
+    provenance = {"log": {"updates": 3000}, "seed": 7, "datasets": ["none: 0"]}
+    checkpoint.save(path, simulator, provenance)
     (model,) = load([path])
     return model
 

@@ -14,7 +14,7 @@ from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from gns.inference import WEIGHTS, model_path
+from gns.inference import model_path, models
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
@@ -55,7 +55,7 @@ class Model:
 
 def load(names: Sequence[Path]) -> list[Model]:
     """The models of these files or names, or those that ship. Raises InputError."""
-    found = [model_path(name) for name in names] or sorted(WEIGHTS.glob("*.pt"))
+    found = [model_path(name) for name in names] or models()
     stems = [path.stem for path in found]
     if not found or len(set(stems)) < len(stems):
         raise InputError(f"expected models of different names, got {', '.join(stems) or 'none'}", key="--model")
