@@ -3,7 +3,9 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +23,8 @@ from gns.model.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
 from mpm.output.request import ALL, Recording
-from validation.bench.surrogate import accuracy, bench, calibration, friction, held_out, pictures, velocities
+from validation.bench.efficiency.gradients import blocks_problem
+from validation.bench.surrogate import accuracy, bench, calibration, friction, held_out, pictures, price, velocities
 from validation.bench.surrogate.accuracy import Accuracy
 from validation.bench.surrogate.calibration import Band, Coverage, Warnings
 from validation.bench.surrogate.friction import Strengths
@@ -399,12 +402,31 @@ def test_models_have_names_of_their_own(tiny: Model) -> None:
         load([tiny.path, tiny.path])
 
 
-@pytest.mark.slow
-def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path) -> None:
+def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(stream: np.random.Generator, index: int) -> Scene:
+        return dataclasses.replace(BLOCK, duration=0.1, seed=int(stream.integers(100)))
+
+    storage = Storage(cell=0.01, kept=1)
+    definition = Definition(
+        name="toys", size=4, connectivity_radius=0.02, split=lambda _: Split.TRAIN, draw=draw, storage=storage
+    )
+    family = Family(definition=definition, kinds=("column",), storage=storage, cell=0.01)
+    monkeypatch.setattr(held_out, "family", lambda dimension: family if dimension == 2 else None)
+    monkeypatch.setattr(bench, "pool", lambda jobs: nullcontext((SimpleNamespace(map=map), jobs)))
+    monkeypatch.setattr(velocities, "blocks_problem", lambda *cut, duration: blocks_problem(*cut, duration=0.05))
+    monkeypatch.setattr(calibration, "shipped_bands", lambda: lambda scene, _: Band(low=0.0, high=1.0))
+    monkeypatch.setattr(plots, "DPI", 30)
     said = bench.bench(tmp_path / "out", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
-    assert "Fronts of held-out scenes" in said
-    assert "Error over seconds" in said
+    assert said.count("\n- ") == 3
+    for part in ("Fronts of held-out scenes", "Error over seconds", "Gradients beside", "hold 100% of 1 fronts"):
+        assert part in said
     text = (tmp_path / "out" / "gns.md").read_text()
     for name in ("gns-held-out-2d.png", "gns-deposits-2d.png", "gns-price.png", "gns-gradients.png"):
         assert name in text
         assert (tmp_path / "out" / name).is_file()
+    # What was measured is not measured again.
+    monkeypatch.setattr(held_out, "simulate_many", lambda *_, **__: pytest.fail("it is there"))
+    monkeypatch.setattr(price, "all_runs", lambda *_: pytest.fail("it is there"))
+    bench.bench(tmp_path / "again", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
+    figures = [line for line in text.splitlines() if line.startswith("|")]
+    assert [line for line in (tmp_path / "again" / "gns.md").read_text().splitlines() if line[:1] == "|"] == figures
