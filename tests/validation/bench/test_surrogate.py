@@ -404,7 +404,8 @@ def test_models_have_names_of_their_own(tiny: Model) -> None:
 
 def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(stream: np.random.Generator, index: int) -> Scene:
-        return dataclasses.replace(BLOCK, duration=0.1, seed=int(stream.integers(100)))
+        thrown = dataclasses.replace(BLOCK.masses[0], velocity=(0.5, 0.0))
+        return dataclasses.replace(BLOCK, masses=(thrown,), duration=0.1, seed=int(stream.integers(100)))
 
     storage = Storage(cell=0.01, kept=1)
     definition = Definition(
