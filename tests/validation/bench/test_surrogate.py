@@ -218,7 +218,7 @@ def test_gradients_beside_the_mean_over_seeds() -> None:
         "tiny": Slope(seconds=0.3, values=(2.0, 0.0)),
         "MPM, 5 cells across": Slope(seconds=0.1, values=(1.0, 1.0)),
     }
-    found = velocities.gradients(2, slopes, rows, ["tiny"])
+    found = velocities.gradients(2, slopes, rows, ["tiny"], 56)
     (own,), (coarse,) = found.models, found.mpm
     assert (own.cosine, own.length) == pytest.approx((1.0, 2.0))
     assert (coarse.cosine, coarse.length) == pytest.approx((0.5**0.5, 2.0**0.5))
@@ -365,7 +365,7 @@ def test_the_page_has_its_conclusion_from_the_numbers(
         models=[tiny],
         accuracy={2: scores},
         prices={2: prices(0.1, 0.015)},
-        gradients=[Gradients(unknowns=10, compared=10, own=0.999, models=[row], mpm=[])],
+        gradients=[Gradients(unknowns=10, compared=10, cells=56, own=0.999, models=[row], mpm=[])],
         friction={"tiny": [Strengths(front=0.95, profile=0.8, seconds=0.5)]},
         rest={
             2: Rest(scenes=[column], rollouts={"tiny": [LongRollout(creep=-0.2, transport=0.1, contained=True)]}),
