@@ -95,13 +95,12 @@ def test_held_out_scenes_are_of_every_kind_and_no_variants(tmp_path: Path) -> No
 
 
 def test_shipped_scenes_on_the_cells_of_the_references() -> None:
-    for dimension, count, cell in ((2, 4, 0.005), (3, 2, 0.016)):
+    for dimension, count in ((2, 4), (3, 2)):
         source = held_out.family(dimension)
         assert source is not None
-        assert source.cell == cell
         found = bench.shipped_scenes(source, dimension)
         assert len(found) == count
-        assert all(0.8 * cell < each.scene.domain.cell <= cell + 1e-9 for each in found)
+        assert all(0.8 < each.scene.domain.cell / source.cell <= 1.0 + 1e-9 for each in found)
         assert {each.scene.frame_dt for each in found} == {0.02}
         assert not {each.kind for each in found} & set(source.kinds)
 
