@@ -401,6 +401,7 @@ def test_models_have_names_of_their_own(tiny: Model) -> None:
         load([tiny.path, tiny.path])
 
 
+@pytest.mark.slow
 def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(stream: np.random.Generator, index: int) -> Scene:
         thrown = dataclasses.replace(BLOCK.masses[0], velocity=(0.5, 0.0))
