@@ -3,7 +3,9 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +23,8 @@ from gns.model.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
 from mpm.output.request import ALL, Recording
-from validation.bench.surrogate import accuracy, bench, calibration, friction, held_out, pictures, velocities
+from validation.bench.efficiency.gradients import blocks_problem
+from validation.bench.surrogate import accuracy, bench, calibration, friction, held_out, pictures, price, velocities
 from validation.bench.surrogate.accuracy import Accuracy
 from validation.bench.surrogate.calibration import Band, Coverage, Warnings
 from validation.bench.surrogate.friction import Strengths
@@ -89,6 +92,17 @@ def test_held_out_scenes_are_of_every_kind_and_no_variants(tmp_path: Path) -> No
     assert not set(training) & set(angles)
     with pytest.raises(InputError, match="--scenes"):
         held_out.draw(family, 0, tmp_path)
+
+
+def test_shipped_scenes_on_the_cells_of_the_references() -> None:
+    for dimension, count in ((2, 4), (3, 2)):
+        source = held_out.family(dimension)
+        assert source is not None
+        found = bench.shipped_scenes(source, dimension)
+        assert len(found) == count
+        assert all(0.8 < each.scene.domain.cell / source.cell <= 1.0 + 1e-9 for each in found)
+        assert {each.scene.frame_dt for each in found} == {0.02}
+        assert not {each.kind for each in found} & set(source.kinds)
 
 
 def test_references_are_thinned_and_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,7 +217,7 @@ def test_gradients_beside_the_mean_over_seeds() -> None:
         "tiny": Slope(seconds=0.3, values=(2.0, 0.0)),
         "MPM, 5 cells across": Slope(seconds=0.1, values=(1.0, 1.0)),
     }
-    found = velocities.gradients(2, slopes, rows, ["tiny"])
+    found = velocities.gradients(2, slopes, rows, ["tiny"], 56)
     (own,), (coarse,) = found.models, found.mpm
     assert (own.cosine, own.length) == pytest.approx((1.0, 2.0))
     assert (coarse.cosine, coarse.length) == pytest.approx((0.5**0.5, 2.0**0.5))
@@ -350,7 +364,7 @@ def test_the_page_has_its_conclusion_from_the_numbers(
         models=[tiny],
         accuracy={2: scores},
         prices={2: prices(0.1, 0.015)},
-        gradients=[Gradients(unknowns=10, compared=10, own=0.999, models=[row], mpm=[])],
+        gradients=[Gradients(unknowns=10, compared=10, cells=56, own=0.999, models=[row], mpm=[])],
         friction={"tiny": [Strengths(front=0.95, profile=0.8, seconds=0.5)]},
         rest={
             2: Rest(scenes=[column], rollouts={"tiny": [LongRollout(creep=-0.2, transport=0.1, contained=True)]}),
@@ -388,11 +402,32 @@ def test_models_have_names_of_their_own(tiny: Model) -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path) -> None:
+def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(stream: np.random.Generator, index: int) -> Scene:
+        thrown = dataclasses.replace(BLOCK.masses[0], velocity=(0.5, 0.0))
+        return dataclasses.replace(BLOCK, masses=(thrown,), duration=0.1, seed=int(stream.integers(100)))
+
+    storage = Storage(cell=0.01, kept=1)
+    definition = Definition(
+        name="toys", size=4, connectivity_radius=0.02, split=lambda _: Split.TRAIN, draw=draw, storage=storage
+    )
+    family = Family(definition=definition, kinds=("column",), storage=storage, cell=0.01)
+    monkeypatch.setattr(held_out, "family", lambda dimension: family if dimension == 2 else None)
+    monkeypatch.setattr(bench, "pool", lambda jobs: nullcontext((SimpleNamespace(map=map), jobs)))
+    monkeypatch.setattr(velocities, "blocks_problem", lambda *cut, duration: blocks_problem(*cut, duration=0.05))
+    monkeypatch.setattr(calibration, "shipped_bands", lambda: lambda scene, _: Band(low=0.0, high=1.0))
+    monkeypatch.setattr(plots, "DPI", 30)
     said = bench.bench(tmp_path / "out", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
-    assert "Fronts of held-out scenes" in said
-    assert "Error over seconds" in said
+    assert said.count("\n- ") == 3
+    for part in ("Fronts of held-out scenes", "Error over seconds", "Gradients beside", "hold 100% of 1 fronts"):
+        assert part in said
     text = (tmp_path / "out" / "gns.md").read_text()
     for name in ("gns-held-out-2d.png", "gns-deposits-2d.png", "gns-price.png", "gns-gradients.png"):
         assert name in text
         assert (tmp_path / "out" / name).is_file()
+    # What was measured is not measured again.
+    monkeypatch.setattr(held_out, "simulate_many", lambda *_, **__: pytest.fail("it is there"))
+    monkeypatch.setattr(price, "all_runs", lambda *_: pytest.fail("it is there"))
+    bench.bench(tmp_path / "again", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
+    figures = [line for line in text.splitlines() if line.startswith("|")]
+    assert [line for line in (tmp_path / "again" / "gns.md").read_text().splitlines() if line[:1] == "|"] == figures

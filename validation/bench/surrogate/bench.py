@@ -33,10 +33,10 @@ PICTURED = 8
 class Counts:
     """How much is measured."""
 
-    scenes: int
-    """Of each kind."""
-    finer: int
-    """Scenes whose reference is computed on finer cells."""
+    scenes: dict[int, int]
+    """Of each kind, by dimension."""
+    finer: dict[int, int]
+    """Scenes whose reference is computed on finer cells, by dimension."""
     timed: int
     """Scenes of each kind in error over seconds."""
     long: int
@@ -54,7 +54,9 @@ def bench(
     keep: Path,
     model: tuple[Path, ...] = (),
     scenes: int = 40,
+    scenes_3d: int = 10,
     finer: int = 4,
+    finer_3d: int = 1,
     timed: int = 2,
     long: int = 20,
     columns: int = 10,
@@ -73,9 +75,13 @@ def bench(
     model
         A model's file or the name of one that ships, once or more often; all that ship unless given.
     scenes
-        Held-out scenes of each kind.
+        Held-out scenes of each kind in 2D.
+    scenes_3d
+        The same in 3D, whose references are dear.
     finer
-        Scenes whose reference is computed once more on cells half as large, and with another jitter.
+        Scenes in 2D whose reference is computed once more on cells half as large, and with another jitter.
+    finer_3d
+        The same in 3D.
     timed
         Held-out scenes of each kind in error over seconds.
     long
@@ -86,9 +92,16 @@ def bench(
         Jitter seeds of the MPM's gradients.
     """
     models = load(model)
-    counts = Counts(scenes=scenes, finer=finer, timed=timed, long=long, columns=columns, seeds=seeds)
+    counts = Counts(
+        scenes={2: scenes, 3: scenes_3d},
+        finer={2: finer, 3: finer_3d},
+        timed=timed,
+        long=long,
+        columns=columns,
+        seeds=seeds,
+    )
     if quick:
-        counts = Counts(scenes=1, finer=1, timed=1, long=2, columns=1, seeds=1)
+        counts = Counts(scenes={2: 1, 3: 1}, finer={2: 1, 3: 1}, timed=1, long=2, columns=1, seeds=1)
     found = Found(models=models)
     for dimension in (2, 3):
         some = [each for each in models if each.settings.dimension == dimension]
@@ -112,14 +125,14 @@ def with_dimension(
     quick: bool,
 ) -> Found:
     """With all that there is to measure of the models of one dimension; pictures of it are drawn."""
-    drawn = held_out.draw(source, counts.scenes, keep)
+    drawn = held_out.draw(source, counts.scenes[dimension], keep)
     if quick:
         drawn = coarsened(drawn[:QUICK_KINDS], QUICK_CELLS[dimension] * source.cell)
     references = References(keep / source.definition.name, source.storage)
     # Pool first: what is timed runs when its processes are gone.
     with pool(processors()) as (executor, _):
         scores = accuracy.measure(drawn, models, references, keep, executor.map)
-        apart = accuracy.reference_errors(spread_over_kinds(drawn, counts.finer), references)
+        apart = accuracy.reference_errors(spread_over_kinds(drawn, counts.finer[dimension]), references)
         accurate = Accuracy(scenes=drawn, scores=scores, finer=apart[0], jitter=apart[1])
         still = rest.measure(rest.settled(drawn, references, counts.long), models, keep, executor.map)
         shown = pictured(accurate, models, references, executor.map)

@@ -15,7 +15,7 @@ from validation.bench.surrogate.models import Model
 from validation.bench.surrogate.price import Prices, said
 from validation.bench.surrogate.rest import Rest
 from validation.bench.surrogate.scores import Deposit, Score, mean, rms, worst
-from validation.bench.surrogate.velocities import CRITERIA, REFERENCE_CELLS, Gradients
+from validation.bench.surrogate.velocities import CRITERIA, Gradients
 from validation.report.machine import GNS, MPM
 from validation.report.page import Page, Row, signed
 
@@ -260,7 +260,7 @@ def gradients_section(text: Page, found: Sequence[Gradients]) -> None:
     text.section("Gradients in velocities")
     text.text(f"""
         The paper's ten layers, whole and each cut into ten blocks, at half of their true velocities; the gradient of
-        the misfit of the whole deposit. Reference: central differences of the MPM on {REFERENCE_CELLS} cells across the
+        the misfit of the whole deposit. Reference: central differences of the MPM on {found[0].cells} cells across the
         column, the mean over pairs of jitter seeds of run and target. The models' by automatic differentiation, against
         the MPM's target; beside it differences of one coarse run each. One thread.
     """)

@@ -81,7 +81,7 @@ def draw_deposit(axis: Axes, each: Pictured) -> None:
     size = each.truth.scene.domain.size
     stations = np.linspace(0.0, size[0], STATIONS + 1)
 
-    def heights(flow: Trajectory) -> np.ndarray:  # type: ignore[type-arg]
+    def heights(flow: Trajectory) -> np.ndarray:
         width = size[2] if len(size) > 2 else 1.0
         return 100.0 * measures.height_profile(flow.positions[-1], flow.volumes, stations) / width
 

@@ -46,7 +46,7 @@ class Rest:
 def settled(scenes: Sequence[HeldOut], references: References, number: int) -> list[HeldOut]:
     """So many scenes whose reference comes to rest before its end, the first of every kind first."""
     ordered = sorted(scenes, key=lambda each: each.number)
-    found = []
+    found: list[HeldOut] = []
     for each in ordered:
         if len(found) == number:
             break

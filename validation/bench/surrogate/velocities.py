@@ -77,6 +77,8 @@ class Gradients:
     unknowns: int
     compared: int
     """Unknowns whose derivatives are compared."""
+    cells: int
+    """Of the reference, across the column."""
     own: float
     """Mean cosine between the gradient of one pair of seeds and the mean of the others; nan of one pair [-]."""
     models: Sequence[Compared]
@@ -151,12 +153,15 @@ def measure(models: Sequence[Model], keep: Path, plan: Plan) -> list[Gradients]:
             problem = problem_on(columns, layers, cells)
             key = digest(problem.scene, problem.target.seed)
             rows[mpm_method(cells)] = stored.made(key, partial(by_differences, problem, one_thread))
-        found.append(gradients(len(fine[0].parameters), slopes, rows, [model.name for model in models]))
+        names = [model.name for model in models]
+        found.append(gradients(len(fine[0].parameters), slopes, rows, names, plan.reference_cells))
     return found
 
 
-def gradients(unknowns: int, slopes: Sequence[Vector], rows: dict[str, Slope], models: Sequence[str]) -> Gradients:
-    """Gradients by method beside the mean of the `slopes` of all pairs of seeds."""
+def gradients(
+    unknowns: int, slopes: Sequence[Vector], rows: dict[str, Slope], models: Sequence[str], cells: int
+) -> Gradients:
+    """Gradients by method beside the mean of the `slopes` of all pairs of seeds, on so many cells."""
     reference = np.mean(slopes, axis=0)
     compared = [
         Compared(
@@ -172,6 +177,7 @@ def gradients(unknowns: int, slopes: Sequence[Vector], rows: dict[str, Slope], m
     return Gradients(
         unknowns=unknowns,
         compared=len(reference),
+        cells=cells,
         own=float(np.mean(alone)),
         models=[each for each in compared if each.method in models],
         mpm=[each for each in compared if each.method not in models],
