@@ -121,7 +121,13 @@ def train(
             log = Log(out, size=position.log_size, updates=position.updates, tensorboard=tensorboard)
         outputs = Outputs(out=out, log=log, valid=valid, provenance=provenance)
         try:
-            fit(run, Curriculum(groups, model, pairs=training.pairs), budget, Clock(clock), outputs)
+            fit(
+                run,
+                Curriculum(groups, model, first=training.first, pairs=training.pairs),
+                budget,
+                Clock(clock),
+                outputs,
+            )
             if log is not None:
                 report_length(out, log, total_updates(provenance) + run.position.updates, model.dimension)
         finally:

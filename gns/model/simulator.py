@@ -5,15 +5,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from gns.model import traction
 from gns.model.context import channels
 from gns.model.graph import radius_graph
-from gns.model.grid import column_features, stencil_of
+from gns.model.grid import REFERENCE_HEIGHT, column_features, stencil_of
 from gns.model.network import Network
 from gns.model.settings import ModelSettings
 from gns.model.solids import feature_count, keep_out, occupancy, solid_features
 from gns.model.state import Conditions, State
+from gns.model.traction import traction_features
 from gns.units import GRAVITY
 
+SLOW = 0.1
+"""Displacement over the root mean square one below which the direction of motion fades from the features [-]."""
 DAMPING = 5.0
 """Factor that brings the coefficient of damping to the size of the other features [-]."""
 REFERENCE_COHESION = 1000.0
@@ -75,7 +79,8 @@ class Simulator(nn.Module):
         # displacements and their changes; solids; volume; what is constant; the grid's surroundings
         motion = (2 * settings.history - 1) * dimension
         constant = conditions_count(dimension)
-        features = motion + feature_count(dimension) + 1 + constant + channels(settings)
+        contact = feature_count(dimension) + traction.count(dimension)
+        features = motion + contact + 2 + constant + channels(settings)
         self.network = Network(features, constant, settings)
 
     def forward(self, state: State, conditions: Conditions) -> State:
@@ -120,13 +125,30 @@ class Simulator(nn.Module):
         settings = self.settings
         changes = state.displacements[1:] - state.displacements[:-1]
         motion = torch.cat((state.displacements / self.displacement_scale, changes / self.acceleration_scale))
+        solids = solid_features(state.positions, conditions, settings.radius)
+        tractions = traction_features(
+            state.positions,
+            state.displacements[-1],
+            solids[:, -(settings.dimension + 1) :],
+            conditions,
+            cutoff=settings.radius,
+            slow=SLOW * self.displacement_scale,
+        )
+        strong = traction.strength(
+            conditions.cohesion,
+            REFERENCE_HEIGHT * column[:, 1],
+            weight=settings.density * GRAVITY,
+            cell=settings.cell,
+        )
         return torch.cat(
             (
                 motion.movedim(0, 1).flatten(1),
-                solid_features(state.positions, conditions, settings.radius),
+                solids,
                 (conditions.volume / settings.particle_volume).unsqueeze(1) - 1.0,
                 constant,
                 column,
+                tractions,
+                strong,
             ),
             dim=1,
         )

@@ -14,12 +14,10 @@ from gns.model.simulator import Normalisation, Simulator
 from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
-SHARE_FIRST = 0.15
-"""Share of samples that start with the flow itself: from positions and velocities alone."""
-SHARE_EARLY = 0.10
-"""Share that starts just after, with part of the history made up from the initial velocities."""
-SHARE_MOVING = 0.60
-"""Share that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
+SHARE_EARLY = 0.12
+"""Share of the other samples that starts just after, with part of the history made up from the initial velocities."""
+SHARE_MOVING = 0.70
+"""Share of them that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
@@ -113,9 +111,12 @@ class UnrolledLoss(nn.Module):
 class Curriculum:
     """Draws training samples: datasets in equal shares, their flows alike, each in a random one of its symmetries."""
 
-    def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, pairs: float = 0.0) -> None:
-        """pairs: share of batches of a flow and its variant, which starts from the same particles."""
-        self._settings, self._datasets, self._pairs = settings, datasets, pairs
+    def __init__(
+        self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, first: float = 0.15, pairs: float = 0.0
+    ) -> None:
+        """first: share of samples that start with the flow itself, from positions and velocities alone; pairs: share of
+        batches of a flow and its variant, which starts from the same particles."""
+        self._settings, self._datasets, self._first, self._pairs = settings, datasets, first, pairs
         self._partners = [partners(flows) if pairs > 0.0 else {} for flows in datasets]
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
@@ -151,13 +152,13 @@ class Curriculum:
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
-        kind = rng.random()
-        if kind < SHARE_FIRST:
+        if rng.random() < self._first:
             return 0
-        if kind < SHARE_FIRST + SHARE_EARLY:
+        kind = rng.random()
+        if kind < SHARE_EARLY:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
         anywhere = rng.integers(0, last + 1, size=TRIES)
-        if kind < SHARE_FIRST + SHARE_EARLY + SHARE_MOVING:
+        if kind < SHARE_EARLY + SHARE_MOVING:
             # The first that moves is a random one of those that move, and only two frames of each are read.
             return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
         return int(anywhere[0])

@@ -49,6 +49,8 @@ class TrainingSettings:
     """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    first: float = 0.15
+    """Share of samples that start with the flow itself: from positions and velocities alone."""
     shares: float = 0.0
     """Weight of the distance between the distributions of the particles and of the truth (`share_loss`)."""
     changes: float = 0.0

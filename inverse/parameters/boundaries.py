@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.geometry.ground import ground_raster
+from datasets.geometry.ground import topmost
 from datasets.scene import Scene
 from gns.initial import InitialState
 from inverse.parameters.kind import Kind, Parts, require_index
@@ -77,12 +77,9 @@ class SolidFriction(Kind):
 
 def with_ground_friction(initial: InitialState, solid: int | None, value: Tensor) -> InitialState:
     """`initial` with the coefficient `value` where the ground is the terrain `solid`, for None the floor."""
-    ground, scene = initial.conditions.ground, initial.scene
+    ground = initial.conditions.ground
     if ground is None:
         return initial
-    # Where it is on top of the others, a coefficient of 1 for it and 0 for them appears as 1.
-    solids = [dataclasses.replace(each, friction=float(index == solid)) for index, each in enumerate(scene.solids)]
-    marked = dataclasses.replace(scene, solids=tuple(solids), floor_friction=float(solid is None))
-    _, coefficient = ground_raster(marked, ground.spacing)
-    friction = torch.where(torch.from_numpy(coefficient > 0.5), value.to(ground.friction.dtype), ground.friction)
+    own = torch.from_numpy(topmost(initial.scene, ground.spacing) == (-1 if solid is None else solid))
+    friction = torch.where(own, value.to(ground.friction.dtype), ground.friction)
     return initial.with_conditions(ground=dataclasses.replace(ground, friction=friction))

@@ -1,5 +1,6 @@
 """The loop: the surrogate proposes, the MPM checks and corrects it, and gives the verdict on the answer."""
 
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -68,6 +69,8 @@ def _solve(problem: Problem | str, out: Path, model: Path | None, memory_gib: fl
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     differences = RunStore(folder, simulate, label=DIFFERENCES)
     source, reason = choose(asked, target, differences, model=model, memory_gib=memory_gib)
+    if reason is not None:
+        print(f"the MPM runs without the surrogate: {reason}", file=sys.stderr)
     task = Task(problem=asked, target=target, source=source, folder=folder, simulate=simulate)
     return run(task, without_surrogate=reason)
 

@@ -313,8 +313,9 @@ def extrapolated_cost(name: str, network: nn.Module, settings: ModelSettings) ->
     backward pass.
     """
     start = initial(settings)
-    forward = step(network, start.state, start.conditions, Measure.FORWARD)
-    gradient = step(network, start.state, start.conditions, Measure.GRADIENT)
+    state, conditions = start.state.over(start.conditions.units.length), start.conditions.in_model_units()
+    forward = step(network, state, conditions, Measure.FORWARD)
+    gradient = step(network, state, conditions, Measure.GRADIENT)
     forward()
     one = mean_seconds(forward)
     gradient()

@@ -7,7 +7,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import gns
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -72,8 +75,14 @@ class RolloutTask:
 
 
 def roll_out(task: RolloutTask) -> Trajectory:
-    """The rollout of a task, in whichever process; its summary has the seconds of its steps, `wall_s`."""
-    return gns.simulate(task.scene, model=loaded(task.model))
+    """The rollout of a task, in whichever process; its summary has the seconds of its steps, `wall_s`.
+
+    Raises WorkFailed for positions that are not finite.
+    """
+    found = gns.simulate(task.scene, model=loaded(task.model))
+    if not np.isfinite(found.positions).all():
+        raise WorkFailed(f"a rollout by {task.model} is not finite")
+    return found
 
 
 @cache
