@@ -263,7 +263,7 @@ QUANTITIES: dict[str, Quantity] = {
         unit="l", values=ground(lambda elevation, _, __: [float(np.ptp(elevation))]), bound=Bound.UPPER
     ),
     "damping": Quantity(unit="", values=lambda scene, _: [scene.damping]),
-    "slope_deg": Quantity(unit="deg", values=lambda scene, _: [scene.slope_deg]),
+    "slope_deg": Quantity(unit="deg", values=lambda scene, _: [abs(scene.slope_deg)]),
     "slope_length": Quantity(unit="l", values=slope_length, bound=Bound.UPPER),
     "masses": Quantity(unit="", values=lambda scene, _: [float(len(scene.masses))]),
     "mass_aspect": Quantity(unit="", values=aspect, ratio=True),
