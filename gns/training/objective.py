@@ -15,9 +15,9 @@ from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
 SHARE_EARLY = 0.12
-"""Share of the other samples that starts just after, with part of the history made up from the initial velocities."""
+"""Share of the other samples that starts just after, part of their history made up from the initial velocities."""
 SHARE_MOVING = 0.70
-"""Share of them that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
+"""Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
@@ -41,7 +41,7 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
 
 
 def share_loss(positions: Tensor, shares: Tensor, batch: Tensor, samples: int, scale: float) -> tuple[Tensor, Tensor]:
-    """How far the parts of each cloud lie from those of the truth: along each axis, its n-th particle from the n-th part.
+    """How far the parts of each cloud lie from those of the truth: the n-th particle along an axis from the n-th part.
 
     positions, shares: [m], shape [K, N, D]; batch: sample of each particle, shape [N]; scale: distance [m] that counts
     as one. Returns the mean smooth L1 distance of all samples, and that of the differences between the errors of one
@@ -120,7 +120,12 @@ class Curriculum:
         self._partners = [partners(flows) if pairs > 0.0 else {} for flows in datasets]
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
-        """`count` samples with `steps` targets, side by side; in a pair two that follow each other are of variants."""
+        """`count` samples with `steps` targets, side by side."""
+        samples = self.samples(count, steps, rng)
+        return batched(samples, step=self._settings.step, history=self._settings.history)
+
+    def samples(self, count: int, steps: int, rng: np.random.Generator) -> list[Sample]:
+        """`count` samples with `steps` targets; of pairs the two follow each other."""
         samples: list[Sample] = []
         paired = rng.random() < self._pairs
         while len(samples) < count:
@@ -133,10 +138,10 @@ class Curriculum:
                 chosen.append(self._partners[which][number])
             last = min(len(flows[each].positions) for each in chosen) - 1 - steps
             now = self._start(flows[number], last, rng)
-            samples += [self.draw(flows[each], now, steps, np.random.default_rng(seed)) for each in chosen]
-        return batched(samples, step=self._settings.step, history=self._settings.history)
+            samples += [self._sample(flows[each], now, steps, np.random.default_rng(seed)) for each in chosen]
+        return samples
 
-    def draw(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
+    def _sample(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
         """The stretch of `flow` with `steps` targets after index `now`, in a random one of its symmetries."""
         settings = self._settings
         sample = cut(
