@@ -26,7 +26,7 @@ from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.training.memory_mapped import open_trajectory
 from gns.inference import shipped
-from gns.model import checkpoint
+from gns.model import checkpoint, rheology, traction
 from gns.model.context import channels
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator, conditions_count
@@ -140,6 +140,9 @@ def features(settings: ModelSettings) -> dict[str, int]:
         "volume": 1,
         "friction, cohesion, floor, walls, damping, gravity": conditions_count(dimension),
         "column on the grid": channels(settings),
+        "tractions of surfaces and damping": traction.count(dimension),
+        "cohesion over the weight above": 1,
+        "forces of pressure and internal friction": rheology.count(dimension),
     }
 
 

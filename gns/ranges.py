@@ -258,10 +258,12 @@ QUANTITIES: dict[str, Quantity] = {
     "ground_friction": Quantity(
         unit="", values=ground(lambda _, friction, __: [float(friction.min()), float(friction.max())])
     ),
-    "ground_deg": Quantity(unit="deg", values=ground(steepest)),
-    "ground_relief": Quantity(unit="l", values=ground(lambda elevation, _, __: [float(np.ptp(elevation))])),
+    "ground_deg": Quantity(unit="deg", values=ground(steepest), bound=Bound.UPPER),
+    "ground_relief": Quantity(
+        unit="l", values=ground(lambda elevation, _, __: [float(np.ptp(elevation))]), bound=Bound.UPPER
+    ),
     "damping": Quantity(unit="", values=lambda scene, _: [scene.damping]),
-    "slope_deg": Quantity(unit="deg", values=lambda scene, _: [scene.slope_deg]),
+    "slope_deg": Quantity(unit="deg", values=lambda scene, _: [abs(scene.slope_deg)]),
     "slope_length": Quantity(unit="l", values=slope_length, bound=Bound.UPPER),
     "masses": Quantity(unit="", values=lambda scene, _: [float(len(scene.masses))]),
     "mass_aspect": Quantity(unit="", values=aspect, ratio=True),

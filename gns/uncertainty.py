@@ -23,13 +23,14 @@ training ranges (`gns.card`) nothing is promised.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
@@ -69,6 +70,15 @@ class Ensemble:
             if other.settings != model.settings:
                 raise InputError(f"expected the settings of {path.name}", where=str(each), key="settings")
         return Ensemble(model=model, members=tuple(others))
+
+    def values(self, state: State, conditions: Conditions, steps: int, observe: Callable[[Tensor], Tensor]) -> Floats:
+        """What each member predicts of an observation, for `standard_deviation`, shape [M, K].
+
+        observe: positions at the start and after each step [m], shape [steps + 1, n, D], to K numbers.
+        """
+        with torch.no_grad():
+            found = [observe(unroll(each, state, conditions, steps)).reshape(-1) for each in self.members]
+        return torch.stack(found).double().numpy()
 
     def outcome(self, state: State, conditions: Conditions, steps: int) -> "Outcome":
         """Roll out all of them from one state of a single flow."""

@@ -262,6 +262,12 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
             card.read(own)
 
 
+def test_the_page_names_every_key() -> None:
+    page = (ROOT / "docs" / "formats.md").read_text().split("## A model\n")[1].split("\n## ")[0]
+    for kind in (ModelSettings, Card, card.Data, card.Calibration):
+        assert [each.name for each in dataclasses.fields(kind) if f"`{each.name}`" not in page] == []
+
+
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)
 def test_every_model_that_ships_has_a_card(weights: Path) -> None:
     found = known(weights)

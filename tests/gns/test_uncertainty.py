@@ -13,6 +13,7 @@ from datasets.errors import InputError
 from gns import card
 from gns.calibrate import calibrate
 from gns.inference import member_path
+from gns.initial import initial_state
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
@@ -141,6 +142,15 @@ def test_a_calibrated_model_predicts_a_band(model: Path, flows: Path, capsys: py
     assert found.half_width == pytest.approx(expected, rel=1e-4)
     assert found.transport > 0.0
     assert found.warning is None
+    # Any other observation: the mean place of the particles over time, by each member.
+    ensemble = Ensemble.load(model)
+    start = initial_state(scene, ensemble.model.settings)
+    values = ensemble.values(
+        start.state, start.conditions, start.steps, lambda positions: positions[:, :, 0].mean(dim=1)
+    )
+    assert values.shape == (2, start.steps + 1)
+    assert values[1, -1] == pytest.approx(float(deposits[2][:, 0].mean()))
+    assert standard_deviation(calibration, values, extent)[-1] > calibration.deviation * calibration.floor * extent
     steep = dataclasses.replace(scene, slope_deg=20.0)
     assert "slope_deg 20" in (predict(steep, model=model).warning or "")
 
