@@ -38,12 +38,24 @@ def ground_raster(scene: "Scene", spacing: float) -> tuple[Floats, Floats]:
     Both of shape [X], in 3D [X, Z], to the first place at or beyond the end of the box. Where no terrain is, it is the
     floor.
     """
+    height, friction, _ = _ground_at(scene, spacing)
+    return height, friction
+
+
+def topmost(scene: "Scene", spacing: float) -> NDArray[np.int64]:
+    """Number of the solid that is the ground at each place of `ground_raster`, -1 for the floor; shape [X(, Z)]."""
+    return _ground_at(scene, spacing)[2]
+
+
+def _ground_at(scene: "Scene", spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Elevation [m], Coulomb coefficient [-] and number of the solid that is the ground, each of shape [X(, Z)]."""
     size, dimension = scene.domain.size, scene.dimension
     box = Box(size, scene.domain.cell)
     axes = [spacing * np.arange(math.ceil(size[axis] / spacing - 1.0e-6) + 1) for axis in range(dimension) if axis != 1]
     grids = np.meshgrid(*axes, indexing="ij")
     plan = np.stack([grid.ravel() for grid in grids], axis=1)
     height, friction = np.zeros(len(plan)), np.full(len(plan), scene.floor_friction)
+    top = np.full(len(plan), -1)
     for index, solid in enumerate(scene.solids):
         if solid.kind != "terrain":
             continue
@@ -53,9 +65,11 @@ def ground_raster(scene: "Scene", spacing: float) -> tuple[Floats, Floats]:
         else:
             x, z, heights, roughs = ground_grid(solid, f"solids[{index}]", box)
             own, mu = interpolated(x, z, heights, plan), interpolated(x, z, roughs, plan)
-        friction = np.where(own >= height, mu, friction)
+        higher = own >= height
+        friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
         height = np.maximum(height, own)
-    return height.reshape(grids[0].shape), friction.reshape(grids[0].shape)
+    shape = grids[0].shape
+    return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
 
 
 def ground_line(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats]:

@@ -2,21 +2,17 @@
 
 import dataclasses
 import itertools
-import math
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.scene import Baffle, Mass, Scene
-from gns.initial import MPM_SECONDS, InitialState
+from datasets.scene import Baffle, Scene
+from gns.initial import InitialState
 from inverse.parameters.kind import UP, Kind, Parts, T, replaced, require_axis, require_index
-
-CLEAR_CELLS = 2.0
-"""Distance from a baffle up to which a flow may depend on it, in cells of the MPM's grid."""
 
 
 @dataclass(frozen=True)
@@ -97,24 +93,3 @@ def swept(scene: Scene, kinds: Sequence[Kind], bounds: Sequence[tuple[float, flo
         upper = np.max([high for _, high in corners], axis=0).round(9)
         boxes[index] = Baffle(lower=tuple(lower.tolist()), size=tuple((upper - lower).round(9).tolist()))
     return boxes
-
-
-def clear_of_start(scene: Scene, boxes: Iterable[Baffle]) -> bool:
-    """Whether the MPM's first frames of `scene` do not depend on baffles anywhere in `boxes`.
-
-    Until then no particle gets further than |v| t + g t^2, twice as far as in a free fall.
-    """
-    cells = CLEAR_CELLS * scene.domain.cell
-    return all(
-        gap(mass, box) > math.hypot(*(mass.velocity or (0.0,))) * MPM_SECONDS + scene.gravity * MPM_SECONDS**2 + cells
-        for mass in scene.masses
-        for box in boxes
-    )
-
-
-def gap(mass: Mass, baffle: Baffle) -> float:
-    """Distance of two boxes along the axis on which it is largest [m]; negative where they overlap."""
-    return max(
-        max(low_b - (low_m + size_m), low_m - (low_b + size_b))
-        for low_m, size_m, low_b, size_b in zip(mass.lower, mass.size, baffle.lower, baffle.size, strict=True)
-    )

@@ -1,5 +1,6 @@
 """The forward model that proposes: the learned surrogate where it was trained for the flow, else the linearised MPM."""
 
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -44,4 +45,6 @@ def choose(
         outside = outside or [str(error)]
     if outside:
         return by_mpm, f"{weights.name} was not trained on such a flow: {'; '.join(outside)}"
+    if warning := card.warning(weights, scene):
+        print(warning, file=sys.stderr)
     return GnsSource(simulator, problem, observation, memory_gib), None

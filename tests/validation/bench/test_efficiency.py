@@ -84,7 +84,6 @@ def searched(problem: Problem, name: str, limit: float = 100.0, offset: float = 
         components=1,
         gns=gns,
         gns_target=values,
-        gns_start_s=0.5,
         mpm=mpm,
         check=Formula(),
     )
