@@ -18,7 +18,11 @@ NO_GROUND = (0,)
 
 
 def tensors_of(
-    around: Surroundings, *, boxes: int | None = None, raster: tuple[int, ...] | None = None
+    around: Surroundings,
+    *,
+    boxes: int | None = None,
+    turned: bool | None = None,
+    raster: tuple[int, ...] | None = None,
 ) -> dict[str, Tensor]:
     """What is around a flow, as tensors whose first axis is that of the samples, here of length 1.
 
@@ -26,12 +30,16 @@ def tensors_of(
     | box, gravity                           | m, m/s^2 | [1, D]; extent of the box         |
     | floor_friction, wall_friction, damping | -      | [1]                                 |
     | baffles, baffle_friction               | m, -   | [1, K, 2, D], [1, K]; K may be 0    |
+    | baffle_turn                            | rad    | [1, K]; [1, 0] where none is turned |
     | elevation, ground_friction             | m, -   | [1, X(, Z)]; X is 0 without terrain |
 
     boxes, raster: pad to so many baffles and to ground of this shape, which lies far below where there is none; as many
-    as there are unless given.
+    as there are unless given. turned: whether turns are among them; where any is not zero unless given.
     """
-    baffles, friction = padded_baffles(around, len(around.baffles) if boxes is None else boxes)
+    count = len(around.baffles) if boxes is None else boxes
+    baffles, friction = padded_baffles(around, count)
+    turn = np.pad(around.baffle_turn, (0, count - len(around.baffle_turn)))
+    turned = bool(turn.any()) if turned is None else turned
     own = NO_GROUND if around.ground is None else around.ground[0].shape
     elevation, roughness = padded_ground(around, own if raster is None else raster)
     values: dict[str, Floats | float] = {
@@ -42,6 +50,7 @@ def tensors_of(
         "damping": around.damping,
         "baffles": baffles,
         "baffle_friction": friction,
+        "baffle_turn": turn if turned else turn[:0],
         "elevation": elevation,
         "ground_friction": roughness,
     }
@@ -63,7 +72,7 @@ def conditions_of(
     around: `tensors_of` them, joined along the first axis; spacing: between two elevations of their ground [m]; the
     others: see `Conditions`.
     """
-    baffles, elevation = around["baffles"], around["elevation"]
+    baffles, turn, elevation = around["baffles"], around["baffle_turn"], around["elevation"]
     return Conditions(
         friction=friction,
         cohesion=cohesion,
@@ -76,6 +85,7 @@ def conditions_of(
         batch=batch,
         baffles=baffles if baffles.shape[1] else None,
         baffle_friction=around["baffle_friction"] if baffles.shape[1] else None,
+        baffle_turn=turn if turn.shape[1] else None,
         ground=Ground(elevation=elevation, friction=around["ground_friction"], spacing=spacing)
         if elevation.shape[1]
         else None,

@@ -108,7 +108,9 @@ class Surroundings:
     damping: float
     """Local damping [-]."""
     baffles: Floats
-    """Lower and upper corner of each baffle [m], shape [K, 2, D]; K may be 0."""
+    """Lower and upper corner of each baffle before its turn [m], shape [K, 2, D]; K may be 0."""
+    baffle_turn: Floats
+    """Turn of each baffle [rad], in 2D from x to y, in 3D about the vertical from x to z; shape [K]."""
     baffle_friction: Floats
     """Coulomb coefficient of each baffle [-], shape [K]."""
     ground: tuple[Floats, Floats] | None
@@ -129,6 +131,7 @@ class Surroundings:
             wall_friction=scene.wall_friction,
             damping=scene.damping,
             baffles=corners(scene),
+            baffle_turn=np.radians([each.turned_deg for each in scene.baffles]).astype(np.float32),
             baffle_friction=np.array(frictions, np.float32),
             ground=ground,
         )
@@ -149,7 +152,9 @@ class Surroundings:
                 return values.astype(np.float32)
 
             ground = turned(ground[0]), turned(ground[1])
-        return dataclasses.replace(self, gravity=flip * self.gravity, baffles=baffles, ground=ground)
+        return dataclasses.replace(
+            self, gravity=flip * self.gravity, baffles=baffles, baffle_turn=-self.baffle_turn, ground=ground
+        )
 
     def exchanged(self) -> "Surroundings":
         """The same in 3D with x and z exchanged."""
@@ -159,6 +164,7 @@ class Surroundings:
             size=self.size[turn],
             gravity=self.gravity[turn],
             baffles=self.baffles[..., turn],
+            baffle_turn=-self.baffle_turn,
             ground=None if self.ground is None else (self.ground[0].T, self.ground[1].T),
         )
 
@@ -197,7 +203,7 @@ def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | No
 
 
 def corners(scene: Scene) -> Floats:
-    """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
+    """Lower and upper corner of each baffle before its turn [m], shape [K, 2, D]."""
     lower = np.array([baffle.lower for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
     size = np.array([baffle.size for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
     return np.concatenate((lower, lower + size), axis=1)

@@ -10,9 +10,10 @@ from gns.model.context import channels
 from gns.model.graph import radius_graph
 from gns.model.grid import REFERENCE_HEIGHT, Stencil, column_features, stencil_of
 from gns.model.network import Network
+from gns.model.occupancy import occupancy
 from gns.model.rheology import internal_forces
 from gns.model.settings import ModelSettings
-from gns.model.solids import feature_count, keep_out, occupancy, solid_features
+from gns.model.solids import feature_count, keep_out, solid_features
 from gns.model.state import Conditions, State
 from gns.model.traction import traction_features
 from gns.units import GRAVITY

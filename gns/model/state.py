@@ -97,7 +97,12 @@ class Conditions(Tensors):
     baffles: Tensor | None = None
     """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D].
 
-    A sample with fewer has boxes of no size far outside the domain.
+    A sample with fewer has boxes of no size far outside the domain. Those of a turned one are before its turn.
+    """
+    baffle_turn: Tensor | None = None
+    """Turn of these baffles about their centres [rad], in 2D from x to y, in 3D about the vertical from x to z, [B, K].
+
+    Absent where none is turned.
     """
     baffle_friction: Tensor | None = None
     """Coulomb coefficient of these baffles [-], shape [B, K]."""

@@ -26,6 +26,7 @@ class Particles(Data):  # type: ignore[misc]
     | box, gravity                   | m, m/s^2   | [B, D]; extent of the boxes                     |
     | floor_friction, wall_friction, damping | -  | [B]                                             |
     | baffles, baffle_friction       | m, -       | [B, K, 2, D], [B, K], padded; K may be 0        |
+    | baffle_turn                    | rad        | [B, K]; [B, 0] where none is turned             |
     | elevation, ground_friction     | m, -       | [B, X(, Z)], padded; X is 0 without any terrain |
     """
 
@@ -52,6 +53,7 @@ class Particles(Data):  # type: ignore[misc]
 def batched(samples: list[Sample], *, step: float, history: int) -> Particles:
     """Join samples; they have equally many targets. `.to(device)` moves all of it."""
     boxes = max(len(sample.surroundings.baffles) for sample in samples)
+    turned = any(bool(sample.surroundings.baffle_turn.any()) for sample in samples)
     rasters = [sample.surroundings.ground[0].shape for sample in samples if sample.surroundings.ground is not None]
     raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or NO_GROUND
     parts = []
@@ -67,7 +69,7 @@ def batched(samples: list[Sample], *, step: float, history: int) -> Particles:
                 friction=torch.from_numpy(sample.friction),
                 cohesion=torch.from_numpy(sample.cohesion),
                 volume=torch.from_numpy(sample.volume),
-                **tensors_of(sample.surroundings, boxes=boxes, raster=raster),
+                **tensors_of(sample.surroundings, boxes=boxes, turned=turned, raster=raster),
             )
         )
     batch: Particles = Batch.from_data_list(parts)

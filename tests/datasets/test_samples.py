@@ -101,7 +101,10 @@ def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None, "a").tolist() == [500.0] * 3
 
 
-BAFFLES = (Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)), Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1)))
+BAFFLES = (
+    Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)),
+    Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0),
+)
 
 
 @pytest.fixture
@@ -150,6 +153,7 @@ def test_mirroring_twice_changes_nothing_and_once_turns_an_axis_around(stretch: 
         assert np.array_equal(getattr(once, name)[..., others], getattr(stretch, name)[..., others])
     before, after = stretch.surroundings, once.surroundings
     assert np.array_equal(after.baffles[..., others], before.baffles[..., others])
+    assert np.array_equal(after.baffle_turn, -before.baffle_turn)
     assert after.gravity[axis] == -before.gravity[axis]
     assert np.array_equal(after.gravity[others], before.gravity[others])
     assert before.ground is not None
@@ -168,6 +172,7 @@ def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sampl
     for there, here in vectors:
         assert np.array_equal(there[..., 0], here[..., 2])
         assert np.array_equal(there[..., 1], here[..., 1])
+    np.testing.assert_allclose(once.surroundings.baffle_turn, [0.0, -np.pi / 6.0], atol=1e-6)
     assert once.surroundings.ground is not None
     assert stretch.surroundings.ground is not None
     assert np.array_equal(once.surroundings.ground[0], stretch.surroundings.ground[0].T)

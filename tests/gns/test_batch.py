@@ -54,6 +54,7 @@ def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simu
         first.surroundings,
         baffles=np.array([[[0.15, 0.0], [0.2, 0.1]]], np.float32),
         baffle_friction=np.array([0.5], np.float32),
+        baffle_turn=np.array([0.4], np.float32),
         ground=ground,
     )
     rough = dataclasses.replace(second, surroundings=around)
@@ -79,6 +80,7 @@ def test_baffles_are_padded_outside_the_domain(settings: ModelSettings, dataset:
                 sample.surroundings,
                 baffles=np.array(boxes, np.float32).reshape(-1, 2, 2),
                 baffle_friction=np.full(len(boxes), 0.5, np.float32),
+                baffle_turn=np.zeros(len(boxes), np.float32),
             )
             some.append(dataclasses.replace(sample, surroundings=around))
         conditions = joined(some, settings).conditions(settings.cell)

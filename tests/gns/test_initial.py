@@ -135,11 +135,6 @@ REFUSED = [
         r"solids\[0\].contact: expected Coulomb friction alone, the model knows no other contact",
     ),
     (dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28), "gravity: expected gravity"),
-    (
-        dataclasses.replace(SCENE, baffles=(dataclasses.replace(SCENE.baffles[0], turned_deg=5.0),)),
-        SETTINGS,
-        r"baffles\[0\].turned_deg: expected a baffle along the axes",
-    ),
     (dataclasses.replace(SCENE, open_sides=("x+",)), SETTINGS, "open_sides: expected a closed box"),
     (
         dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),

@@ -127,6 +127,7 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         damping=0.0,
         baffles=np.stack((corner, corner + 0.1))[None],
         baffle_friction=one,
+        baffle_turn=np.zeros(1, np.float32),
         ground=None,
     )
     sample = Sample(
