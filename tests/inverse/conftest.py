@@ -81,7 +81,7 @@ def simulator(dimension: int) -> Simulator:
         particles_per_cell=1 if dimension == 2 else 2,
         radius=2.5 * cell,
         grid_cell=2.0 * cell,
-        body_length=0.1 if dimension == 2 else 0.2,
+        body_length=0.1 if dimension == 2 else 0.25,
         width=16,
         layers=2,
         rounds=1,
