@@ -1,6 +1,8 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`."""
 
 import dataclasses
+import itertools
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,18 +22,38 @@ from gns.unroll import unroll
 
 WEIGHTS = Path(__file__).parent / "weights"
 """The models that ship."""
-SHIPPED = WEIGHTS / "flow2d.pt"
-"""The model that is used in 2D where none is named."""
+MEMBER = re.compile(r".*-\d+")
+"""How a member of the ensemble of a model is called: its name and a number."""
 
 
 def shipped(dimension: int) -> Path:
     """The model that is used in 2D or 3D where none is named."""
-    return WEIGHTS / ("flow2d.pt" if dimension == 2 else "obstacle3d.pt")
+    return WEIGHTS / f"{'flow2d' if dimension == 2 else 'obstacle3d'}{checkpoint.ENDING}"
+
+
+SHIPPED = shipped(2)
+"""The model that is used in 2D where none is named."""
+
+
+def models(folder: Path = WEIGHTS) -> list[Path]:
+    """The models in a folder, by name; without the members of ensembles."""
+    found = [path for path in folder.glob(f"*{checkpoint.ENDING}") if not MEMBER.fullmatch(path.stem)]
+    return sorted(found, key=lambda path: path.stem)
+
+
+def members(model: Path) -> list[Path]:
+    """The members of the ensemble of a model, NAME-1, NAME-2 and so on beside it."""
+    return list(itertools.takewhile(Path.exists, (member_path(model, number) for number in itertools.count(1))))
+
+
+def member_path(model: Path, number: int) -> Path:
+    """The file of a member of the ensemble of a model, counted from 1."""
+    return model.with_name(f"{model.stem}-{number}{checkpoint.ENDING}")
 
 
 def model_path(model: str | Path) -> Path:
     """The file of a model: a path, or the name of one that ships (flow2d, flow2d-fast, obstacle3d)."""
-    named = WEIGHTS / f"{model}.pt"
+    named = WEIGHTS / f"{model}{checkpoint.ENDING}"
     return named if named.is_file() and not Path(model).exists() else Path(model)
 
 

@@ -108,7 +108,7 @@ def initial_state(
     Raises InputError for a scene outside of what the model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
-    units = Units.of(scene, settings)
+    units = Units.of_scene(scene, settings)
     step = units.time * settings.step
     particles = initial_particles(scene)
     if frames is None:
@@ -128,7 +128,7 @@ def initial_state(
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(
-            tensors_of(Surroundings.of(scene, cell)),
+            tensors_of(Surroundings.of_scene(scene, cell)),
             friction=torch.from_numpy(particles.friction[kept]),
             cohesion=torch.from_numpy(particles.cohesion[kept]),
             volume=torch.from_numpy(thinned.volumes),
@@ -146,12 +146,12 @@ def initial_state(
 
 def resampled(frames: Trajectory, step: float) -> Floats:
     """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
-    wanted = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
-    right = np.clip(np.searchsorted(frames.time, wanted), 1, max(1, len(frames.time) - 1))
+    times = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
+    right = np.clip(np.searchsorted(frames.time, times), 1, max(1, len(frames.time) - 1))
     if len(frames.time) == 1:
         return frames.positions
     left = right - 1
-    share = (wanted - frames.time[left]) / (frames.time[right] - frames.time[left])
+    share = (times - frames.time[left]) / (frames.time[right] - frames.time[left])
     between = share[:, None, None].astype(np.float32)
     return np.asarray((1.0 - between) * frames.positions[left] + between * frames.positions[right])
 

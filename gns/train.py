@@ -53,8 +53,8 @@ def train(
 ) -> None:
     """Train a graph network simulator on trajectories of the MPM.
 
-    Leaves OUT/best.pt (the model to use), OUT/last.pt (what --resume continues), OUT/log.csv and OUT/scores.md. Ctrl-C
-    ends the update in progress and leaves OUT/last.pt. On several GPUs or processes:
+    Leaves OUT/best.safetensors (the model to use), OUT/last.pt (what --resume continues), OUT/log.csv and
+    OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several GPUs or processes:
     torchrun --nproc-per-node N -m gns.train ...
 
     Parameters
@@ -121,7 +121,13 @@ def train(
             log = Log(out, size=position.log_size, updates=position.updates, tensorboard=tensorboard)
         outputs = Outputs(out=out, log=log, valid=valid, provenance=provenance)
         try:
-            fit(run, Curriculum(groups, model, pairs=training.pairs), budget, Clock(clock), outputs)
+            fit(
+                run,
+                Curriculum(groups, model, first=training.first, pairs=training.pairs),
+                budget,
+                Clock(clock),
+                outputs,
+            )
             if log is not None:
                 report_length(out, log, total_updates(provenance) + run.position.updates, model.dimension)
         finally:
@@ -265,7 +271,7 @@ def validate(run: Run, outputs: Outputs, log: Log) -> None:
     tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
     if total < position.best:
         position.best = total
-        checkpoint.save(outputs.out / "best.pt", averaged, {**outputs.provenance, "score": total, "log": row})
+        checkpoint.save(outputs.out / "best.safetensors", averaged, {**outputs.provenance, "score": total, "log": row})
         files.write_text(outputs.out / "scores.md", table(scores))
 
 

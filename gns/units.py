@@ -34,7 +34,7 @@ class Units:
     """Stress in the scene that is 1 Pa in the model [Pa]."""
 
     @staticmethod
-    def of(scene: Scene, settings: ModelSettings) -> "Units":
+    def of_scene(scene: Scene, settings: ModelSettings) -> "Units":
         """The units in which a model runs `scene`: its body gets the model's size, to a few per cent.
 
         The time is chosen such that the scene lasts a whole number of steps; length follows from it, so that gravity

@@ -196,8 +196,8 @@ def terrain(stream: Stream) -> Scene:
         length = float(stream.uniform(0.5, 1.0)) * plateau
         mass = Mass(lower=(0.0, base + fall), size=(length, min(AREA / length, 0.7)))
     else:
-        reach = float(stream.uniform(0.3, 0.8)) * foot
-        mass = Mass(kind="layer", thickness=min(AREA / reach, 0.3), outline=((0.0,), (reach,)))
+        length = float(stream.uniform(0.3, 0.8)) * foot
+        mass = Mass(kind="layer", thickness=min(AREA / length, 0.3), outline=((0.0,), (length,)))
     return scene(stream, masses=(mass,), width=width, solids=(ground,), floor_friction=friction)
 
 
@@ -341,8 +341,8 @@ def split(index: int) -> Split:
 
 def stream_number(index: int) -> int:
     """The random stream of a scene, which it shares with its variant."""
-    block, place = divmod(index, 2 * len(KINDS))
-    return block * len(KINDS) + place % len(KINDS)
+    block, position = divmod(index, 2 * len(KINDS))
+    return block * len(KINDS) + position % len(KINDS)
 
 
 FLOWS2D = Definition(

@@ -73,7 +73,7 @@ class Flow:
             friction=trajectory.friction,
             cohesion=particle_cohesion(scene, count, trajectory.mass, name),
             volume=trajectory.volumes,
-            surroundings=Surroundings.of(scene, spacing),
+            surroundings=Surroundings.of_scene(scene, spacing),
             step=step,
             seed=scene.seed,
         )
@@ -115,7 +115,7 @@ class Surroundings:
     """Elevation [m] and Coulomb coefficient [-] of terrain, `spacing` apart from x = 0 (and z = 0) on, [X(, Z)]."""
 
     @staticmethod
-    def of(scene: Scene, spacing: float) -> "Surroundings":
+    def of_scene(scene: Scene, spacing: float) -> "Surroundings":
         """Those of `scene`; spacing: between two elevations of the ground [m]."""
         ground = None
         if scene.solids:
@@ -142,12 +142,10 @@ class Surroundings:
         ground = self.ground
         if ground is not None:
             along = 0 if axis == 0 else 1
-            places = spacing * np.arange(ground[0].shape[along])
+            plan = spacing * np.arange(ground[0].shape[along])
 
             def turned(field: Floats) -> Floats:
-                values = np.apply_along_axis(
-                    lambda line: np.interp(self.size[axis] - places, places, line), along, field
-                )
+                values = np.apply_along_axis(lambda line: np.interp(self.size[axis] - plan, plan, line), along, field)
                 return values.astype(np.float32)
 
             ground = turned(ground[0]), turned(ground[1])

@@ -69,9 +69,9 @@ class Stencil:
 
         size: [m], shape [B, D]; each of the results is of shape [B, nodes along an axis].
         """
-        places = self.coordinates(size)
-        begin = [(place - 0.5 * self.cell).clamp(min=0.0) for place in places]
-        end = [torch.minimum(place + 0.5 * self.cell, size[:, axis, None]) for axis, place in enumerate(places)]
+        nodes = self.coordinates(size)
+        begin = [(node - 0.5 * self.cell).clamp(min=0.0) for node in nodes]
+        end = [torch.minimum(node + 0.5 * self.cell, size[:, axis, None]) for axis, node in enumerate(nodes)]
         return begin, [torch.maximum(first, last) for first, last in zip(begin, end, strict=True)]
 
 

@@ -1,17 +1,13 @@
 """Settings of a model: what a checkpoint needs to build it again."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from datasets.errors import InputError
-
-RENAMED = {"points_per_cell": "particles_per_cell", "hidden_layers": "mlp_layers"}
-"""Keys in older files, and what they are called now."""
+from datasets.records import Record
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelSettings:
+class ModelSettings(Record):
     """Resolution in space and time, and the sizes of the network."""
 
     dimension: int = 2
@@ -65,11 +61,6 @@ class ModelSettings:
         for key in ("mlp_layers", "grid_layers"):
             require(getattr(self, key) >= 0, key, "an integer of at least 0")
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds")
-
-    @staticmethod
-    def from_mapping(data: Mapping[str, Any]) -> "ModelSettings":
-        """Settings as a file has them, under today's or older names. Raises TypeError for an unknown name."""
-        return ModelSettings(**{RENAMED.get(key, key): value for key, value in data.items()})
 
     @property
     def step(self) -> float:

@@ -5,15 +5,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from gns.model import rheology, traction
 from gns.model.context import channels
 from gns.model.graph import radius_graph
-from gns.model.grid import column_features, stencil_of
+from gns.model.grid import REFERENCE_HEIGHT, Stencil, column_features, stencil_of
 from gns.model.network import Network
+from gns.model.rheology import internal_forces
 from gns.model.settings import ModelSettings
 from gns.model.solids import feature_count, keep_out, occupancy, solid_features
 from gns.model.state import Conditions, State
+from gns.model.traction import traction_features
 from gns.units import GRAVITY
 
+SLOW = 0.1
+"""Displacement over the root mean square one below which the direction of motion fades from the features [-]."""
 DAMPING = 5.0
 """Factor that brings the coefficient of damping to the size of the other features [-]."""
 REFERENCE_COHESION = 1000.0
@@ -75,7 +80,8 @@ class Simulator(nn.Module):
         # displacements and their changes; solids; volume; what is constant; the grid's surroundings
         motion = (2 * settings.history - 1) * dimension
         constant = conditions_count(dimension)
-        features = motion + feature_count(dimension) + 1 + constant + channels(settings)
+        contact = feature_count(dimension) + traction.count(dimension)
+        features = motion + contact + 2 + constant + channels(settings) + rheology.count(dimension)
         self.network = Network(features, constant, settings)
 
     def forward(self, state: State, conditions: Conditions) -> State:
@@ -87,7 +93,7 @@ class Simulator(nn.Module):
         nodes = torch.cat((columns, occupancy(stencil, conditions)), dim=1)
         fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
         constant = self._constant(conditions)
-        features = self._features(state, conditions, constant, stencil.gather(nodes))
+        features = self._features(state, conditions, constant, stencil, nodes)
         contact = self.acceleration_scale * self.network(features, constant, graph, stencil, fraction, nodes)
         fall = conditions.of_particles(conditions.gravity) * settings.step**2
         moved = positions + state.displacements[-1] + contact + fall
@@ -115,18 +121,48 @@ class Simulator(nn.Module):
         own = torch.stack((friction, cohesion), dim=1)
         return torch.cat((own, conditions.of_particles(surroundings).expand(count, -1)), dim=1)
 
-    def _features(self, state: State, conditions: Conditions, constant: Tensor, column: Tensor) -> Tensor:
-        """Node features [N, F]; column: the grid's inputs at the particles."""
-        settings = self.settings
+    def _features(
+        self, state: State, conditions: Conditions, constant: Tensor, stencil: Stencil, nodes: Tensor
+    ) -> Tensor:
+        """Node features [N, F]; nodes: the grid's inputs."""
+        settings, weight, slow = self.settings, self.settings.density * GRAVITY, SLOW * self.displacement_scale
+        column = stencil.gather(nodes)
         changes = state.displacements[1:] - state.displacements[:-1]
         motion = torch.cat((state.displacements / self.displacement_scale, changes / self.acceleration_scale))
+        solids = solid_features(state.positions, conditions, settings.radius)
+        tractions = traction_features(
+            state.positions,
+            state.displacements[-1],
+            solids[:, -(settings.dimension + 1) :],
+            conditions,
+            cutoff=settings.radius,
+            slow=slow,
+        )
+        strong = traction.strength(
+            conditions.cohesion,
+            REFERENCE_HEIGHT * column[:, 1],
+            weight=weight,
+            cell=settings.cell,
+        )
+        internal = internal_forces(
+            stencil,
+            state.displacements[-1],
+            conditions.volume,
+            conditions.friction,
+            conditions.cohesion / weight,
+            REFERENCE_HEIGHT * nodes[:, 1],
+            slow,
+        )
         return torch.cat(
             (
                 motion.movedim(0, 1).flatten(1),
-                solid_features(state.positions, conditions, settings.radius),
+                solids,
                 (conditions.volume / settings.particle_volume).unsqueeze(1) - 1.0,
                 constant,
                 column,
+                tractions,
+                strong,
+                internal,
             ),
             dim=1,
         )

@@ -313,11 +313,11 @@ def _buried(stencil: Stencil, ground: Ground, bottom: Tensor, height: Tensor) ->
 
     bottom, height: of the part of a cell that is in the box [m], shape [B, Y].
     """
-    places = stencil.coordinates(ground.elevation)
-    plan = [axis for axis in range(len(places)) if axis != UP]
-    samples, shape = stencil.samples, [places[axis].shape[1] for axis in plan]
+    nodes = stencil.coordinates(ground.elevation)
+    plan = [axis for axis in range(len(nodes)) if axis != UP]
+    samples, shape = stencil.samples, [nodes[axis].shape[1] for axis in plan]
     spread = [
-        places[axis].view(samples, *(-1 if other == axis else 1 for other in plan)).expand(samples, *shape)
+        nodes[axis].view(samples, *(-1 if other == axis else 1 for other in plan)).expand(samples, *shape)
         for axis in plan
     ]
     spread.insert(UP, torch.zeros_like(spread[0]))

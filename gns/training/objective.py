@@ -14,12 +14,10 @@ from gns.model.simulator import Normalisation, Simulator
 from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
-SHARE_FIRST = 0.15
-"""Share of samples that start with the flow itself: from positions and velocities alone."""
-SHARE_EARLY = 0.10
-"""Share that starts just after, with part of the history made up from the initial velocities."""
-SHARE_MOVING = 0.60
-"""Share that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
+SHARE_EARLY = 0.12
+"""Share of the other samples that starts just after, part of their history made up from the initial velocities."""
+SHARE_MOVING = 0.70
+"""Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
@@ -43,7 +41,7 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
 
 
 def share_loss(positions: Tensor, shares: Tensor, batch: Tensor, samples: int, scale: float) -> tuple[Tensor, Tensor]:
-    """How far the parts of each cloud lie from those of the truth: along each axis, its n-th particle from the n-th part.
+    """How far the parts of each cloud lie from those of the truth: the n-th particle along an axis from the n-th part.
 
     positions, shares: [m], shape [K, N, D]; batch: sample of each particle, shape [N]; scale: distance [m] that counts
     as one. Returns the mean smooth L1 distance of all samples, and that of the differences between the errors of one
@@ -113,13 +111,21 @@ class UnrolledLoss(nn.Module):
 class Curriculum:
     """Draws training samples: datasets in equal shares, their flows alike, each in a random one of its symmetries."""
 
-    def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, pairs: float = 0.0) -> None:
-        """pairs: share of batches of a flow and its variant, which starts from the same particles."""
-        self._settings, self._datasets, self._pairs = settings, datasets, pairs
+    def __init__(
+        self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, first: float = 0.15, pairs: float = 0.0
+    ) -> None:
+        """first: share of samples that start with the flow itself, from positions and velocities alone; pairs: share of
+        batches of a flow and its variant, which starts from the same particles."""
+        self._settings, self._datasets, self._first, self._pairs = settings, datasets, first, pairs
         self._partners = [partners(flows) if pairs > 0.0 else {} for flows in datasets]
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
-        """`count` samples with `steps` targets, side by side; in a pair two that follow each other are of variants."""
+        """`count` samples with `steps` targets, side by side."""
+        samples = self.samples(count, steps, rng)
+        return batched(samples, step=self._settings.step, history=self._settings.history)
+
+    def samples(self, count: int, steps: int, rng: np.random.Generator) -> list[Sample]:
+        """`count` samples with `steps` targets; of pairs the two follow each other."""
         samples: list[Sample] = []
         paired = rng.random() < self._pairs
         while len(samples) < count:
@@ -132,10 +138,10 @@ class Curriculum:
                 chosen.append(self._partners[which][number])
             last = min(len(flows[each].positions) for each in chosen) - 1 - steps
             now = self._start(flows[number], last, rng)
-            samples += [self.draw(flows[each], now, steps, np.random.default_rng(seed)) for each in chosen]
-        return batched(samples, step=self._settings.step, history=self._settings.history)
+            samples += [self._sample(flows[each], now, steps, np.random.default_rng(seed)) for each in chosen]
+        return samples
 
-    def draw(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
+    def _sample(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
         """The stretch of `flow` with `steps` targets after index `now`, in a random one of its symmetries."""
         settings = self._settings
         sample = cut(
@@ -151,13 +157,13 @@ class Curriculum:
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
-        kind = rng.random()
-        if kind < SHARE_FIRST:
+        if rng.random() < self._first:
             return 0
-        if kind < SHARE_FIRST + SHARE_EARLY:
+        kind = rng.random()
+        if kind < SHARE_EARLY:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
         anywhere = rng.integers(0, last + 1, size=TRIES)
-        if kind < SHARE_FIRST + SHARE_EARLY + SHARE_MOVING:
+        if kind < SHARE_EARLY + SHARE_MOVING:
             # The first that moves is a random one of those that move, and only two frames of each are read.
             return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
         return int(anywhere[0])

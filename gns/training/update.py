@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +15,7 @@ from torch.optim.swa_utils import AveragedModel
 from datasets import files
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from gns.model import checkpoint
+from datasets.records import from_mapping
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.training.batch import Particles, perturbed
@@ -47,6 +49,8 @@ class TrainingSettings:
     """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    first: float = 0.15
+    """Share of samples that start with the flow itself: from positions and velocities alone."""
     shares: float = 0.0
     """Weight of the distance between the distributions of the particles and of the truth (`share_loss`)."""
     changes: float = 0.0
@@ -194,18 +198,26 @@ class Run:
 
     def resume(self, path: Path) -> None:
         """Restore what `save` wrote. Raises InputError."""
-        content = checkpoint.read(path)
+        content = read(path)
         try:
-            if ModelSettings.from_mapping(content["settings"]) != self.simulator.settings:
+            if from_mapping(ModelSettings, content["settings"]) != self.simulator.settings:
                 raise InputError("expected the model settings that the run was begun with", where=str(path))
             if content["seed"] != self.seed:
                 raise InputError(f"expected the seed of the run, {content['seed']}", where=str(path), key="seed")
-            self.simulator.load_state_dict(checkpoint.renamed(content["weights"]))
-            self.average.load_state_dict(checkpoint.renamed(content["average"]))
+            self.simulator.load_state_dict(content["weights"])
+            self.average.load_state_dict(content["average"])
             self.optimiser.load_state_dict(content["optimiser"])
-            old = {"point_bytes": "particle_bytes"}
-            self.position = Position(**{old.get(key, key): value for key, value in content["position"].items()})
+            self.position = Position(**content["position"])
         except (KeyError, TypeError, RuntimeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"expected a whole run, {str(error).splitlines()[0]}", where=str(path)) from None
+
+
+def read(path: Path) -> Any:
+    """Plain tensors, strings and numbers from a file that torch wrote. Raises InputError."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        first = next(iter(str(error).splitlines()), "empty file")
+        raise InputError(f"expected a whole run, {first}", where=str(path)) from None

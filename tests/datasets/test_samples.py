@@ -112,7 +112,7 @@ def stretch() -> Sample:
         friction=rng.random(7, np.float32),
         cohesion=rng.random(7, np.float32),
         volume=rng.random(7, np.float32),
-        surroundings=dataclasses.replace(Surroundings.of(scene, 0.1), ground=ground),
+        surroundings=dataclasses.replace(Surroundings.of_scene(scene, 0.1), ground=ground),
     )
 
 

@@ -38,10 +38,10 @@ def problem(lively: Simulator, cloud: Cloud) -> tuple[Simulator, State, Conditio
             if "film" in name:
                 weight.normal_(std=0.2)
     state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.1003, 0.0951), velocity=(1.5, -0.6)))
-    places = 0.01 * torch.arange(101, dtype=torch.float64)
+    x = 0.01 * torch.arange(101, dtype=torch.float64)
     ground = Ground(
-        elevation=(0.08 + 0.01 * torch.sin(20.0 * places)).unsqueeze(0),
-        friction=(0.4 + 0.1 * torch.cos(9.0 * places)).unsqueeze(0),
+        elevation=(0.08 + 0.01 * torch.sin(20.0 * x)).unsqueeze(0),
+        friction=(0.4 + 0.1 * torch.cos(9.0 * x)).unsqueeze(0),
         spacing=0.01,
     )
     conditions = dataclasses.replace(

@@ -29,7 +29,7 @@ def test_the_grid_covers_the_particles_with_a_margin_and_no_more_of_the_box() ->
     assert points.origin.tolist() == [[20 - MARGIN, -1]]
     needed = (25 + MARGIN - (20 - MARGIN) + 1, 3 + MARGIN + 1 + 1)
     assert all(count % MULTIPLE == 0 for count in points.shape)
-    assert all(0 <= count - least < MULTIPLE for count, least in zip(points.shape, needed, strict=True))
+    assert all(0 <= count - count_needed < MULTIPLE for count, count_needed in zip(points.shape, needed, strict=True))
 
 
 def bed(height: float, slope: float) -> torch.Tensor:

@@ -70,8 +70,8 @@ def test_terrain_is_a_raster_as_fine_as_the_particles() -> None:
     ground = initial.conditions.ground
     assert ground is not None
     assert (ground.spacing, ground.elevation.shape) == (SETTINGS.cell, (1, 61))
-    places = SETTINGS.cell * torch.arange(61)
-    torch.testing.assert_close(ground.elevation[0], (0.2 * (places - 0.25)).clamp(min=0.0), atol=1e-6, rtol=0.0)
+    x = SETTINGS.cell * torch.arange(61)
+    torch.testing.assert_close(ground.elevation[0], (0.2 * (x - 0.25)).clamp(min=0.0), atol=1e-6, rtol=0.0)
     torch.testing.assert_close(ground.friction, torch.full((1, 61), 0.5))
 
 

@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.training.samples import Flows, Sample, Surroundings, load_flows
+from datasets.training.samples import Flows, Sample, Surroundings, load_flows, shares_of
 from gns.model.settings import ModelSettings
-from gns.training.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
+from gns.training.objective import (
+    Curriculum,
+    partners,
+    remaining_steps,
+    rollout_loss,
+    share_loss,
+    statistics,
+    turned,
+    unrolled_steps,
+)
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -42,7 +51,7 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw(4, rng) for _ in range(60)]
+    drawn = curriculum.samples(60, 4, rng)
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -95,18 +104,17 @@ def test_statistics_of_many_times_are_sampled_and_always_the_same(
 
 
 def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.training.objective.SHARE_FIRST", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_EARLY", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_MOVING", 1.0)
     flow = flows[0]
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
-    curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
-    drawn = [curriculum.draw(1, rng) for _ in range(30)]
+    curriculum, rng = Curriculum([[longer]], settings, first=0.0), np.random.default_rng(0)
+    drawn = curriculum.samples(30, 1, rng)
     assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
 
 
-@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
+@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 8)])
 def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
     rng = np.random.default_rng(0)
     corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
@@ -125,6 +133,7 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         frames=corner.reshape(1, 1, -1),
         velocity0=corner.reshape(1, -1),
         targets=corner.reshape(1, 1, -1),
+        shares=corner.reshape(1, 1, -1),
         friction=one,
         cohesion=one,
         volume=one,
@@ -141,3 +150,38 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         # Gravity turns with the velocities.
         assert float(other.velocity0[0] @ other.surroundings.gravity) == pytest.approx(0.1 * 3.0 - 0.2 * 9.0)
     assert len(found) == ways
+
+
+def test_share_loss_is_zero_where_the_distributions_agree_and_tells_common_errors_from_wrong_answers() -> None:
+    generator = torch.Generator().manual_seed(0)
+    positions = torch.rand((3, 20, 2), generator=generator)
+    batch = torch.arange(2).repeat_interleave(10)
+    shares = torch.cat([positions[:, batch == each].sort(dim=1).values for each in (0, 1)], dim=1)
+    apart, changed = share_loss(positions, shares, batch, 2, 0.01)
+    assert apart == changed == 0.0
+    # Another particle in each place is the same deposit.
+    apart, _ = share_loss(positions[:, torch.arange(10).flip(0).repeat(2) + 10 * batch], shares, batch, 2, 0.01)
+    assert apart == 0.0
+    # An error that both have is no wrong answer to what differs between them.
+    apart, changed = share_loss(positions + 0.005, shares, batch, 2, 0.01)
+    assert apart == pytest.approx(0.125, rel=1e-4)
+    assert changed == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pairs_are_of_variants_and_start_from_the_same_particles(flows: Flows, settings: ModelSettings) -> None:
+    varied = [
+        dataclasses.replace(flow, seed=number // 2, positions=flows[number // 2 * 2].positions)
+        for number, flow in enumerate(flows)
+    ]
+    assert partners(varied) == {0: 1, 1: 0, 2: 3, 3: 2}
+    curriculum = Curriculum([varied], settings, pairs=1.0)
+    samples = curriculum.samples(8, 3, np.random.default_rng(0))
+    for first, second in zip(samples[::2], samples[1::2], strict=True):
+        assert np.array_equal(first.frames, second.frames)
+        assert first.friction[0] != second.friction[0]
+
+
+def test_shares_are_the_middles_of_equal_parts_of_all_particles() -> None:
+    positions = np.random.default_rng(0).permutation(40).reshape(1, 40, 1).astype(np.float32)
+    assert shares_of(positions, 40)[0, :, 0] == pytest.approx(np.arange(40))
+    assert shares_of(positions, 4)[0, :, 0] == pytest.approx([4.5, 14.5, 24.5, 34.5])

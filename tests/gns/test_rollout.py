@@ -36,7 +36,7 @@ BAFFLE = "[[baffles]]\nlower = [0.15, 0.0]\nsize = [0.05, 0.1]\n"
 @pytest.fixture
 def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
     """A scene, a model and the first 21 frames of a run of the scene."""
-    paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.pt", "start": tmp_path / "start.npz"}
+    paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.safetensors", "start": tmp_path / "start.npz"}
     paths["scene"].write_text(SCENE)
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
@@ -113,7 +113,7 @@ def test_a_scene_with_baffles(files: dict[str, Path], settings: ModelSettings, t
     assert positions[-1, :, 0].max() > 0.25
 
 
-@pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.pt"), (DEEP, "obstacle3d.pt")])
+@pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
 def test_the_shipped_model_is_that_of_the_dimension(
     scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,14 +130,14 @@ def test_a_series_for_paraview(files: dict[str, Path], tmp_path: Path) -> None:
 
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = files["model"].read_bytes()
-    short = tmp_path / "short.pt"
+    short = tmp_path / "short.safetensors"
     short.write_bytes(whole[:1000])
     spreading(31.0).save(tmp_path / "other.npz")
     deep = tmp_path / "deep.toml"
     deep.write_text(DEEP)
     cases = [
-        ({**files, "model": short}, [], "short.pt: expected whole weights"),
-        ({**files, "model": tmp_path / "none.pt"}, [], "there is no such file"),
+        ({**files, "model": short}, [], "short.safetensors: expected whole weights"),
+        ({**files, "model": tmp_path / "none.safetensors"}, [], "there is no such file"),
         (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
         (files, ["--start", str(tmp_path / "none.npz")], "expected a trajectory"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),

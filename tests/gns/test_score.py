@@ -79,8 +79,8 @@ def test_the_table_keeps_kinds_of_start_apart() -> None:
 def test_the_command_writes_the_table(
     simulator: Simulator, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    checkpoint.save(tmp_path / "model.pt", simulator, {})
-    arguments = [str(dataset), "--model", str(tmp_path / "model.pt"), "--out", str(tmp_path / "scores.md")]
+    checkpoint.save(tmp_path / "model.safetensors", simulator, {})
+    arguments = [str(dataset), "--model", str(tmp_path / "model.safetensors"), "--out", str(tmp_path / "scores.md")]
     assert command_line.run(score, "score", arguments) == 0
     assert "released at rest | 1" in (tmp_path / "scores.md").read_text()
     assert command_line.run(score, "score", [str(tmp_path), *arguments[1:]]) == 2

@@ -9,7 +9,7 @@ import torch
 import gns
 from datasets import measures
 from datasets.library import read_scene
-from gns.inference import WEIGHTS
+from gns.inference import models
 from gns.initial import Start, initial_state
 from gns.model.simulator import Simulator
 from gns.unroll import unroll
@@ -60,6 +60,6 @@ def test_a_simulation_is_a_trajectory_with_volumes_and_its_own_frames(simulator:
 
 
 def test_every_model_that_ships_loads_by_its_name() -> None:
-    for path in WEIGHTS.glob("*.pt"):
+    for path in models():
         by_name, by_path = (gns.load(model).state_dict() for model in (path.stem, path))
         assert all(torch.equal(by_name[name], by_path[name]) for name in by_name)

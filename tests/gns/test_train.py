@@ -20,7 +20,7 @@ from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.train import pick, train
 from gns.training.budget import Clock
-from gns.training.update import Run
+from gns.training.update import Run, read
 
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
@@ -53,31 +53,31 @@ def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypa
     ticks = itertools.count()
     monkeypatch.setattr(Clock, "now", lambda clock: next(ticks) / 10.0)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
-    first = checkpoint.read(tmp_path / "last.pt")["position"]
+    first = read(tmp_path / "last.pt")["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
-    second = checkpoint.read(tmp_path / "last.pt")["position"]
+    second = read(tmp_path / "last.pt")["position"]
     assert second["updates"] > first["updates"] > 0
     assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
     assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
-    provenance = checkpoint.load(tmp_path / "best.pt").provenance
+    provenance = checkpoint.load(tmp_path / "best.safetensors").provenance
     assert (provenance["seed"], provenance["clock"], provenance["minutes"]) == (0, "wall", 0.04)
     assert "released at rest" in (tmp_path / "scores.md").read_text()
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(dataset, tmp_path / "first", "--updates", "2") == 0
-    model = tmp_path / "first" / "best.pt"
+    model, other = (tmp_path / name / "best.safetensors" for name in ("first", "second"))
     # At hardly any learning rate it stays what it was.
     still = ("--learning-rate", "1e-30", "--final-learning-rate", "0")
     assert run(dataset, tmp_path / "second", "--updates", "1", "--begin", str(model), *still) == 0
-    first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, tmp_path / "second" / "best.pt"))
+    first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, other))
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
-    assert checkpoint.load(tmp_path / "second" / "best.pt").provenance["begin"]["updates"] == 2
+    assert checkpoint.load(other).provenance["begin"]["updates"] == 2
     # No weight depends on the speed of rest.
     slower = ("--begin", str(model), "--rest-speed", "0.02", *still)
     assert run(dataset, tmp_path / "slower", "--updates", "1", *slower) == 0
-    assert checkpoint.load(tmp_path / "slower" / "best.pt").simulator.settings.rest_speed == 0.02
+    assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", "--updates", "1", "--begin", str(model), "--history", "2") == 2
     assert "other is history" in capsys.readouterr().err
 
@@ -126,15 +126,15 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
         broken(call, number, kind, patch)
         assert run(dataset, tmp_path, *flags) == 130
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
-    assert checkpoint.read(tmp_path / "last.pt")["position"]["updates"] == done
+    assert read(tmp_path / "last.pt")["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
     assert rows(tmp_path) == rows(unbroken)
-    found, expected = (checkpoint.read(out / "last.pt") for out in (tmp_path, unbroken))
+    found, expected = (read(out / "last.pt") for out in (tmp_path, unbroken))
     for content in (found, expected):
         for key in ("seconds", "validated_seconds", "log_size"):
             del content["position"][key]
     assert same(found, expected)
-    assert same(checkpoint.read(tmp_path / "best.pt")["state"], checkpoint.read(unbroken / "best.pt")["state"])
+    assert same(*(checkpoint.read(out / "best.safetensors")[0] for out in (tmp_path, unbroken)))
 
 
 def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:
@@ -156,8 +156,8 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
 def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gns.training.budget.time.process_time", iter(range(100)).__next__)
     assert run(dataset, tmp_path, "--minutes", "0.1", "--clock", "cpu") == 0
-    assert checkpoint.load(tmp_path / "best.pt").provenance["clock"] == "cpu"
-    assert 6.0 <= checkpoint.read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
+    assert checkpoint.load(tmp_path / "best.safetensors").provenance["clock"] == "cpu"
+    assert 6.0 <= read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
 
 
 def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:

@@ -10,12 +10,12 @@ import torch
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.training.samples import load_flows
-from gns.model import checkpoint, interaction
+from gns.model import interaction
 from gns.model.interaction import message_sum
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.training.objective import Curriculum, statistics
-from gns.training.update import Run, TrainingSettings
+from gns.training.update import Run, TrainingSettings, read
 from tests.gns.conftest import NORMALISATION
 
 
@@ -108,7 +108,7 @@ def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, 
         begin(dataclasses.replace(settings, width=8)).resume(tmp_path / "last.pt")
     with pytest.raises(InputError, match="seed: expected the seed of the run, 0"):
         Run(Simulator(settings, NORMALISATION), TrainingSettings(), seed=1).resume(tmp_path / "last.pt")
-    content = checkpoint.read(tmp_path / "last.pt")
+    content = read(tmp_path / "last.pt")
     for key in ("seed", "position", "average"):
         torch.save({name: value for name, value in content.items() if name != key}, tmp_path / "part.pt")
         with pytest.raises(InputError, match=f"expected a whole run, '{key}'"):

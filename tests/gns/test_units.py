@@ -108,7 +108,7 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     scene = dataclasses.replace(
         SCENE, masses=(Mass(lower=(0.0, 0.0), size=(side, 0.3)),), duration=duration, gravity=3.71
     )
-    units = Units.of(scene, settings)
+    units = Units.of_scene(scene, settings)
     assert scene.gravity * units.time**2 / units.length == pytest.approx(GRAVITY)
     steps = scene.duration / (units.time * settings.step)
     body = math.sqrt(released_volume(scene)) / units.length
@@ -122,6 +122,6 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
 
 
 def test_without_a_body_length_a_scene_is_run_as_it_is_and_without_gravity_not_at_all() -> None:
-    assert Units.of(SCENE, ModelSettings()) == Units()
+    assert Units.of_scene(SCENE, ModelSettings()) == Units()
     with pytest.raises(InputError, match="gravity: expected gravity"):
-        Units.of(dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28))
+        Units.of_scene(dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28))

@@ -153,9 +153,9 @@ def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
 
 def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, GOOD)
-    status = run(main, "inverse", [path, "--out", str(tmp_path / "out"), "--model", str(tmp_path / "none.pt")])
+    status = run(main, "inverse", [path, "--out", str(tmp_path / "out"), "--model", str(tmp_path / "none.safetensors")])
     assert status == 2
-    assert "none.pt" in capfd.readouterr().err
+    assert "none.safetensors" in capfd.readouterr().err
 
 
 def test_the_mpm_has_no_automatic_gradient(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

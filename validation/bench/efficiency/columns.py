@@ -140,6 +140,8 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         forward, rest = middle - began, time.perf_counter() - middle
     else:
         simulator = checkpoint.load(model).simulator.requires_grad_(False)
+        # A model scales every scene to the body of its training data; as it is, a larger one has more nodes.
+        simulator.settings = dataclasses.replace(simulator.settings, body_length=None)
         if task.work is Work.LONG:
             long = dataclasses.replace(scene, duration=LONG_STEPS * simulator.settings.step)
             problem = dataclasses.replace(problem, scene=long)

@@ -50,7 +50,7 @@ def measure(
                 tasks = [RolloutTask(model=model.path, scene=each.scene) for each in some]
                 truths = references([each.scene for each in some])
                 scores = [
-                    compare(rollout, truth, Units.of(each.scene, model.settings).length * model.settings.cell)
+                    compare(rollout, truth, Units.of_scene(each.scene, model.settings).length * model.settings.cell)
                     for each, rollout, truth in zip(some, map_tasks(roll_out, tasks), truths, strict=True)
                 ]
                 stored.add((keys[model.name, each.name], score) for each, score in zip(some, scores, strict=True))
@@ -72,5 +72,3 @@ def reference_errors(scenes: Sequence[HeldOut], references: References) -> tuple
         [deposit(flow.positions[-1], flow.volumes, truth) for flow, truth in zip(own, finer, strict=True)],
         [deposit(flow.positions[-1], flow.volumes, truth) for flow, truth in zip(others, own, strict=True)],
     )
-
-

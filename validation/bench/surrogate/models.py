@@ -7,11 +7,14 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import gns
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from gns.inference import WEIGHTS, model_path
+from gns.inference import model_path, models
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
@@ -52,7 +55,7 @@ class Model:
 
 def load(names: Sequence[Path]) -> list[Model]:
     """The models of these files or names, or those that ship. Raises InputError."""
-    found = [model_path(name) for name in names] or sorted(WEIGHTS.glob("*.pt"))
+    found = [model_path(name) for name in names] or models()
     stems = [path.stem for path in found]
     if not found or len(set(stems)) < len(stems):
         raise InputError(f"expected models of different names, got {', '.join(stems) or 'none'}", key="--model")
@@ -72,8 +75,14 @@ class RolloutTask:
 
 
 def roll_out(task: RolloutTask) -> Trajectory:
-    """The rollout of a task, in whichever process; its summary has the seconds of its steps, `wall_s`."""
-    return gns.simulate(task.scene, model=loaded(task.model))
+    """The rollout of a task, in whichever process; its summary has the seconds of its steps, `wall_s`.
+
+    Raises WorkFailed for positions that are not finite.
+    """
+    found = gns.simulate(task.scene, model=loaded(task.model))
+    if not np.isfinite(found.positions).all():
+        raise WorkFailed(f"a rollout by {task.model} is not finite")
+    return found
 
 
 @cache

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +90,7 @@ def measure(
             # Kernels are compiled, or read from their cache, at a first call.
             gns.simulate(scenes[0].scene, model=model.simulator)
     bar = tqdm(zip(scenes, truths, keys, strict=True), desc="price", total=len(keys), unit="scene", dynamic_ncols=True)
-    rows = [stored.made(key, lambda each=each, truth=truth: all_runs(each, truth, models, cells)) for each, truth, key in bar]  # type: ignore[misc]  # noqa: E501
+    rows = [stored.made(key, partial(all_runs, each, truth, models, cells)) for each, truth, key in bar]
     found = {run.method: [row.runs[index] for row in rows] for index, run in enumerate(rows[0].runs)}
     return Prices(
         scenes=len(scenes),
@@ -149,7 +151,7 @@ def mpm_seconds(prices: Prices, error: float) -> float | None:
     points = curve(prices)
     if error >= points[0].error:
         return points[0].seconds
-    for coarser, finer in zip(points, points[1:], strict=False):
+    for coarser, finer in pairwise(points):
         if finer.error <= error:
             share = math.log(error / coarser.error) / math.log(finer.error / coarser.error)
             return math.exp((1.0 - share) * math.log(coarser.seconds) + share * math.log(finer.seconds))

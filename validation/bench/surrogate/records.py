@@ -43,4 +43,4 @@ class Records(Generic[T]):
     def add(self, records: Iterable[tuple[str, T]]) -> None:
         """Store records under their keys."""
         self.found.update(records)
-        write_json(self.path, {key: dataclasses.asdict(each) for key, each in self.found.items()})
+        write_json(self.path, {key: dataclasses.asdict(each) for key, each in self.found.items()})  # type: ignore[call-overload]

@@ -11,11 +11,12 @@ from datasets.records import Record
 from datasets.scene import Scene
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
+from gns.inference import energies
 from gns.initial import resampled
 from validation.bench.surrogate.held_out import core_seconds
 
-AT_WALL = 0.99
-"""A front beyond this fraction of the box leans on the far wall, which then bounds everyone's."""
+AT_WALL = 0.01
+"""A front within this fraction of the box's length of the wall ahead leans on it, which then bounds everyone's."""
 Series = NDArray[np.float64]
 
 
@@ -24,7 +25,8 @@ class Deposit(Record):
     """Errors of a deposit over the extent of the reference's [-]."""
 
     front: float
-    """Of the x that 99.5 % of the particles are behind, with its sign."""
+    """Of the end that the reference's flow has moved farther, which 99.5 % of the particles are behind; positive where
+    it is farther than the reference's."""
     transport: float
     """Rms distance along x of equal shares of the two deposits (`datasets.measures.transport_distance`)."""
 
@@ -46,13 +48,15 @@ class Score(Record):
     runout: float
     """Error of the largest x over the extent, of as many particles as the model has [-]."""
     depth: float | None
-    """Mean difference over time of the depths upstream of the baffles over the reference's largest [-]; None without."""
+    """Mean difference over time of the depths before the baffles over the reference's largest [-]; None without."""
     at_wall: bool
-    """Whether the reference's front leans on the far wall."""
+    """Whether the reference's front leans on the wall ahead."""
+    rightwards: bool
+    """Whether the front is the one at larger x."""
     front: float
     """The reference's [m]."""
     extent: float
-    """From the rear at the start to the reference's front [m]."""
+    """Of the reference's deposit from its rear to its front [m]."""
     nodes: int
     """Of the model."""
     seconds: float
@@ -61,24 +65,44 @@ class Score(Record):
     """Of the reference on one core [s]."""
 
 
-def extent(truth: Trajectory) -> float:
-    """From the rear of a flow at the start to the front of its deposit [m]."""
-    return measures.front(truth.positions[-1]) - float(truth.positions[0, :, 0].min())
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """Where the deposit of a reference ends, rear and front."""
 
+    x: tuple[float, float]
+    """Of the end at smaller and of that at larger x [m]."""
+    side: int
+    """Which of them has moved farther and so is the front."""
 
-def at_wall(truth: Trajectory) -> bool:
-    """Whether the front leans on the far wall."""
-    return measures.front(truth.positions[-1]) > AT_WALL * truth.scene.domain.size[0]
+    @staticmethod
+    def of_flow(truth: Trajectory) -> "Ends":
+        """Those of a reference."""
+        start, end = measures.ends(truth.positions[0]), measures.ends(truth.positions[-1])
+        moved = (start[0] - end[0], end[1] - start[1])
+        return Ends(x=end, side=int(moved[1] >= moved[0]))
+
+    @property
+    def extent(self) -> float:
+        """Distance of the two [m]."""
+        return self.x[1] - self.x[0]
+
+    @property
+    def front(self) -> float:
+        """The x of the front [m]."""
+        return self.x[self.side]
+
+    def at_wall(self, length: float) -> bool:
+        """Whether the front leans on the wall ahead; length: of the box [m]."""
+        ahead = length - self.front if self.side == 1 else self.front
+        return ahead < AT_WALL * length
 
 
 def deposit(positions: Floats, volume: Series, truth: Trajectory) -> Deposit:
     """The errors of a deposit [m], shape [n, D], of particles of these volumes [m^D], shape [n]."""
-    target, length = truth.positions[-1], extent(truth)
-    apart = measures.transport_distance(positions, volume, target, truth.volumes)
-    return Deposit(
-        front=(measures.front(positions) - measures.front(target)) / length,
-        transport=apart / length,
-    )
+    ends = Ends.of_flow(truth)
+    beyond = measures.ends(positions)[ends.side] - ends.front
+    apart = measures.transport_distance(positions, volume, truth.positions[-1], truth.volumes)
+    return Deposit(front=(beyond if ends.side == 1 else -beyond) / ends.extent, transport=apart / ends.extent)
 
 
 def compare(rollout: Trajectory, truth: Trajectory, cell: float) -> Score:
@@ -86,43 +110,34 @@ def compare(rollout: Trajectory, truth: Trajectory, cell: float) -> Score:
     step = rollout.frame_dt
     same = resampled(truth, step)[: len(rollout.positions)]
     ours = rollout.positions[: len(same)]
+    gravity = truth.scene.gravity_vector
+    # Over the density: volumes are the masses.
     predicted, target = (
-        energies(positions, flow.velocity0, flow.volumes, step, truth.scene)
+        np.array([*energies(positions, flow.velocity0, flow.volumes, step=step, gravity=gravity).values()])
         for positions, flow in ((ours, rollout), (same, truth))
     )
     start = float(target[:, 0].sum()) - lowest(truth) * truth.volumes.sum()
     largest = np.abs(predicted - target).max(axis=1) / start
     few = thin(truth.positions[0], truth.volumes, cell=cell, kept=1, rng=np.random.default_rng(0)).indices
-    length = extent(truth)
+    ends = Ends.of_flow(truth)
     return Score(
         deposit=deposit(rollout.positions[-1], rollout.volumes, truth),
         kinetic=float(largest[0]),
         potential=float(largest[1]),
-        runout=(measures.runout(ours[-1]) - measures.runout(truth.positions[-1, few])) / length,
+        runout=(measures.runout(ours[-1]) - measures.runout(truth.positions[-1, few])) / ends.extent,
         depth=depth_error(depths(ours, rollout.volumes, truth.scene), depths(same, truth.volumes, truth.scene)),
-        at_wall=at_wall(truth),
-        front=measures.front(truth.positions[-1]),
-        extent=length,
+        at_wall=ends.at_wall(truth.scene.domain.size[0]),
+        rightwards=ends.side == 1,
+        front=ends.front,
+        extent=ends.extent,
         nodes=len(rollout.volumes),
         seconds=float(rollout.summary["wall_s"]),
         mpm_seconds=core_seconds(truth),
     )
 
 
-def energies(positions: Floats, velocity0: Floats, volume: Series, step: float, scene: Scene) -> Series:
-    """Kinetic and potential energy over the density at each time [J m^D / kg], shape [2, T].
-
-    positions: `step` [s] apart [m], shape [T, n, D]. Velocities are central differences, the first is `velocity0`. On a
-    slope gravity has a component along x, and so has the potential energy.
-    """
-    velocities = np.gradient(positions, step, axis=0)
-    velocities[0] = velocity0
-    potential = -(positions.astype(np.float64) @ np.array(scene.gravity_vector)) @ volume
-    return np.stack((measures.kinetic_energy(velocities, volume), potential))
-
-
 def lowest(truth: Trajectory) -> float:
-    """Potential energy over the mass of the lowest point that a flow comes to [J/kg]."""
+    """Potential energy over the mass of the lowest point that a flow comes to [J/kg]; on a slope it falls along x."""
     return float(-(truth.positions @ np.array(truth.scene.gravity_vector)).max())
 
 

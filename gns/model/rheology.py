@@ -1,0 +1,71 @@
+"""The forces of pressure and of internal friction that Coulomb's law gives on the background grid, as features.
+
+Sand that shears bears a shear stress of its strength, along its rate of strain (von Mises' flow rule, e.g. Jop,
+Forterre & Pouliquen, Nature 441, 2006, eq. 2, without the dependence on the rate), beside the pressure p of the column
+above:
+
+    f_p = -grad p / (rho g),                               p = rho g h
+    f_s = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
+
+with the deviatoric rate of strain D'. On cells as coarse as these it is a rough estimate; what it leaves out is learned.
+
+| symbol         | variable            | unit                                              |
+| h, c / (rho g) | `above`, `cohesion` | m                                                 |
+| D              | from `moved`        | 1 per step                                        |
+| f_p, f_s       | result              | weight of the material; S over rho g is a length  |
+"""
+
+import torch
+from torch import Tensor
+
+from gns.model.grid import Stencil
+
+EMPTY = 0.05
+"""Share of a cell that is filled below which the mean of what is in it fades [-]."""
+LOOSE = 0.3
+"""Share of a cell that is filled below which a force is that on so much material [-]."""
+LARGEST = 3.0
+"""The weight of the material that a force approaches at most [-]."""
+
+
+def count(dimension: int) -> int:
+    """Number of `internal_forces`."""
+    return 2 * dimension
+
+
+def internal_forces(
+    stencil: Stencil, moved: Tensor, volume: Tensor, friction: Tensor, cohesion: Tensor, above: Tensor, slow: Tensor
+) -> Tensor:
+    """f_s, then f_p at the particles [-], shape [N, `count`].
+
+    moved: newest displacements [m per step], shape [N, D]; volume [m^D], friction tan(phi) [-] and cohesion over rho g
+    [m]: shape [N]; above: height of the column of material above each node [m], shape [B * nodes]; slow: d0 times the
+    cell [m per step].
+    """
+    cell, dimension, shape = stencil.cell, moved.shape[1], (stencil.samples, *stencil.shape)
+    carried = torch.cat((torch.ones_like(moved[:, :1]), moved, friction.unsqueeze(1), cohesion.unsqueeze(1)), dim=1)
+    sums = stencil.scatter((volume / cell**dimension).unsqueeze(1) * carried)
+    filled = sums[:, :1]
+    means = sums[:, 1:] / (filled + EMPTY)
+    velocity = [means[:, axis].view(shape) for axis in range(dimension)]
+    strength = means[:, dimension + 1] + above * means[:, dimension]
+    gradient = [
+        [torch.gradient(velocity[i], spacing=cell, dim=j + 1)[0] for j in range(dimension)] for i in range(dimension)
+    ]
+    mean = sum(gradient[axis][axis] for axis in range(dimension)) / dimension
+    rate = [
+        [0.5 * (gradient[i][j] + gradient[j][i]) - (mean if i == j else 0.0) for j in range(dimension)]
+        for i in range(dimension)
+    ]
+    square = sum(rate[i][j].square() for i in range(dimension) for j in range(dimension))
+    # Not the root alone: it has no slope at zero.
+    scale = strength.view(shape) / ((0.5 * square + (slow / cell) ** 2).sqrt() + slow / cell)
+    forces = []
+    for i in range(dimension):
+        divergence = sum(torch.gradient(scale * rate[i][j], spacing=cell, dim=j + 1)[0] for j in range(dimension))
+        forces.append(divergence.reshape(-1))
+    friction_force = torch.stack(forces, dim=1) / filled.clamp(min=LOOSE)
+    pressure = above.view(shape)
+    slopes = [torch.gradient(pressure, spacing=cell, dim=axis + 1)[0].reshape(-1) for axis in range(dimension)]
+    force = torch.cat((friction_force, -torch.stack(slopes, dim=1)), dim=1)
+    return stencil.gather(LARGEST * torch.tanh(force / LARGEST))
