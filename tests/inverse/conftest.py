@@ -52,7 +52,7 @@ FLOWS: dict[int | str, Scene] = {
     "terrain": Scene(
         domain=Domain(size=(0.4, 0.2), cell=0.01),
         material=SAND,
-        masses=(Mass(lower=(0.02, 0.085), size=(0.06, 0.04), velocity=(1.4, -0.3)),),
+        masses=(Mass(lower=(0.02, 0.072), size=(0.06, 0.04), velocity=(1.4, -0.5)),),
         solids=(
             Solid(kind="terrain", points=((0.0, 0.08), (0.16, 0.0), (0.2, -0.05), (0.4, -0.05)), friction=0.5),
             # A bump on the slope, with the floor beyond it.
