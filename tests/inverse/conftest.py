@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +18,7 @@ from inverse.problem import Problem
 from inverse.settings import ObservationSettings, Parameter, TargetSettings
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
-ROUGH: dict[str, float] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
+ROUGH: dict[str, Any] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
 FLOWS: dict[int | str, Scene] = {
     2: Scene(
         domain=Domain(size=(0.4, 0.2), cell=0.01),
