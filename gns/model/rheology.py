@@ -7,7 +7,7 @@ above:
     f_p = -grad p / (rho g),                               p = rho g h
     f_s = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
 
-with the deviatoric rate of strain D'. On cells as coarse as these it is a rough estimate; what it leaves out is learned.
+with the deviatoric rate of strain D'. On cells as coarse as these it is a rough estimate; the rest is learned.
 
 | symbol         | variable            | unit                                              |
 | h, c / (rho g) | `above`, `cohesion` | m                                                 |
