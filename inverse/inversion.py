@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from gns import card
-from gns.inference import shipped
+from gns.inference import model_path, shipped
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation
@@ -93,7 +93,7 @@ def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: 
     if unsupported or not target.observation.differentiable:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
-    weights, scene = model or shipped(problem.scene.dimension), problem.scene_at(problem.initial)
+    weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
     return GnsSource(checkpoint.load(weights).simulator, problem, target.observation, memory_gib).start(None)

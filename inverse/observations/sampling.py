@@ -45,7 +45,8 @@ def predicted_at_times(operator: Callable[[Tensor], Tensor], rollout: Rollout, t
     before, share = brackets(rollout.times, different)
     after = np.minimum(before + 1, len(rollout.times) - 1)
     between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
-    return torch.stack([operator(torch.lerp(positions[b], positions[a], s)) for b, a, s in between])[which]
+    values = torch.stack([operator(torch.lerp(positions[b], positions[a], s)) for b, a, s in between])
+    return values[torch.from_numpy(which)]
 
 
 def require_count(values: Values | None, count: int) -> Values | None:

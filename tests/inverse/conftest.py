@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +18,7 @@ from inverse.problem import Problem
 from inverse.settings import ObservationSettings, Parameter, TargetSettings
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
-ROUGH: dict[str, float] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
+ROUGH: dict[str, Any] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
 FLOWS: dict[int | str, Scene] = {
     2: Scene(
         domain=Domain(size=(0.4, 0.2), cell=0.01),
@@ -52,7 +53,7 @@ FLOWS: dict[int | str, Scene] = {
     "terrain": Scene(
         domain=Domain(size=(0.4, 0.2), cell=0.01),
         material=SAND,
-        masses=(Mass(lower=(0.02, 0.085), size=(0.06, 0.04), velocity=(1.4, -0.3)),),
+        masses=(Mass(lower=(0.02, 0.072), size=(0.06, 0.04), velocity=(1.4, -0.5)),),
         solids=(
             Solid(kind="terrain", points=((0.0, 0.08), (0.16, 0.0), (0.2, -0.05), (0.4, -0.05)), friction=0.5),
             # A bump on the slope, with the floor beyond it.
@@ -81,7 +82,7 @@ def simulator(dimension: int) -> Simulator:
         particles_per_cell=1 if dimension == 2 else 2,
         radius=2.5 * cell,
         grid_cell=2.0 * cell,
-        body_length=0.1 if dimension == 2 else 0.2,
+        body_length=0.1 if dimension == 2 else 0.25,
         width=16,
         layers=2,
         rounds=1,

@@ -51,7 +51,7 @@ NAMES: dict[int | str, tuple[str, ...]] = {
         "solids[1].friction",
     ),
 }
-STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-6, "damping": 1e-6}
+STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-4, "damping": 1e-4}
 """Short, because a profile has a kink wherever a point passes a station."""
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from gns import card
-from gns.inference import shipped
+from gns.inference import model_path, shipped
 from gns.initial import check
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsSource
@@ -34,7 +34,7 @@ def choose(
         return by_mpm, f"{', '.join(without)} is no input of it"
     if not observation.differentiable:
         return by_mpm, f"it does not predict {observation.label}"
-    weights = model or shipped(problem.scene.dimension)
+    weights = model_path(model or shipped(problem.scene.dimension))
     simulator = checkpoint.load(weights).simulator
     scene = problem.scene_at(problem.initial)
     known = card.read(weights)

@@ -147,10 +147,10 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a tiny model with a card."""
     settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
     scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
-    checkpoint.save(tmp_path / "tiny.pt", Simulator(settings, scales), {})
+    checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
     monkeypatch.setattr(card, "read", lambda path: Level())
     monkeypatch.setattr(card, "warning", lambda path, scene: None)
-    return tmp_path / "tiny.pt"
+    return tmp_path / "tiny.safetensors"
 
 
 PARAMETERS = {
@@ -169,7 +169,7 @@ WALL = Solid(lower=(0.8, 0.0), size=(0.05, 0.1), friction=0.4)
         ({}, "damping", None),
         ({"solids": (GROUND,)}, "solids[0].friction", None),
         ({}, "young", "young is no input of it"),
-        ({"slope_deg": 20.0}, None, "tiny.pt was not trained on such a flow: slope_deg 20"),
+        ({"slope_deg": 20.0}, None, "tiny.safetensors was not trained on such a flow: slope_deg 20"),
         ({"solids": (WALL,)}, "solids[0].friction", "expected terrain"),
         ({"open_sides": ("x+",)}, None, "expected a closed box"),
     ],
@@ -199,4 +199,4 @@ def test_a_flow_outside_of_the_card_is_one_line(tmp_path: Path, model: Path, cap
     result = solve(steep, tmp_path / "out", model=model, simulate=case.mpm)
     assert result.verdict is Verdict.CONFIRMED
     told = [line for line in capfd.readouterr().err.splitlines() if "surrogate" in line]
-    assert told == ["the MPM runs without the surrogate: tiny.pt was not trained on such a flow: slope_deg 20"]
+    assert told == ["the MPM runs without the surrogate: tiny.safetensors was not trained on such a flow: slope_deg 20"]
