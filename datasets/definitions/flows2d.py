@@ -1,9 +1,10 @@
 """Flows2D: the training set of the shipped 2D surrogate, ten kinds of flows of fine truth.
 
-Every scene releases `AREA` of material: a surrogate scales a scene to that size (`gns.units`), so that one serves a
-flume and a hillside. The MPM computes it on cells of `CELL`, 57 across the length of the body, where its own error is
-about a per cent; what is stored are `KEPT` of the particles of each cell of `KEPT_CELL`, with the volume of all
-of them. Sand is rigid at this size (E = 370 rho g l: a quarter of it moves fronts by 0.3 %).
+Every scene releases about `AREA` of material, over terrain down to six tenths of it: a surrogate scales a scene to that
+size (`gns.units`), so that one serves a flume and a hillside. The MPM computes it on cells of `CELL`, 57 across the
+length of the body, where its own error is about a per cent; what is stored is one particle of each such cell, with the
+volume of all of them. Sand is rigid at this size (E = 200 rho g l; twice as much moves fronts by 0.3 %). Layers of other
+sand than the scene's turn with it in variants, so that single ones leave `FRICTION_DEG`.
 """
 
 import dataclasses

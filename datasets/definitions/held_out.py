@@ -6,6 +6,7 @@ the masses are as close to the box's sides or not in contact with them either. O
 of the box around it. Angles, velocities and friction do not count: a neighbour is excluded at every material.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from functools import cache
 from itertools import product
@@ -21,6 +22,8 @@ UP = 1
 """The axis that points up."""
 MARGIN = 0.06
 """Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
+GAPS = 0.06
+"""Share of a box that masses may leave empty to count as one [-]."""
 ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
 """Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
 ASPECT_MARGIN = 0.04
@@ -29,7 +32,22 @@ ASPECT_MARGIN = 0.04
 
 def is_held_out(scene: Scene) -> bool:
     """Whether `scene` is a neighbour of a scene that ships, or a column of a held-out aspect at a wall."""
+    scene = joined(scene)
     return held_out_column(scene) or any(neighbours(scene, other) for other in shipped(scene.dimension))
+
+
+def joined(scene: Scene) -> Scene:
+    """The scene, its masses as one where they are boxes of one sand at rest that fill a box: layers in name only."""
+    masses = scene.masses
+    alike = len({scene.material_of(mass) for mass in masses}) == 1 and not any(mass.velocity for mass in masses)
+    if len(masses) == 1 or not alike or any(mass.kind != "box" for mass in masses):
+        return scene
+    corners = boxes(masses, scene.dimension)
+    lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    if released_volume(scene) < (1.0 - GAPS) * float(np.prod(upper - lower)):
+        return scene
+    whole = dataclasses.replace(masses[0], lower=tuple(lower.tolist()), size=tuple((upper - lower).tolist()))
+    return dataclasses.replace(scene, masses=(whole,))
 
 
 @cache

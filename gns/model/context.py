@@ -39,7 +39,12 @@ class GridContext(nn.Module):
         nodes: input channels of the grid's nodes, [B * nodes, `channels`].
         """
         inputs = torch.cat((stencil.scatter(self.to_grid(x) * fraction), nodes), dim=1)
-        field = functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1)
+        field = masked(functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1), stencil)
         for layer in self.layers:
-            field = field + functional.silu(layer(field))
+            field = masked(field + functional.silu(layer(field)), stencil)
         return torch.as_tensor(self.from_grid(stencil.gather(field.reshape(-1, field.shape[-1]))))
+
+
+def masked(field: Tensor, stencil: Stencil) -> Tensor:
+    """The field, zero where a sample alone would have no nodes: what is beside it makes no difference."""
+    return field if stencil.own is None else field * stencil.own

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -35,6 +36,8 @@ class Stencil:
     """Flat index of the 2^D nodes around each particle, shape [2^D, N]."""
     weights: Tensor
     """Multilinear weights, they sum to one over the first axis, shape [2^D, N]."""
+    own: Tensor | None = None
+    """1 at the nodes that a sample would have alone and 0 elsewhere, shape [B, *`shape`, 1]; absent where all are."""
 
     @property
     def samples(self) -> int:
@@ -64,6 +67,20 @@ class Stencil:
             for axis, count in enumerate(self.shape)
         ]
 
+    def within(self, field: Tensor, size: Tensor, axes: Iterable[int]) -> Tensor:
+        """A field [B, X, Y(, Z), ...] whose values beyond the walls are those of the last node before the wall.
+
+        size: of the boxes [m], shape [B, D]; axes: across which. A derivative at a wall then has no step in it.
+        """
+        for axis in axes:
+            count = field.shape[axis + 1]
+            node = self.origin[:, axis, None] + torch.arange(count, device=field.device)
+            last = (size[:, axis, None].detach() / self.cell + 1.0e-4).floor().long()
+            index = torch.minimum(node.clamp(min=0), last) - self.origin[:, axis, None]
+            shape = [len(index), *(count if other == axis + 1 else 1 for other in range(1, field.dim()))]
+            field = field.gather(axis + 1, index.view(shape).expand(field.shape))
+        return field
+
     def cells(self, size: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Where the nodes' cells, of the same edge around them, begin and end in the box [0, size] along each axis [m].
 
@@ -89,8 +106,14 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
     first = far.scatter_reduce(0, spread, base, "amin", include_self=False)
     last = far.scatter_reduce(0, spread, base, "amax", include_self=False)
     origin = (first - MARGIN).clamp(min=-1)
-    counts = (last + 1 + MARGIN - origin).amax(dim=0) + 1
-    shape = tuple(-(-int(count) // MULTIPLE) * MULTIPLE for count in counts.tolist())
+    counts = -((origin - last - MARGIN - 2) // MULTIPLE) * MULTIPLE
+    shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
+    own = None
+    if len(size) > 1:
+        own = torch.ones(len(size), *shape, 1, dtype=positions.dtype, device=positions.device)
+        for axis, count in enumerate(shape):
+            part = torch.arange(count, device=positions.device) < counts[:, axis, None]
+            own = own * part.view(len(size), *(-1 if other == axis else 1 for other in range(dimension)), 1)
     above = scaled - base
     strides = [math.prod(shape[axis + 1 :]) for axis in range(dimension)]
     inside = base - origin.index_select(0, index)
@@ -103,7 +126,9 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
         for axis, bit in enumerate(bits):
             weight = weight * (above[:, axis] if bit else 1.0 - above[:, axis])
         weights.append(weight)
-    return Stencil(shape=shape, origin=origin, cell=cell, nodes=torch.stack(nodes), weights=torch.stack(weights))
+    return Stencil(
+        shape=shape, origin=origin, cell=cell, nodes=torch.stack(nodes), weights=torch.stack(weights), own=own
+    )
 
 
 def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
@@ -136,11 +161,9 @@ def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
         layers, packing = layers / share, packing / share
     above = layers.flip(UP + 1).cumsum(UP + 1).flip(UP + 1) - 0.5 * layers
     height = layers.sum(UP + 1, keepdim=True)
-    slopes = [
-        torch.gradient(height, spacing=cell / REFERENCE_HEIGHT, dim=axis + 1)[0]
-        for axis in range(dimension)
-        if axis != UP
-    ]
+    level = [axis for axis in range(dimension) if axis != UP]
+    extended = stencil.within(height, size, level)
+    slopes = [torch.gradient(extended, spacing=cell / REFERENCE_HEIGHT, dim=axis + 1)[0] for axis in level]
     channels = [packing, above, height.expand_as(filled), *(slope.expand_as(filled) for slope in slopes)]
     return torch.stack(channels, dim=-1).view(-1, dimension + 2)
 

@@ -34,38 +34,43 @@ def count(dimension: int) -> int:
 
 
 def internal_forces(
-    stencil: Stencil, moved: Tensor, volume: Tensor, friction: Tensor, cohesion: Tensor, above: Tensor, slow: Tensor
+    stencil: Stencil,
+    moved: Tensor,
+    volume: Tensor,
+    friction: Tensor,
+    cohesion: Tensor,
+    above: Tensor,
+    size: Tensor,
+    slow: Tensor,
 ) -> Tensor:
     """f_s, then f_p at the particles [-], shape [N, `count`].
 
     moved: newest displacements [m per step], shape [N, D]; volume [m^D], friction tan(phi) [-] and cohesion over rho g
-    [m]: shape [N]; above: height of the column of material above each node [m], shape [B * nodes]; slow: d0 times the
-    cell [m per step].
+    [m]: shape [N]; above: height of the column of material above each node [m], shape [B * nodes]; size: of the boxes
+    [m], shape [B, D]; slow: d0 times the cell [m per step]. Walls bear no shear here: that is a feature apart.
     """
     cell, dimension, shape = stencil.cell, moved.shape[1], (stencil.samples, *stencil.shape)
     carried = torch.cat((torch.ones_like(moved[:, :1]), moved, friction.unsqueeze(1), cohesion.unsqueeze(1)), dim=1)
     sums = stencil.scatter((volume / cell**dimension).unsqueeze(1) * carried)
     filled = sums[:, :1]
     means = sums[:, 1:] / (filled + EMPTY)
-    velocity = [means[:, axis].view(shape) for axis in range(dimension)]
     strength = means[:, dimension + 1] + above * means[:, dimension]
-    gradient = [
-        [torch.gradient(velocity[i], spacing=cell, dim=j + 1)[0] for j in range(dimension)] for i in range(dimension)
-    ]
-    mean = sum(gradient[axis][axis] for axis in range(dimension)) / dimension
-    rate = [
-        [0.5 * (gradient[i][j] + gradient[j][i]) - (mean if i == j else 0.0) for j in range(dimension)]
+    fields = torch.cat((means[:, :dimension], strength.unsqueeze(1), above.unsqueeze(1)), dim=1).view(*shape, -1)
+    fields = stencil.within(fields, size, range(dimension))
+    gradient = [torch.gradient(fields, spacing=cell, dim=axis + 1)[0] for axis in range(dimension)]
+    mean = sum(gradient[axis][..., axis] for axis in range(dimension)) / dimension
+    rate = {
+        (i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0.0)
         for i in range(dimension)
-    ]
-    square = sum(rate[i][j].square() for i in range(dimension) for j in range(dimension))
+        for j in range(i, dimension)
+    }
+    square = sum((1.0 if i == j else 2.0) * each.square() for (i, j), each in rate.items())
     # Not the root alone: it has no slope at zero.
-    scale = strength.view(shape) / ((0.5 * square + (slow / cell) ** 2).sqrt() + slow / cell)
-    forces = []
-    for i in range(dimension):
-        divergence = sum(torch.gradient(scale * rate[i][j], spacing=cell, dim=j + 1)[0] for j in range(dimension))
-        forces.append(divergence.reshape(-1))
-    friction_force = torch.stack(forces, dim=1) / filled.clamp(min=LOOSE)
-    pressure = above.view(shape)
-    slopes = [torch.gradient(pressure, spacing=cell, dim=axis + 1)[0].reshape(-1) for axis in range(dimension)]
-    force = torch.cat((friction_force, -torch.stack(slopes, dim=1)), dim=1)
-    return stencil.gather(LARGEST * torch.tanh(force / LARGEST))
+    scale = fields[..., dimension] / ((0.5 * square + (slow / cell) ** 2).sqrt() + slow / cell)
+    stress = stencil.within(torch.stack([scale * each for each in rate.values()], dim=-1), size, range(dimension))
+    slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in range(dimension)]
+    place = {pair: number for number, pair in enumerate(rate)}
+    divergence = [sum(slopes[j][..., place[min(i, j), max(i, j)]] for j in range(dimension)) for i in range(dimension)]
+    shear = torch.stack([each.reshape(-1) for each in divergence], dim=1) / filled.clamp(min=LOOSE)
+    pressure = torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in range(dimension)], dim=1)
+    return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, -pressure), dim=1) / LARGEST))

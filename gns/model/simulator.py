@@ -152,6 +152,7 @@ class Simulator(nn.Module):
             conditions.friction,
             conditions.cohesion / weight,
             REFERENCE_HEIGHT * nodes[:, 1],
+            conditions.size,
             slow,
         )
         return torch.cat(
