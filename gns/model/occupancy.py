@@ -73,7 +73,8 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     rise = torch.where(run == 0.0, 0.0, (zeta1 - zeta0) / torch.where(run == 0.0, 1.0, run))
     first, last = torch.minimum(s0, x), torch.minimum(s1, x)
     g0 = (zeta0 + (first - s0) * rise).unsqueeze(4) - z
-    g1 = (zeta0 + (last - s0) * rise).unsqueeze(4) - z
+    # An edge across the first axis has no rise, but a slope with its turn.
+    g1 = torch.where(s1 <= x, zeta1, zeta0 + (last - s0) * rise).unsqueeze(4) - z
     low0, low1 = g0.clamp(max=0.0), g1.clamp(max=0.0)
     mixed = (low0 < 0.0) != (low1 < 0.0)
     across = (g1 - g0).abs()

@@ -152,7 +152,8 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
     if ground is not None:
-        kept = _clamped(above(kept, ground, batch), size)
+        # What a wall sends back from its way along the normal may be below the ground again.
+        kept = lifted(_clamped(above(kept, ground, batch), size), ground, batch)
     if conditions.baffles is None:
         return kept
     boxes = Boxes.of(conditions).grown(SKIN)
