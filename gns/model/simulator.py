@@ -22,8 +22,9 @@ SLOW = 0.1
 """Displacement over the root mean square one below which the direction of motion fades from the features [-]."""
 DAMPING = 5.0
 """Factor that brings the coefficient of damping to the size of the other features [-]."""
-REFERENCE_COHESION = 1000.0
-"""Scale of the logarithm of the cohesion [Pa], about the weight of 6 cm of sand."""
+REFERENCE_COHESION = 50.0
+"""Scale of the logarithm of the cohesion [Pa], about the weight of 3 mm of sand: a thin front that has any does not run
+as far as a dry one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +119,7 @@ class Simulator(nn.Module):
             dim=1,
         )
         friction = (conditions.friction - self.friction_mean) / self.friction_std
-        cohesion = (conditions.cohesion / REFERENCE_COHESION).log1p()
+        cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
         own = torch.stack((friction, cohesion), dim=1)
         return torch.cat((own, conditions.of_particles(surroundings).expand(count, -1)), dim=1)
 
