@@ -86,7 +86,7 @@ def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[
     order = np.argsort(x, kind="stable")
     whole = volume[order].astype(np.float64)
     passed = np.cumsum(whole) - 0.5 * whole
-    return np.interp((np.arange(SHARES) + 0.5) / SHARES * whole.sum(), passed, x[order])
+    return np.asarray(np.interp((np.arange(SHARES) + 0.5) / SHARES * whole.sum(), passed, x[order]))
 
 
 def transport_distance(

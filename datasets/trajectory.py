@@ -109,7 +109,8 @@ class Trajectory:
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
-        fields = {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        fields: dict[str, tuple[NDArray[Any] | None, type]] = {"mass": (self.mass, np.int32)}
+        fields |= {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
         with replacing(path) as part:
             np.savez(
                 part,
@@ -119,7 +120,6 @@ class Trajectory:
                 friction=self.friction.astype(np.float32, copy=False),
                 scene=np.array(self.scene.to_json()),
                 summary=np.array(json.dumps(self.summary)),
-                **({} if self.mass is None else {"mass": self.mass.astype(np.int32, copy=False)}),
                 **{key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None},
             )
 

@@ -120,8 +120,8 @@ def layers(stream: Stream) -> Scene:
     count = int(stream.integers(*LAYERS, endpoint=True))
     edges = height * np.concatenate(([0.0], np.cumsum(stream.dirichlet(np.full(count, 3.0)))))
     motion = stream.integers(3)
-    ends = stream.uniform(-2.0, 2.0, 2)
-    velocities = (np.zeros(count), np.linspace(*ends, count), stream.uniform(-2.0, 2.0, count))[motion]
+    first, last = stream.uniform(-2.0, 2.0, 2).tolist()
+    velocities = (np.zeros(count), np.linspace(first, last, count), stream.uniform(-2.0, 2.0, count))[motion]
     differ = stream.random() < 0.6
     shared = sand(stream)
     width = box_length(stream)

@@ -120,4 +120,4 @@ def touches(scene: Scene, mass: Mass) -> NDArray[np.bool_]:
 
 def touches_all(scene: Scene) -> NDArray[np.bool_]:
     """Whether any mass leans on these sides of the box, shape [H, 2]."""
-    return np.any([touches(scene, mass) for mass in scene.masses], axis=0)
+    return np.asarray(np.any([touches(scene, mass) for mass in scene.masses], axis=0))

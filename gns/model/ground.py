@@ -62,7 +62,7 @@ class Below:
 def upward(slope: Tensor) -> Tensor:
     """Outward unit normals [N, D] of ground of this slope [N, D - 1]."""
     normal = torch.cat((-slope[:, :1], torch.ones_like(slope[:, :1]), -slope[:, 1:]), dim=1)
-    return normal / normal.norm(dim=1, keepdim=True)
+    return torch.nn.functional.normalize(normal, dim=1)
 
 
 def nearest_ground(

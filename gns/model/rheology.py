@@ -70,7 +70,10 @@ def internal_forces(
     stress = stencil.within(torch.stack([scale * each for each in rate.values()], dim=-1), size, range(dimension))
     slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in range(dimension)]
     place = {pair: number for number, pair in enumerate(rate)}
-    divergence = [sum(slopes[j][..., place[min(i, j), max(i, j)]] for j in range(dimension)) for i in range(dimension)]
-    shear = torch.stack([each.reshape(-1) for each in divergence], dim=1) / filled.clamp(min=LOOSE)
+    divergence = [
+        torch.stack([slopes[j][..., place[min(i, j), max(i, j)]].reshape(-1) for j in range(dimension)]).sum(dim=0)
+        for i in range(dimension)
+    ]
+    shear = torch.stack(divergence, dim=1) / filled.clamp(min=LOOSE)
     pressure = torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in range(dimension)], dim=1)
     return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, -pressure), dim=1) / LARGEST))
