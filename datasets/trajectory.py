@@ -111,6 +111,9 @@ class Trajectory:
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
         fields: dict[str, tuple[NDArray[Any] | None, type]] = {"mass": (self.mass, np.int32)}
         fields |= {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        recorded: dict[str, Any] = {
+            key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None
+        }
         with replacing(path) as part:
             np.savez(
                 part,
@@ -120,7 +123,7 @@ class Trajectory:
                 friction=self.friction.astype(np.float32, copy=False),
                 scene=np.array(self.scene.to_json()),
                 summary=np.array(json.dumps(self.summary)),
-                **{key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None},
+                **recorded,
             )
 
     @staticmethod
