@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import importlib.util
 import json
 import os
 import re
@@ -18,6 +19,7 @@ import gns
 from datasets.library import read_scene
 from inverse.problem import read_problem
 from tests.commands import DOCS, README, ROOT, blocks, commands, measured_pages, status, written_pages
+from validation.bench.__main__ import BENCHES
 
 PAGES = written_pages()
 NAME = re.compile(r"`((?:datasets|mpm|gns|inverse|validation|tests)(?:/[\w./-]+|(?:\.\w+)+))`")
@@ -64,6 +66,18 @@ def test_code_that_a_page_names_exists(page: Path) -> None:
 )
 def test_a_command_takes_its_arguments(module: str, arguments: tuple[str, ...]) -> None:
     assert status(module, list(arguments), works=False) == 0
+
+
+@pytest.mark.parametrize("page", [*PAGES, *sorted(measured_pages())], ids=named)
+def test_a_command_in_the_text_is_one(page: Path) -> None:
+    for module, name in re.findall(r"`python -m ([a-z0-9_.]+)(?: ([a-z0-9-]+))?", page.read_text()):
+        spec = importlib.util.find_spec(module)
+        assert spec is not None, module
+        package = spec.submodule_search_locations is not None
+        main = importlib.util.find_spec(f"{module}.__main__") if package else spec
+        assert main is not None, module
+        assert package or '__name__ == "__main__"' in Path(str(main.origin)).read_text(), module
+        assert module != "validation.bench" or not name or name in BENCHES, name
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from inverse.problem import Problem
 from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 from mpm.process import processors
 from mpm.simulation import simulate_many
-from validation.bench.efficiency.records import AD, AD_LONG, FD_GNS, FD_MPM, Cost, Origin, OverParticles
+from validation.bench.efficiency.records import AD, AD_LONG, FD_GNS, FD_MPM, LONG_STEPS, Cost, Origin, OverParticles
 from validation.bench.efficiency.search import WARM_UP_S
 from validation.report.memory import peak, reset_peak, resident
 from validation.report.process import isolated
@@ -33,8 +33,6 @@ SCENE = "column-tall-42"
 STEP_DEG = 0.5
 """Between the angles of the runs of a difference; their cost does not depend on it."""
 UNKNOWNS = (1, 10)
-LONG_STEPS = 400
-"""As many as the rollouts whose gradient does not fit into the memory of the paper's GPU."""
 
 
 class Work(StrEnum):

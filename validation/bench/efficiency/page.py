@@ -12,6 +12,7 @@ from validation.bench.efficiency.records import (
     AD_LONG,
     FD_GNS,
     FD_MPM,
+    LONG_STEPS,
     MethodResult,
     OverParticles,
     OverUnknowns,
@@ -31,13 +32,13 @@ PROBLEM_TEXT = """
     it is not among the MPM runs. A search by Optuna is one draw of its random numbers. "≈": seconds per iteration times
     the iterations that the problem allows, where the search ran out of time before.
 """
-PARTICLES_TEXT = """
+PARTICLES_TEXT = f"""
     The paper's tall column on the same cells, longer and higher with its box; a second of flow. Each case is a process
     of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
     two rollouts for each unknown and one more; runs of the MPM side by side, with their memory. AD's pass is the same
     for any number of unknowns; a step leaves its state, its activations are computed again in the backward pass, except
-    for the last steps that half a GiB holds. "400 steps": AD through a longer flow, no activations kept, beside the
-    paper's stated limit.
+    for the last steps that half a GiB holds. "{LONG_STEPS} steps": AD through a longer flow, no activations kept,
+    beside the paper's stated limit.
 """
 
 

@@ -18,7 +18,9 @@ from validation.report.machine import GNS, MPM, machine
 FILE = "efficiency.json"
 AD, FD_GNS, FD_MPM, FD_JITTER = "AD, GNS", "differences, GNS", "differences, MPM", "differences, MPM, another jitter"
 """Methods of a gradient."""
-AD_LONG = "AD, GNS, 400 steps"
+LONG_STEPS = 400
+"""As many as the rollouts whose gradient does not fit into the memory of the paper's GPU."""
+AD_LONG = f"AD, GNS, {LONG_STEPS} steps"
 """Of a longer flow; the others are of one second."""
 
 
