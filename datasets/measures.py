@@ -67,6 +67,36 @@ def profile_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> 
     return float(np.abs(found - expected).sum() / expected.sum())
 
 
+def ends(positions: Positions) -> tuple[float, float]:
+    """The x [m] that 0.5 % and that 99.5 % of the particles are behind: the rear and the front of a deposit."""
+    rear, front = np.quantile(positions[:, 0].astype(np.float64), (1.0 - FRONT_QUANTILE, FRONT_QUANTILE))
+    return float(rear), float(front)
+
+
+SHARES = 20
+"""Parts of equal volume by whose places along x two deposits are compared."""
+
+
+def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES].
+
+    volume: of the particles [m^D], shape [N].
+    """
+    x = positions[:, 0].astype(np.float64)
+    order = np.argsort(x, kind="stable")
+    whole = volume[order].astype(np.float64)
+    passed = np.cumsum(whole) - 0.5 * whole
+    return np.asarray(np.interp((np.arange(SHARES) + 0.5) / SHARES * whole.sum(), passed, x[order]))
+
+
+def transport_distance(
+    positions: Positions, volume: NDArray[np.floating], others: Positions, other_volume: NDArray[np.floating]
+) -> float:
+    """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
+    apart = equal_shares(positions, volume) - equal_shares(others, other_volume)
+    return float(np.sqrt(np.mean(apart**2)))
+
+
 def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], scene: Scene) -> float:
     """Depth [m] at its initial density of what stands or flows right before the first row of baffles.
 

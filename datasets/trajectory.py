@@ -57,6 +57,8 @@ class Trajectory:
 
     A learned simulator follows some of them, each with the volume of those that it stands for.
     """
+    mass: NDArray[np.int32] | None = None
+    """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None
@@ -107,7 +109,11 @@ class Trajectory:
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
-        fields = {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        fields: dict[str, tuple[NDArray[Any] | None, type]] = {"mass": (self.mass, np.int32)}
+        fields |= {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
+        recorded: dict[str, Any] = {
+            key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None
+        }
         with replacing(path) as part:
             np.savez(
                 part,
@@ -117,7 +123,7 @@ class Trajectory:
                 friction=self.friction.astype(np.float32, copy=False),
                 scene=np.array(self.scene.to_json()),
                 summary=np.array(json.dumps(self.summary)),
-                **{key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None},
+                **recorded,
             )
 
     @staticmethod
@@ -159,6 +165,7 @@ class Trajectory:
                 where=str(path),
                 key="positions",
             )
+        mass = checked_mass(arrays.get("mass"), particles, scene, path)
         try:
             summary = json.loads(str(arrays["summary"])) if "summary" in arrays else {}
         except json.JSONDecodeError as error:
@@ -170,12 +177,24 @@ class Trajectory:
             friction=arrays["friction"].astype(np.float32, copy=False),
             scene=scene,
             summary=summary,
+            mass=mass,
             **{
                 key: arrays[name].astype(kind, copy=False)
                 for key, kind in FIELDS.items()
                 if (name := impulse_key(scene) if key == "solid_impulse" else key) in arrays
             },
         )
+
+
+def checked_mass(array: NDArray[Any] | None, particles: int, scene: Scene, path: Path) -> NDArray[np.int32] | None:
+    """The index of the mass of each particle, as the NPZ at `path` has it. Raises InputError."""
+    if array is None:
+        return None
+    whole = np.issubdtype(array.dtype, np.integer) and array.shape == (particles,)
+    if not whole or array.min() < 0 or array.max() >= len(scene.masses):
+        expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
+        raise InputError(f"expected {expected}", where=str(path), key="mass")
+    return array.astype(np.int32, copy=False)
 
 
 def solid_names(scene: Scene) -> tuple[str, ...]:
@@ -212,15 +231,21 @@ def stored_scene(path: Path) -> Scene:
     return scene_in(read_arrays(path, "scene")["scene"], path)
 
 
-def read_arrays(path: Path, *names: str, what: str = "a trajectory") -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ, all where none is named; never runs a pickle. Raises InputError."""
+def read_arrays(
+    path: Path, *names: str, optional: tuple[str, ...] = (), what: str = "a trajectory"
+) -> dict[str, NDArray[Any]]:
+    """The arrays `names` of an NPZ and, where they are there, `optional`; all where none is named.
+
+    Never runs a pickle. Raises InputError.
+    """
     try:
         # Opened here, because numpy leaves its own handle open where the archive is broken.
         with path.open("rb") as raw:
             file = np.load(raw, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise ValueError("found a single array")
-            return {name: file[name] for name in names or file.files}
+            there = [name for name in optional if name in file.files]
+            return {name: file[name] for name in (*names, *there) or file.files}
     except FileNotFoundError:
         raise InputError(f"expected {what} (NPZ), there is none", where=str(path)) from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:

@@ -13,19 +13,26 @@ import torch
 
 from datasets import command_line
 from datasets.errors import InputError
+from gns.inference import member_path
 from gns.model import checkpoint
 
 
-def average(*models: Path, out: Path) -> None:
+def average(*models: Path, out: Path, members: bool = False) -> None:
     """Average the weights of two models or more, of the same settings and normalisation; leaves OUT.
+
+    The models that were averaged make an ensemble, whose spread says how far the mean may err (`gns.uncertainty`).
 
     Parameters
     ----------
     models
         The models' files, in the order of their training: OUT has the history of the last.
     out
-        File of the new model.
+        File of the new model, NAME.safetensors.
+    members
+        Copy the models beside it, as NAME-1.safetensors and so on.
     """
+    if out.suffix != checkpoint.ENDING:
+        raise InputError(f"expected a name that ends in {checkpoint.ENDING}", where=str(out), key="--out")
     if len(models) < 2:
         raise InputError(f"expected at least two models, got {len(models)}", where="MODELS")
     loaded = [checkpoint.load(path) for path in models]
@@ -37,6 +44,8 @@ def average(*models: Path, out: Path) -> None:
             raise InputError(f"expected a model of the settings of {models[-1]}", where=str(path), key="settings")
         if any(not torch.equal(value, state[name]) for name, value in states[-1].items() if name not in trained):
             raise InputError(f"expected the normalisation of {models[-1]}", where=str(path), key="state")
+    for number, model in enumerate(loaded if members else (), start=1):
+        checkpoint.save(member_path(out, number), model.simulator, model.provenance)
     mean = {name: torch.stack([state[name] for state in states]).mean(dim=0) for name in trained}
     last.simulator.load_state_dict(states[-1] | mean)
     own = {

@@ -1,161 +1,170 @@
-"""The card of a surrogate: the range of validity given by its training data, and whether a scene lies within.
+"""The card of a surrogate: what it is, what it was trained on, how well it does, and whether a scene is within.
 
-    python -m gns.card gns/weights/flow2d.pt
+    python -m gns.card gns/weights/flow2d.safetensors --scores scores.md
 
-writes `gns/weights/flow2d.json` beside the weights: minimum and maximum of each quantity over the scenes that the model
-was trained on, drawn anew from the definitions of its datasets (`datasets.definitions.definition`). A network
-interpolates; outside of these ranges its error is unknown.
+writes `gns/weights/flow2d.json` beside the weights. Its ranges are the least and the greatest value of each quantity
+(`gns.ranges`) over the scenes that the model was trained on, drawn anew from the definitions of its datasets. A network
+interpolates; outside of these ranges its error is unknown. What was trained on data that no shipped definition draws
+is given its folders: `python -m gns.card MODEL DATASET...`.
 """
 
 import dataclasses
 import json
-import math
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from datasets import files
 from datasets.command_line import run
-from datasets.definitions.channel3d import CHANNEL3D
-from datasets.definitions.definition import Definition, Split
-from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.layers2d import LAYERS2D
-from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D
+from datasets.definitions import DEFINITIONS
+from datasets.definitions.definition import Split
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
+from datasets.training.memory_mapped import open_trajectory
 from gns.inference import shipped
-from gns.model import checkpoint
+from gns.model import checkpoint, rheology, traction
+from gns.model.context import channels
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator, conditions_count
+from gns.model.solids import feature_count
+from gns.ranges import Body, Range, outside, ranges_of
 from gns.training.convergence import SHORT, summary, total_updates
+from gns.units import GRAVITY
 
-DEFINITIONS: dict[str, Definition] = {each.name: each for each in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
-MARGIN = 0.1
-"""Admitted extrapolation beyond a range, as a fraction of its width."""
-
-Values = Callable[[Scene], Sequence[float]]
+LICENCE = "MIT"
+"""That of the repository."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """A quantity of a scene whose range bounds a surrogate's validity."""
+class Data(Record):
+    """What a model was trained on, and by which command."""
 
-    unit: str
-    values: Values
-    """Its values in a scene."""
-
-
-def material(number: Callable[[Material], float]) -> Values:
-    """A constant of the material of each mass."""
-    return lambda scene: [number(scene.material_of(mass)) for mass in scene.masses]
-
-
-def extent(axis: int) -> Values:
-    """Extent of all masses together along an axis [m]; none where the scene has no such axis."""
-
-    def values(scene: Scene) -> list[float]:
-        if axis >= scene.dimension:
-            return []
-        ends = [mass.lower[axis] + mass.size[axis] for mass in scene.masses]
-        return [max(ends) - min(mass.lower[axis] for mass in scene.masses)]
-
-    return values
+    scenes: dict[str, int]
+    """Definition or folder -> training scenes."""
+    cells_across: dict[str, Range]
+    """The same -> fewest and most cells of the MPM over the length of the released body."""
+    command: str
+    """What began the last training."""
+    seed: int | None
+    """Of its weights and samples."""
+    updates: int | None
+    """Updates of the weights in all; None where the model does not say."""
 
 
-def speeds(scene: Scene) -> list[float]:
-    """Initial speed of each mass [m/s]."""
-    return [math.hypot(*(mass.velocity or (0.0,))) for mass in scene.masses]
+@dataclass(frozen=True, kw_only=True)
+class Calibration(Record):
+    """How far a prediction may be from the MPM, by the spread of an ensemble (`gns.uncertainty`)."""
 
-
-def spins(scene: Scene) -> list[float]:
-    """Largest component of the initial velocity gradient of each mass [1/s]."""
-    return [float(abs(mass.spin).max()) for mass in scene.masses]
-
-
-QUANTITIES: dict[str, Quantity] = {
-    "friction_deg": Quantity(unit="deg", values=material(lambda sand: sand.friction_deg)),
-    "cohesion": Quantity(unit="Pa", values=material(lambda sand: sand.cohesion)),
-    "density": Quantity(unit="kg/m^3", values=material(lambda sand: sand.density)),
-    "young": Quantity(unit="Pa", values=material(lambda sand: sand.young)),
-    "poisson": Quantity(unit="", values=material(lambda sand: sand.poisson)),
-    "dilation_deg": Quantity(unit="deg", values=material(lambda sand: sand.dilation_deg)),
-    "strength_gradient": Quantity(unit="Pa/m", values=material(lambda sand: sand.strength_gradient)),
-    "floor_friction": Quantity(unit="", values=lambda scene: [scene.floor_friction]),
-    "wall_friction": Quantity(unit="", values=lambda scene: [scene.wall_friction]),
-    "baffle_friction": Quantity(unit="", values=lambda scene: [scene.baffle_friction] if scene.baffles else []),
-    "damping": Quantity(unit="", values=lambda scene: [scene.damping]),
-    "gravity": Quantity(unit="m/s^2", values=lambda scene: [scene.gravity]),
-    "slope_deg": Quantity(unit="deg", values=lambda scene: [scene.slope_deg]),
-    "cell": Quantity(unit="m", values=lambda scene: [scene.domain.cell]),
-    "box_length": Quantity(unit="m", values=lambda scene: [scene.domain.size[0]]),
-    "box_height": Quantity(unit="m", values=lambda scene: [scene.domain.size[1]]),
-    "box_width": Quantity(unit="m", values=lambda scene: list(scene.domain.size[2:])),
-    "mass_length": Quantity(unit="m", values=extent(0)),
-    "mass_height": Quantity(unit="m", values=extent(1)),
-    "mass_width": Quantity(unit="m", values=extent(2)),
-    "speed": Quantity(unit="m/s", values=speeds),
-    "spin": Quantity(unit="1/s", values=spins),
-    "baffles": Quantity(unit="", values=lambda scene: [float(len(scene.baffles))]),
-    "baffle_height": Quantity(unit="m", values=lambda scene: [baffle.size[1] for baffle in scene.baffles]),
-    "duration": Quantity(unit="s", values=lambda scene: [scene.duration]),
-}
-RENAMED = {"body_length": "mass_length", "body_height": "mass_height", "body_width": "mass_width"}
-"""Quantities in older cards, and what they are called now."""
-UPPER_BOUND_ONLY = ("duration",)
-"""Of which less than the minimum is within range: a shorter flow is a part of a longer one."""
-UNSUPPORTED = "softening, initial stress or barriers"
-"""What no dataset has and no range can express."""
+    floor: float
+    """b: error that the members have in common, over the extent of the flow [-]."""
+    deviation: float
+    """Standard deviation of the errors over sqrt(spread^2 + (b extent)^2) [-]."""
+    quantiles: dict[str, float]
+    """Level -> q, the quantile of the absolute errors over the same [-]."""
+    flows: int
+    """Number of flows that it was found on."""
+    command: str
+    """What found it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card(Record):
-    """The range of validity of a model."""
+    """What there is to know of a model."""
 
-    datasets: dict[str, int]
-    """Definition -> training scenes."""
-    ranges: dict[str, tuple[float, float]]
-    """Quantity -> minimum and maximum, in the units of `QUANTITIES`; those without any are left out."""
-    updates: int | None = None
-    """Updates of the weights in all; None in older cards."""
+    features: dict[str, int]
+    """Features of a particle in their order -> how many numbers."""
+    graph: dict[str, float]
+    """`radius` [m], `history` [steps], `step` [s], `cell` [m] of the thinning, and the sizes of the network."""
+    grid: dict[str, float]
+    """`cell` [m], `channels` and `layers` of the grid context."""
+    normalisation: dict[str, float]
+    """Scales of displacement and acceleration [m per step], mean and standard deviation of tan(phi) [-]."""
+    units: dict[str, float | None]
+    """`body_length` [m], `density` [kg/m^3], `gravity` [m/s^2] to which scenes are scaled; null: they are not."""
+    data: Data
+    licence: str
+    """Of the weights."""
+    scores: str
+    """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
+    ranges: dict[str, Range]
+    """Quantity (`gns.ranges.QUANTITIES`) -> least and greatest value in the training data."""
+    calibration: dict[str, Calibration] | None = None
+    """Observation (`front`, `transport`) -> calibration; None before `python -m gns.calibrate`."""
 
     def outside(self, scene: Scene) -> list[str]:
-        """The quantities of `scene` outside of the training range: each with its value and the range."""
-        found = []
-        for name, quantity in QUANTITIES.items():
-            values = quantity.values(scene)
-            if not values:
-                continue
-            if name not in self.ranges:
-                found.append(f"{name} {values[0]:g} {quantity.unit}".rstrip() + " (none in the training data)")
-                continue
-            low, high = self.ranges[name]
-            slack = MARGIN * (high - low) + 1e-6 * max(abs(low), abs(high))
-            worst = max(values, key=lambda value: max(low - value, value - high))
-            if worst > high + slack or (worst < low - slack and name not in UPPER_BOUND_ONLY):
-                trained = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-                found.append(f"{name} {worst:g} (trained: {trained}) {quantity.unit}".rstrip())
-        softens = any(scene.material_of(mass).softening_length is not None for mass in scene.masses)
-        if softens or any(mass.k0 is not None or mass.release is not None for mass in scene.masses):
-            found.append(UNSUPPORTED)
-        return found
+        """The quantities of `scene` outside of the training range: value, range and by how much."""
+        return outside(scene, self.ranges)
 
 
-def from_definitions(scenes: dict[str, int], updates: int | None = None) -> Card:
-    """The card of a model trained on so many scenes of each definition. Raises InputError for an unknown one."""
-    ranges: dict[str, tuple[float, float]] = {}
-    for name, count in scenes.items():
-        if name not in DEFINITIONS:
-            raise InputError(f"expected one of {', '.join(DEFINITIONS)}, got {name!r}", key="datasets")
-        training = [each.scene for each in DEFINITIONS[name].entries(seed=0) if each.split is Split.TRAIN][:count]
-        for key, quantity in QUANTITIES.items():
-            values = [value for scene in training for value in quantity.values(scene)]
-            if values:
-                low, high = ranges.get(key, (math.inf, -math.inf))
-                ranges[key] = (round(min(low, *values), 9), round(max(high, *values), 9))
-    return Card(datasets=scenes, ranges=ranges, updates=updates)
+def describe(
+    simulator: Simulator, provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
+) -> Card:
+    """The card of a model of this history that was trained on these scenes, by definition or folder."""
+    settings = simulator.settings
+    constants = ("displacement_scale", "acceleration_scale", "friction_mean", "friction_std")
+    across = {
+        name: [Body.from_scene(scene).length / scene.domain.cell for scene in some] for name, some in scenes.items()
+    }
+    return Card(
+        features=features(settings),
+        graph={
+            key: getattr(settings, key) for key in ("radius", "history", "step", "cell", "width", "layers", "rounds")
+        },
+        grid={"cell": settings.grid_cell, "channels": settings.grid_channels, "layers": settings.grid_layers},
+        normalisation={name: float(getattr(simulator, name)) for name in constants},
+        units={"body_length": settings.body_length, "density": settings.density, "gravity": GRAVITY},
+        data=Data(
+            scenes={name: len(some) for name, some in scenes.items()},
+            cells_across={name: (round(min(some), 2), round(max(some), 2)) for name, some in across.items()},
+            command=str(provenance.get("command", "")),
+            seed=provenance.get("seed"),
+            updates=total_updates(provenance) or None,
+        ),
+        licence=LICENCE,
+        scores=scores,
+        ranges=ranges_of((scene for some in scenes.values() for scene in some), settings),
+    )
+
+
+def features(settings: ModelSettings) -> dict[str, int]:
+    """Features of a particle in their order -> how many numbers."""
+    dimension = settings.dimension
+    return {
+        "past displacements": settings.history * dimension,
+        "their changes": (settings.history - 1) * dimension,
+        "solids within the radius": feature_count(dimension),
+        "volume": 1,
+        "friction, cohesion, floor, walls, damping, gravity": conditions_count(dimension),
+        "column on the grid": channels(settings),
+        "tractions of surfaces and damping": traction.count(dimension),
+        "cohesion over the weight above": 1,
+        "forces of pressure and internal friction": rheology.count(dimension),
+        "basal friction and damped motion": traction.sliding_count(dimension),
+    }
+
+
+def defined(counts: Mapping[str, int]) -> dict[str, list[Scene]]:
+    """The first training scenes of shipped definitions, so many of each. Raises InputError for an unknown one."""
+    if unknown := sorted(counts.keys() - DEFINITIONS.keys()):
+        raise InputError(f"expected the folders of its data, {unknown[0]} is no shipped definition", key="DATASET")
+    return {
+        name: [each.scene for each in DEFINITIONS[name].entries(seed=0) if each.split is Split.TRAIN][:count]
+        for name, count in counts.items()
+    }
+
+
+def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
+    """The training scenes in folders that `python -m mpm.generate` made. Raises InputError."""
+    found = {}
+    for folder in datasets:
+        found[folder.name] = [open_trajectory(file).scene for file in sorted((folder / "train").glob("*.npz"))]
+        if not found[folder.name]:
+            raise InputError("expected trajectories in train/*.npz, there are none", where=str(folder))
+    return found
 
 
 def card_path(weights: Path) -> Path:
@@ -170,15 +179,19 @@ def read(weights: Path) -> Card | None:
         return None
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"expected a card in JSON, {error}", where=str(path)) from None
+    try:
         if not isinstance(data, dict):
             raise InputError("expected a card in JSON")
-        if isinstance(data.get("ranges"), dict):
-            data["ranges"] = {RENAMED.get(key, key): value for key, value in data["ranges"].items()}
         return from_mapping(Card, data)
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise error.at(str(path)) from None
-        raise InputError(f"expected a card in JSON, {error}", where=str(path)) from None
+    except InputError as error:
+        raise error.at(f"{path}, which python -m gns.card writes") from None
+
+
+def write(weights: Path, card: Card) -> None:
+    """Write the card beside the model's file."""
+    files.write_json(card_path(weights), dataclasses.asdict(card))
 
 
 def warning(weights: Path, scene: Scene) -> str | None:
@@ -190,45 +203,57 @@ def warning(weights: Path, scene: Scene) -> str | None:
     if card is None:
         return f"{weights.name} has no card (python -m gns.card): its training range is unknown"
     reasons = []
-    if outside := card.outside(scene):
-        reasons.append(f"{weights.name} is outside of its training range: {'; '.join(outside)}")
-    if card.updates is not None and card.updates < SHORT * reference_updates(scene.dimension):
-        reasons.append(f"{weights.name}: {length_of_training(card.updates, scene.dimension)}")
+    if found := card.outside(scene):
+        reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
+    updates, reference = card.data.updates, reference_updates(scene.dimension)
+    if updates is not None and reference is not None and updates < SHORT * reference:
+        reasons.append(f"{weights.name}: {summary(updates, reference, shipped(scene.dimension).name)}")
     return "; ".join(reasons) or None
 
 
-def reference_updates(dimension: int) -> int:
-    """Updates of the weights of the shipped model in 2D or 3D. Raises InputError where its card does not name them."""
+def reference_updates(dimension: int) -> int | None:
+    """Updates of the weights of the shipped model in 2D or 3D; None where none ships, or its card does not say."""
     path = shipped(dimension)
-    card = read(path)
-    if card is None or card.updates is None:
-        raise InputError("expected the number of updates", where=str(card_path(path)), key="updates")
-    return card.updates
+    card = read(path) if path.exists() else None
+    return None if card is None else card.data.updates
 
 
 def length_of_training(updates: int, dimension: int, scores: Sequence[float] = ()) -> str:
     """A line on so many updates against those of the shipped model; scores: of the validations, in order."""
-    return summary(updates, reference_updates(dimension), shipped(dimension).name, scores)
+    reference = reference_updates(dimension)
+    if reference is None:
+        return f"{updates} updates in all"
+    return summary(updates, reference, shipped(dimension).name, scores)
 
 
-def main(model: Path, /) -> None:
-    """Write the card of a model beside it: the ranges of the quantities of its training scenes.
+def main(model: Path, /, *datasets: Path, scores: Path | None = None) -> None:
+    """Write the card of a model beside it.
 
     Parameters
     ----------
     model
-        The model's file; its datasets are those that its provenance names.
+        The model's file.
+    datasets
+        Folders of its training data; the shipped definitions that its provenance names unless given.
+    scores
+        Table that python -m gns.score wrote, for the card.
     """
-    provenance = checkpoint.load(model).provenance
-    named = provenance.get("datasets", [])
-    counts = {
-        match[1]: int(match[2]) for each in named if (match := re.fullmatch(r"(\w+): (\d+) trajectories", str(each)))
-    }
-    if not counts:
+    loaded = checkpoint.load(model)
+    if datasets:
+        scenes = stored(datasets)
+    else:
+        named = loaded.provenance.get("datasets", [])
+        matches = [re.fullmatch(r"([\w-]+): (\d+) trajectories", str(each)) for each in named]
+        scenes = defined({match[1]: int(match[2]) for match in matches if match})
+    if not scenes:
         raise InputError("expected the datasets in the model's provenance, there are none", where=str(model))
-    card = from_definitions(counts, total_updates(provenance) or None)
-    files.write_json(card_path(model), dataclasses.asdict(card))
-    print(f"{card_path(model)}: {len(card.ranges)} ranges over {sum(counts.values())} scenes")
+    try:
+        table = "" if scores is None else scores.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"expected a table, {error}", where=str(scores)) from None
+    card = describe(loaded.simulator, loaded.provenance, scenes, table)
+    write(model, card)
+    print(f"{card_path(model)}: {len(card.ranges)} ranges over {sum(card.data.scenes.values())} scenes")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,10 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`."""
 
 import dataclasses
+import itertools
+import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,24 +17,43 @@ from datasets.scene import Scene
 from datasets.trajectory import Floats, Trajectory
 from gns.initial import initial_state
 from gns.model import checkpoint
-from gns.model.grid import UP
 from gns.model.simulator import Simulator
 from gns.unroll import unroll
 
 WEIGHTS = Path(__file__).parent / "weights"
 """The models that ship."""
-SHIPPED = WEIGHTS / "flow2d.pt"
-"""The model that is used in 2D where none is named."""
+MEMBER = re.compile(r".*-\d+")
+"""How a member of the ensemble of a model is called: its name and a number."""
 
 
 def shipped(dimension: int) -> Path:
     """The model that is used in 2D or 3D where none is named."""
-    return WEIGHTS / ("flow2d.pt" if dimension == 2 else "obstacle3d.pt")
+    return WEIGHTS / f"{'flow2d' if dimension == 2 else 'obstacle3d'}{checkpoint.ENDING}"
+
+
+SHIPPED = shipped(2)
+"""The model that is used in 2D where none is named."""
+
+
+def models(folder: Path = WEIGHTS) -> list[Path]:
+    """The models in a folder, by name; without the members of ensembles."""
+    found = [path for path in folder.glob(f"*{checkpoint.ENDING}") if not MEMBER.fullmatch(path.stem)]
+    return sorted(found, key=lambda path: path.stem)
+
+
+def members(model: Path) -> list[Path]:
+    """The members of the ensemble of a model, NAME-1, NAME-2 and so on beside it."""
+    return list(itertools.takewhile(Path.exists, (member_path(model, number) for number in itertools.count(1))))
+
+
+def member_path(model: Path, number: int) -> Path:
+    """The file of a member of the ensemble of a model, counted from 1."""
+    return model.with_name(f"{model.stem}-{number}{checkpoint.ENDING}")
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a model: a path, or the name of one that ships (flow2d, flow2d-fast, obstacle3d)."""
-    named = WEIGHTS / f"{model}.pt"
+    """The file of a model: a path, or the name of one that ships (flow2d, obstacle3d)."""
+    named = WEIGHTS / f"{model}{checkpoint.ENDING}"
     return named if named.is_file() and not Path(model).exists() else Path(model)
 
 
@@ -96,7 +118,7 @@ def simulate(
         "toe": list(measures.toe(deposit)),
         "steps": initial.steps,
         "particles": len(initial.indices),
-        "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity),
+        "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity_vector),
         "wall_s": wall,
         "device": str(device),
         "start": initial.start.value,
@@ -107,22 +129,24 @@ def simulate(
         velocity0=initial.velocity0,
         friction=initial.conditions.friction.numpy(),
         volume=volume,
+        mass=initial.mass,
         scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
 
 
 def energies(
-    positions: Floats, velocity0: Floats, mass: NDArray[np.float64], *, step: float, gravity: float
+    positions: Floats, velocity0: Floats, mass: NDArray[np.float64], *, step: float, gravity: Sequence[float]
 ) -> dict[str, list[float]]:
     """Kinetic and potential energy at each time [J, in 2D per metre of width], by name as the MPM's.
 
-    positions: `step` [s] apart [m], shape [T, n, D]; velocity0: at the first [m/s], [n, D]; mass: [kg], [n].
-    Velocities are central differences, at the end one-sided; a particle at y = 0 has no potential energy.
+    positions: `step` [s] apart [m], shape [T, n, D]; velocity0: at the first [m/s], [n, D]; mass: [kg], [n];
+    gravity: [m/s^2], [D]. Velocities are central differences, at the end one-sided; a particle in the lower corner of
+    the box has no potential energy.
     """
     velocities = np.gradient(positions, step, axis=0) if len(positions) > 1 else np.empty_like(positions)
     velocities[0] = velocity0
     kinetic = 0.5 * np.square(velocities).sum(axis=2) @ mass
-    potential = gravity * (positions[:, :, UP] @ mass)
+    potential = -(positions @ np.array(gravity)) @ mass
     series = {"kinetic": kinetic, "potential": potential}
     return {name: [float(f"{value:.6g}") for value in values] for name, values in series.items()}

@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.geometry.plain import check_plain
-from datasets.particles import initial_particles, mass_counts, particle_volumes
+from datasets.particles import initial_particles, mass_counts
 from datasets.scene import Scene
-from datasets.training.samples import corners, frames_per_step, point_cohesion
+from datasets.training.samples import Surroundings, check_known
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
+from gns.conditions import conditions_of, tensors_of
 from gns.model.settings import ModelSettings
 from gns.model.state import Conditions, State, Tensors
-
-MPM_SECONDS = 0.05
-"""Time [s] that the MPM computes where a rollout starts from its frames: a twentieth of a run of one second."""
+from gns.units import Units
 
 
 class Start(StrEnum):
@@ -30,7 +28,7 @@ class Start(StrEnum):
     FROM_REST = "rest"
     """At time 0: the scene's particles and their initial velocities."""
     FROM_MPM_FRAMES = "frames"
-    """At the end of the MPM's first `MPM_SECONDS`, which fill the model's history."""
+    """At the end of frames of the MPM, which fill the model's history."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,20 +66,24 @@ class InitialState(Tensors):
         """Times of the known positions and of those to come [s], shape [F + steps]."""
         return self.step * np.arange(len(self.known) + self.steps, dtype=np.float64)
 
-    def of_mass(self, mass: int | None) -> Tensor:
-        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n].
+    @property
+    def mass(self) -> NDArray[np.int32]:
+        """Index of the scene's mass that each particle belongs to, shape [n].
 
         Raises InputError where the particles are not those of the scene's masses.
         """
         counts = mass_counts(self.scene)
         if self.indices.max() >= sum(counts):
             raise InputError(f"expected the {sum(counts)} particles of the scene's masses, there are more")
-        index = np.repeat(np.arange(len(counts)), counts)[self.indices]
+        return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
+
+    def of_mass(self, mass: int | None) -> Tensor:
+        """Whether each particle belongs to `mass`, for None to any mass of the scene's shared material; bool, [n]."""
         shared = np.array([each.material is None for each in self.scene.masses])
-        return torch.from_numpy(shared[index] if mass is None else index == mass)
+        return torch.from_numpy(shared[self.mass] if mass is None else self.mass == mass)
 
     def with_conditions(self, **changes: Any) -> "InitialState":
-        """The same state under other conditions: `friction`, `cohesion`, `volume` or `baffles`, as tensors."""
+        """The same state under other conditions, those of `Conditions` by name."""
         return dataclasses.replace(self, conditions=dataclasses.replace(self.conditions, **changes))
 
     def with_displacements(self, displacements: Tensor) -> "InitialState":
@@ -98,67 +100,61 @@ def initial_state(
 ) -> InitialState:
     """The initial state of `scene` for a model of these settings.
 
-    frames: a run of the scene by the MPM, whose last frame is where the rollout begins (`first_frames` of a longer
-    one); without it the rollout begins at rest, that is at time 0. seed: of the choice of the particles that stay.
+    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it the rollout begins
+    at rest, that is at time 0. seed: of the choice of the particles that stay.
     Raises InputError for a scene outside of what the model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
+    units = Units.of_scene(scene, settings)
+    step = units.time * settings.step
+    particles = initial_particles(scene)
     if frames is None:
-        particles = initial_particles(scene)
         known = particles.positions[None].astype(np.float32)
-        velocity0, friction = particles.velocities.astype(np.float32), particles.friction
     else:
-        stride = frames_per_step(frames.scene.frame_dt, settings.step, "start")
-        known, velocity0, friction = frames.positions[::stride], frames.velocity0, frames.friction
-    volumes = particle_volumes(scene, len(friction))
+        if frames.positions.shape[1] != len(particles.friction):
+            message = f"expected the {len(particles.friction)} particles of the scene, got {frames.positions.shape[1]}"
+            raise InputError(message, where="start", key="positions")
+        known = resampled(frames, step)
+    velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
     rng = np.random.default_rng(seed)
-    thinned = thin(known[0], volumes, cell=settings.cell, kept=settings.particles_per_cell, rng=rng)
+    cell = units.length * settings.cell
+    thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
     kept = thinned.indices
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
-        state=State.observed(history, torch.from_numpy(velocity0), step=settings.step, history=settings.history),
-        conditions=Conditions(
-            friction=torch.from_numpy(friction[kept]),
-            cohesion=torch.from_numpy(point_cohesion(scene, len(friction), "")[kept]),
+        state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
+        conditions=conditions_of(
+            tensors_of(Surroundings.of_scene(scene, cell)),
+            friction=torch.from_numpy(particles.friction[kept]),
+            cohesion=torch.from_numpy(particles.cohesion[kept]),
             volume=torch.from_numpy(thinned.volumes),
-            size=scene.domain.size,
-            gravity=scene.gravity,
-            baffles=torch.from_numpy(corners(scene)).unsqueeze(0) if scene.baffles else None,
+            spacing=cell,
+            units=units,
         ),
         scene=scene,
-        step=settings.step,
-        steps=max(0, round(scene.duration / settings.step) - len(known) + 1),
+        step=step,
+        steps=max(0, round(scene.duration / step) - len(known) + 1),
         known=known,
         velocity0=velocity0,
         indices=kept,
     )
 
 
-def first_frames(trajectory: Trajectory, seconds: float = MPM_SECONDS) -> Trajectory:
-    """The frames of `trajectory` up to `seconds`, copied, and without the recorded fields."""
-    count = round(seconds / trajectory.scene.frame_dt) + 1
-    return Trajectory(
-        positions=trajectory.positions[:count].copy(),
-        time=trajectory.time[:count].copy(),
-        velocity0=trajectory.velocity0,
-        friction=trajectory.friction,
-        scene=trajectory.scene,
-    )
+def resampled(frames: Trajectory, step: float) -> Floats:
+    """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
+    times = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
+    right = np.clip(np.searchsorted(frames.time, times), 1, max(1, len(frames.time) - 1))
+    if len(frames.time) == 1:
+        return frames.positions
+    left = right - 1
+    share = (times - frames.time[left]) / (frames.time[right] - frames.time[left])
+    between = share[:, None, None].astype(np.float32)
+    return np.asarray((1.0 - between) * frames.positions[left] + between * frames.positions[right])
 
 
 def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
     if scene.dimension != settings.dimension:
         raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
-    check_plain(scene, "the model")
-    if scene.baffles and not settings.baffles:
-        raise InputError("expected a scene without baffles, the model has none", key="baffles")
-    if scene.slope_deg != 0.0:
-        raise InputError("expected a level floor, the model has no other", key="slope_deg")
-    if any(mass.release is not None for mass in scene.masses):
-        raise InputError("expected masses that are free from the start, the model has no barriers", key="masses")
-    densities = {scene.material_of(mass).density for mass in scene.masses}
-    if len(densities) > 1:
-        got = " and ".join(f"{density:g}" for density in sorted(densities))
-        raise InputError(f"expected masses of one density, the model has no others, got {got} kg/m^3", key="masses")
+    check_known(scene, "the model")

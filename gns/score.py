@@ -1,4 +1,4 @@
-"""How good a model is: whole rollouts of held-out flows, from the MPM's first frames. `python -m gns.score`."""
+"""How good a model is: whole rollouts of held-out flows. `python -m gns.score`."""
 
 import itertools
 import sys
@@ -15,15 +15,14 @@ from datasets.training.samples import Flow, Sample, cut, load_flows
 from datasets.trajectory import Floats
 from gns.card import length_of_training
 from gns.inference import model_path
-from gns.initial import MPM_SECONDS
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.training.batch import batched
 from gns.training.convergence import total_updates
 from gns.unroll import unroll
 
-SPACING = 0.02
-"""Distance [m] between the stations of the height profiles."""
+ERRORS = ("profile_error", "kinetic_error")
+"""Beside that of the front."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,11 +36,12 @@ class Score:
     friction_deg: float
     """Mean angle of friction [deg]."""
     front_error: float
-    """Front of the deposit, model less MPM, over the MPM's [-]."""
+    """Front of the deposit beyond the MPM's, over the deposit's extent from its rear to its front [-].
+
+    The front is the end that has moved farther, to the left or to the right.
+    """
     profile_error: float
-    """Area between the two height profiles over that under the MPM's [-]; 0 is equal, 2 disjoint."""
-    rmse: tuple[float, float, float]
-    """Root mean square distance of the particles [m] at a quarter, half and all of the rollout."""
+    """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
     kinetic_error: float
     """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
     seconds: float
@@ -49,17 +49,19 @@ class Score:
 
 
 def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
-    """Roll out `flows`, those of one domain that follow each other `at_once` side by side."""
+    """Roll out `flows` from their starts, those of one length that follow each other `at_once` side by side.
+
+    The deposits are compared with all particles that the flows have, whichever of them the model follows.
+    """
     settings = simulator.settings
-    now = round(MPM_SECONDS / settings.step)
     rng = np.random.default_rng(seed)
     scores: list[Score] = []
     for group in grouped(flows, at_once):
-        steps = len(group[0].positions) - 1 - now
+        steps = len(group[0].positions) - 1
         samples = [
             cut(
                 flow,
-                now=now,
+                now=0,
                 steps=steps,
                 history=settings.history,
                 cell=settings.cell,
@@ -68,44 +70,44 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
             )
             for flow in group
         ]
-        size, gravity = group[0].size, group[0].gravity
-        batch = batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+        batch = batched(samples, step=settings.step, history=settings.history)
         batch = batch.to(simulator.displacement_scale.device)
         clock = time.process_time()
         with torch.no_grad():
-            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].cpu().numpy()
+            moved = unroll(simulator, batch.state, batch.conditions(settings.cell), steps)[1:].cpu().numpy()
         seconds = (time.process_time() - clock) / len(group)
         ends = np.cumsum([len(sample.friction) for sample in samples])[:-1]
         for flow, sample, positions in zip(group, samples, np.split(moved, ends, axis=1), strict=True):
-            distance = np.square(positions - sample.targets).sum(axis=2).mean(axis=1) ** 0.5
-            stations = np.linspace(0.0, size[0], round(size[0] / SPACING) + 1)
-            volume = sample.volume.astype(np.float64)
-            target = measures.height_profile(sample.targets[-1], volume, stations)
-            predicted = measures.height_profile(positions[-1], volume, stations)
-            front = measures.front(sample.targets[-1])
+            deposit = flow.positions[-1]
+            start, end = np.array(measures.ends(flow.positions[0])), np.array(measures.ends(deposit))
+            extent = float(end[1] - end[0])
+            # Outwards on both sides; the end that ran farther is the front.
+            outward = np.array([-1.0, 1.0])
+            side = int(np.argmax(outward * (end - start)))
+            off = outward * (np.array(measures.ends(positions[-1])) - end)
+            apart = measures.transport_distance(positions[-1], sample.volume, deposit, flow.volume)
             scores.append(
                 Score(
                     name=flow.name,
                     released=flow.released,
                     friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
-                    front_error=(measures.front(positions[-1]) - front) / front,
-                    profile_error=measures.profile_error(predicted, target),
-                    kinetic_error=kinetic_error(positions, sample, gravity, settings.step),
+                    front_error=float(off[side]) / extent,
+                    profile_error=apart / extent,
+                    kinetic_error=kinetic_error(positions, sample, settings.step),
                     seconds=seconds,
-                    rmse=(float(distance[steps // 4]), float(distance[steps // 2]), float(distance[-1])),
                 )
             )
     return scores
 
 
 def grouped(flows: Iterable[Flow], at_once: int) -> Iterator[list[Flow]]:
-    """Runs of at most `at_once` flows of one domain, gravity and length."""
-    for _, alike in itertools.groupby(flows, key=lambda flow: (flow.size, flow.gravity, len(flow.positions))):
+    """Runs of at most `at_once` flows of one length."""
+    for _, alike in itertools.groupby(flows, key=lambda flow: len(flow.positions)):
         while group := list(itertools.islice(alike, at_once)):
             yield group
 
 
-def kinetic_error(positions: Floats, sample: Sample, gravity: float, step: float) -> float:
+def kinetic_error(positions: Floats, sample: Sample, step: float) -> float:
     """See `Score.kinetic_error`. positions: of the rollout after each step [m], shape [K, n, D]; step: [s]."""
     start = sample.frames[-1:]
     predicted, target = (
@@ -113,6 +115,7 @@ def kinetic_error(positions: Floats, sample: Sample, gravity: float, step: float
         for moved in (positions, sample.targets)
     )
     before = sample.frames[-1] - sample.frames[-2] if len(sample.frames) > 1 else step * sample.velocity0
+    gravity = float(np.linalg.norm(sample.surroundings.gravity))
     total = measures.kinetic_energy(before / step, sample.volume)
     total = total + measures.potential_energy(start[0], sample.volume, gravity)
     return float(np.abs(predicted - target).max() / total)
@@ -126,8 +129,8 @@ def validation_score(scores: Sequence[Score]) -> float:
 def table(scores: Sequence[Score]) -> str:
     """Markdown: releases and moving starts apart, mean over the flows of each and the worst front."""
     lines = [
-        "| start | flows | front error, mean | rms | worst | profile error | rmse 1/4 [mm] | 1/2 [mm] | end [mm] |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| start | flows | front error, mean of absolute values | mean | worst | profile error | kinetic energy |",
+        "|---|---|---|---|---|---|---|",
     ]
     for title, released in (("released at rest", True), ("moving", False)):
         group = [score for score in scores if score.released == released]
@@ -135,12 +138,10 @@ def table(scores: Sequence[Score]) -> str:
             continue
         front = 100.0 * np.array([score.front_error for score in group])
         worst = front[np.abs(front).argmax()]
-        profile = 100.0 * np.mean([score.profile_error for score in group])
-        rms = np.sqrt(np.square(front).mean())
-        rmse = 1000.0 * np.mean([score.rmse for score in group], axis=0)
+        profile, kinetic = (100.0 * np.mean([getattr(score, key) for score in group]) for key in ERRORS)
         lines.append(
-            f"| {title} | {len(group)} | {front.mean():+.1f} % | {rms:.1f} % | {worst:+.1f} % "
-            f"| {profile:.1f} % | {rmse[0]:.1f} | {rmse[1]:.1f} | {rmse[2]:.1f} |"
+            f"| {title} | {len(group)} | {np.abs(front).mean():.1f} % | {front.mean():+.1f} % | {worst:+.1f} % "
+            f"| {profile:.1f} % | {kinetic:.1f} % |"
         )
     return "\n".join(lines) + "\n"
 
@@ -148,7 +149,7 @@ def table(scores: Sequence[Score]) -> str:
 def score(
     *datasets: Path, model: Path, split: str = "test", seed: int = 0, threads: int = 1, out: Path | None = None
 ) -> None:
-    """Score a model by whole rollouts from the MPM's first frames.
+    """Score a model by whole rollouts.
 
     Parameters
     ----------
@@ -171,7 +172,9 @@ def score(
     settings = simulator.settings
     lines = []
     for dataset in datasets:
-        flows = load_flows(dataset, split, step=settings.step, dimension=settings.dimension, progress=True)
+        flows = load_flows(
+            dataset, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=True
+        )
         lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(simulator, flows, seed=seed)))
     if updates := total_updates(loaded.provenance):
         lines.append(length_of_training(updates, settings.dimension) + "\n")

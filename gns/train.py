@@ -53,8 +53,8 @@ def train(
 ) -> None:
     """Train a graph network simulator on trajectories of the MPM.
 
-    Leaves OUT/best.pt (the model to use), OUT/last.pt (what --resume continues), OUT/log.csv and OUT/scores.md. Ctrl-C
-    ends the update in progress and leaves OUT/last.pt. On several GPUs or processes:
+    Leaves OUT/best.safetensors (the model to use), OUT/last.pt (what --resume continues), OUT/log.csv and
+    OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several GPUs or processes:
     torchrun --nproc-per-node N -m gns.train ...
 
     Parameters
@@ -96,7 +96,7 @@ def train(
     budget = Budget(minutes=minutes, updates=updates)
     with joined(device) as processes:
         if mixed and processes.device.type != "cuda":
-            raise InputError("expected a GPU, there is nothing to gain on a CPU", key="mixed")
+            raise InputError(f"expected a GPU, got {processes.device.type}", key="mixed")
         groups, valid = load(datasets, model, training, progress=processes.first)
         simulator = Simulator(model, statistics(groups)) if begin is None else starting_model(begin, model)
         run = Run(simulator, training, seed=seed, processes=processes, mixed=mixed, memory_gib=memory_gib)
@@ -123,7 +123,13 @@ def train(
             log = Log(out, size=position.log_size, updates=position.updates, tensorboard=tensorboard)
         outputs = Outputs(out=out, log=log, valid=valid, provenance=provenance)
         try:
-            fit(run, Curriculum(groups, model), budget, Clock(clock), outputs)
+            fit(
+                run,
+                Curriculum(groups, model, first=training.first, pairs=training.pairs),
+                budget,
+                Clock(clock),
+                outputs,
+            )
             if log is not None:
                 report_length(out, log, total_updates(provenance) + run.position.updates, model.dimension)
         finally:
@@ -139,18 +145,14 @@ def load(
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
 
     def split(dataset: Path, name: str) -> Flows:
-        return load_flows(dataset, name, step=settings.step, dimension=settings.dimension, progress=progress)
+        return load_flows(
+            dataset, name, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=progress
+        )
 
     train = [split(dataset, "train") for dataset in datasets]
     valid = [split(dataset, "valid") for dataset in datasets]
     frames = max(2 * settings.history + 1, *training.unroll)
-    for first, flow in ((flows[0], flow) for flows in (*train, *valid) for flow in flows):
-        if (flow.size, flow.gravity) != (first.size, first.gravity):
-            raise InputError(f"expected the domain and gravity of {first.name}", where=flow.name)
-        if len(flow.baffles) and not settings.baffles:
-            raise InputError(
-                "expected flows without baffles, or a model with --baffles", where=flow.name, key="baffles"
-            )
+    for flow in (flow for flows in (*train, *valid) for flow in flows):
         if len(flow.positions) <= frames:
             message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"
             raise InputError(message, where=flow.name)
@@ -264,16 +266,14 @@ def validate(run: Run, outputs: Outputs, log: Log) -> None:
         "profile_error_released": round(float(np.mean([score.profile_error for score in released])), 4),
         "front_error": round(float(np.mean([abs(score.front_error) for score in scores])), 4),
         "profile_error": round(float(np.mean([score.profile_error for score in scores])), 4),
-        "rmse_quarter": round(float(np.mean([score.rmse[0] for score in scores])), 5),
-        "rmse_half": round(float(np.mean([score.rmse[1] for score in scores])), 5),
-        "rmse_end": round(float(np.mean([score.rmse[2] for score in scores])), 5),
+        "kinetic_error": round(float(np.mean([score.kinetic_error for score in scores])), 4),
     }
     log.row(row)
     position.log_size = log.size
     tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
     if total < position.best:
         position.best = total
-        checkpoint.save(outputs.out / "best.pt", averaged, {**outputs.provenance, "score": total, "log": row})
+        checkpoint.save(outputs.out / "best.safetensors", averaged, {**outputs.provenance, "score": total, "log": row})
         files.write_text(outputs.out / "scores.md", table(scores))
 
 

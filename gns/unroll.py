@@ -19,7 +19,7 @@ def unroll(
     kept_steps: int = 0,
     progress: bool = False,
 ) -> Tensor:
-    """Positions [m] at the start and after each step, shape [steps + 1, N, D].
+    """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
 
     Where gradients are recorded, a step keeps only its state and is computed again in the backward pass (a
     state is a few kilobytes, the activations of a step are megabytes); the last `kept_steps` steps keep their
@@ -28,14 +28,17 @@ def unroll(
     the weights (`simulator.requires_grad_(False)`): the backward pass is then much cheaper.
     """
     lean = trimming(simulator)
-    state, positions = start, [start.positions]
+    length = conditions.units.length
+    state, conditions = start.over(length), conditions.in_model_units()
+    positions = [state.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         if torch.is_grad_enabled() and step < steps - kept_steps:
             state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
         else:
             state = simulator(state, conditions)
         positions.append(state.positions)
-    return torch.stack(positions)
+    moved = torch.stack(positions)
+    return moved if length == 1.0 else moved * length
 
 
 def step_activation_bytes(simulator: Simulator, state: State, conditions: Conditions) -> int:
@@ -51,6 +54,7 @@ def step_activation_bytes(simulator: Simulator, state: State, conditions: Condit
         conditions.cohesion,
         conditions.volume,
     ]
+    state, conditions = state.over(conditions.units.length), conditions.in_model_units()
     known = {tensor.untyped_storage().data_ptr() for tensor in outside}
     saved: dict[int, int] = {}
 

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from datasets.errors import InputError
 from datasets.scene import Baffle, Scene
-from gns.initial import Start
 from inverse.observations import KINDS, build
 from inverse.parameters import Vector, with_kinds
 from inverse.parameters.baffles import swept
@@ -190,9 +189,6 @@ def check_search(
         require(value is None or 0.0 < value <= maximum, key, f"a number in (0, {maximum:g}]", value)
     every_particle = KINDS[observation.kind].every_particle
     for each in parameters:
-        if optimiser.start is Start.FROM_MPM_FRAMES and each.kind.changes_start:
-            message = f"expected rest, the MPM's first frames depend on {each.name}"
-            raise InputError(message, key="optimiser.start")
         if every_particle and each.kind.changes_volume:
             message = f"expected another kind than {observation.kind}: with {each.name} the number of particles changes"
             raise InputError(message, key="observation.kind")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from gns import card
-from gns.inference import shipped
+from gns.inference import model_path, shipped
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Evaluation
@@ -73,36 +73,30 @@ def invert(
     target = read_target(problem, simulate)
     chosen: GnsForward | MpmForward
     if forward is ForwardModel.MPM:
-        chosen, mpm_seconds = MpmForward(problem, target.observation, simulate_many), 0.0
+        chosen = MpmForward(problem, target.observation, simulate_many)
     else:
-        chosen, mpm_seconds = surrogate(problem, target, model, memory_gib)
+        chosen = surrogate(problem, target, model, memory_gib)
     began = time.perf_counter()
     records = search(problem, target, chosen, gradient)
     seconds = time.perf_counter() - began
-    result = unconfirmed(
-        problem, target, records, seconds, mpm_seconds=seconds if forward is ForwardModel.MPM else mpm_seconds
-    )
+    mpm_seconds = seconds if forward is ForwardModel.MPM else 0.0
+    result = unconfirmed(problem, target, records, seconds, mpm_seconds=mpm_seconds)
     if out is not None:
         result.write(out)
         report.write(result, chosen.deposit, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
     return result
 
 
-def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> tuple[GnsForward, float]:
-    """The learned surrogate of `problem`, and the seconds that its first frames took the MPM. Raises InputError."""
+def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> GnsForward:
+    """The learned surrogate of `problem`. Raises InputError."""
     unsupported = [each.name for each in problem.parameters if not each.kind.differentiable]
     if unsupported or not target.observation.differentiable:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
-    weights, scene = model or shipped(problem.scene.dimension), problem.scene_at(problem.initial)
+    weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    source = GnsSource(checkpoint.load(weights).simulator, problem, target.observation, memory_gib)
-    frames = source.first_frames(scene)
-    began = time.perf_counter()
-    beginning = None if frames is None else simulate(frames)
-    seconds = time.perf_counter() - began
-    return source.start(beginning), seconds
+    return GnsSource(checkpoint.load(weights).simulator, problem, target.observation, memory_gib).start(None)
 
 
 def search(

@@ -2,9 +2,10 @@
 
 import dataclasses
 import math
+import warnings
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +14,9 @@ from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
-from gns.initial import Start
 from inverse import checks
 from inverse.observations import KINDS, Observation
 from inverse.parameters import Kind, Vector, with_kinds, with_parameters
-from inverse.parameters.baffles import clear_of_start, swept
 from inverse.settings import (
     LoopSettings,
     ObservationSettings,
@@ -142,18 +141,6 @@ class Problem:
             return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
 
-    @cached_property
-    def start(self) -> Start:
-        """Where the surrogate begins: after the MPM's first frames, from which its error is smallest.
-
-        Unless those depend on the parameters: on a velocity, or on a baffle that the flow may get to so soon.
-        """
-        if self.optimiser.start is not None:
-            return self.optimiser.start
-        boxes = swept(self.scene, self.kinds, self.bounds).values()
-        changed = any(kind.changes_start for kind in self.kinds)
-        return Start.FROM_REST if changed or not clear_of_start(self.scene, boxes) else Start.FROM_MPM_FRAMES
-
 
 def read_problem(name: str) -> Problem:
     """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key.
@@ -162,7 +149,7 @@ def read_problem(name: str) -> Problem:
     """
     path = find(name, PROBLEMS, "problem")
     try:
-        file = from_mapping(_File, read_toml(path))
+        file = from_mapping(_File, _without_start(read_toml(path)))
         observation, target = _observed(file)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
@@ -181,6 +168,15 @@ def read_problem(name: str) -> Problem:
         )
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def _without_start(data: dict[str, Any]) -> dict[str, Any]:
+    """A file's data without `optimiser.start` of older ones, by which rollouts could begin at frames of the MPM."""
+    optimiser = data.get("optimiser")
+    if not isinstance(optimiser, dict) or "start" not in optimiser:
+        return data
+    warnings.warn("optimiser.start is no longer used, the surrogate begins at rest", FutureWarning, stacklevel=3)
+    return data | {"optimiser": {key: value for key, value in optimiser.items() if key != "start"}}
 
 
 def _observed(file: _File) -> tuple[ObservationSettings, TargetSettings]:

@@ -7,7 +7,6 @@ from functools import cached_property
 
 from datasets.errors import InputError
 from datasets.records import Record, fraction
-from gns.initial import Start
 from inverse.parameters import Kind, kind
 
 
@@ -206,8 +205,6 @@ class OptimiserSettings(Record):
 
     Where absent, the paper's 500 deg^2/m^2 for gradient descent, for Adam a fiftieth of each unknown's range.
     """
-    start: Start | None = None
-    """Where the surrogate begins; see `inverse.problem.Problem.start` for what it is where absent."""
     starts: int = 1
     """Points from which the surrogate is inverted: `initial` and, for problems with more than one answer, others."""
     sampler: Sampler = Sampler.TPE

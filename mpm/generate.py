@@ -15,16 +15,19 @@ from operator import add
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed, run
 from datasets.definitions import read_definition
-from datasets.definitions.definition import Definition, Entry, Split
+from datasets.definitions.definition import Definition, Entry, Split, Storage
 from datasets.errors import InputError
 from datasets.files import write_json
+from datasets.particles import mass_counts
 from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
+from datasets.training.thinning import thin
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.process import processors
 
@@ -52,7 +55,7 @@ def command(
     Parameters
     ----------
     definition
-        flow2d, releases2d, layers2d, obstacle3d, channel3d, or the path of a definition in TOML.
+        flows2d, flows3d, flow2d, obstacle3d, or the path of a definition in TOML.
     out
         Folder of the dataset: train, valid, test, metadata.json, generation.json.
     count
@@ -93,7 +96,7 @@ def generate(
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     missing = missing_entries(entries, out)
     with pool(jobs) if scheduler is None else cluster(scheduler) as (executor, jobs):
-        simulate_all(executor, missing, out, jobs=jobs, total=len(entries))
+        simulate_all(executor, missing, out, jobs=jobs, total=len(entries), storage=definition.storage)
         statistics = statistics_of(executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
     write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
     write_json(
@@ -125,7 +128,9 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
     return [entry for path, entry in required.items() if path not in found]
 
 
-def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: int, total: int) -> None:
+def simulate_all(
+    executor: Executor, entries: list[Entry], out: Path, *, jobs: int, total: int, storage: Storage | None = None
+) -> None:
     """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it."""
     waiting = iter(entries)
     running: dict[Future[None], str] = {}
@@ -134,7 +139,7 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
         while True:
             # No more than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
             for entry in islice(waiting, jobs - len(running)):
-                running[executor.submit(simulate_one, entry.scene, trajectory_path(entry, out))] = entry.name
+                running[executor.submit(simulate_one, entry.scene, trajectory_path(entry, out), storage)] = entry.name
             if not running:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -150,14 +155,37 @@ def simulate_all(executor: Executor, entries: list[Entry], out: Path, *, jobs: i
         raise WorkFailed(f"{len(failures)} of {len(entries)} trajectories failed, first {min(failures)}")
 
 
-def simulate_one(scene: Scene, path: Path) -> None:
-    """Simulate `scene` and save its trajectory to `path`; runs in a process of the pool."""
+def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> None:
+    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool."""
     # Taichi belongs to the processes that simulate: the one that directs them does not import it.
-    from mpm import simulate
+    from mpm import Recording, simulate
 
-    trajectory = simulate(scene, precision="f32", threads=1)
+    trajectory = simulate(scene, precision="f32", threads=1, record=Recording(until_rest=storage is not None))
+    if storage is not None:
+        trajectory = thinned(trajectory, storage)
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
     replace(trajectory, summary=summary).save(path)
+
+
+def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
+    """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
+    scene = trajectory.scene
+    stay = thin(
+        trajectory.positions[0],
+        trajectory.volumes,
+        cell=storage.cell,
+        kept=storage.kept,
+        rng=np.random.default_rng(scene.seed),
+    )
+    mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))
+    return replace(
+        trajectory,
+        positions=trajectory.positions[:, stay.indices],
+        velocity0=trajectory.velocity0[stay.indices],
+        friction=trajectory.friction[stay.indices],
+        volume=stay.volumes,
+        mass=mass[stay.indices].astype(np.int32),
+    )
 
 
 def statistics_of(executor: Executor, entries: Iterable[Entry], out: Path) -> MotionStatistics:

@@ -2,16 +2,15 @@
 
 from pathlib import Path
 
-from datasets.definitions.channel3d import CHANNEL3D
 from datasets.definitions.definition import Definition
 from datasets.definitions.distributions import definition_from_file
 from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.flows2d import FLOWS2D
+from datasets.definitions.flows3d import FLOWS3D
 from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D
 from datasets.errors import InputError
 
-DEFINITIONS = {each.name: each for each in (FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D)}
+DEFINITIONS = {each.name: each for each in (FLOWS2D, FLOW2D, FLOWS3D, OBSTACLE3D)}
 """Those that ship."""
 
 

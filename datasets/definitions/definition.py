@@ -29,6 +29,16 @@ class Entry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Storage:
+    """What is stored of a trajectory that is computed more finely than it is learned."""
+
+    cell: float
+    """Edge of the cells in which particles are chosen at random [m]."""
+    kept: int
+    """Particles that stay of each such cell; they get the volume of all (`datasets.training.thinning`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Definition:
     """A family of scenes, numbered from 0, and how they are divided."""
 
@@ -41,11 +51,15 @@ class Definition:
     """Number of a scene -> its split."""
     draw: Callable[[np.random.Generator, int], Scene]
     """Random stream and number of a scene -> the scene."""
+    stream: Callable[[int], int] = int
+    """Number of a scene -> number of its random stream; scenes that share one can be variants of each other."""
+    storage: Storage | None = None
+    """Where given, simulations end when their deposits rest, and some of their particles are stored; else all are."""
 
     def entries(self, *, seed: int, count: int | None = None) -> tuple[Entry, ...]:
         """The first `count` scenes of the dataset of `seed`, all of them where `count` is None.
 
-        Scene `index` draws from its own stream `[seed, index]`: a smaller count is a prefix of a larger one, and no
+        Scene `index` draws from the stream `[seed, stream(index)]`: a smaller count is a prefix of a larger one, and no
         scene depends on another.
         """
         count = self.size if count is None else count
@@ -57,7 +71,7 @@ class Definition:
             Entry(
                 split=self.split(index),
                 name=f"{self.name}-{index:04d}",
-                scene=self.draw(np.random.default_rng([seed, index]), index),
+                scene=self.draw(np.random.default_rng([seed, self.stream(index)]), index),
             )
             for index in range(count)
         )

@@ -77,11 +77,14 @@ class Meshes:
     def material(self) -> NDArray[np.int32]:
         """Index into `materials` of each particle, shape [N].
 
-        That of the mass that the particle is in (or nearest to) at the start, so that it holds for a part of the
-        particles; that of the nearest of the scene's own particles where a mass is no box.
+        Where the trajectory does not say its mass, that of the mass that the particle is in (or nearest to) at the
+        start; that of the nearest of the scene's own particles where a mass is no box.
         """
         scene, start = self.trajectory.scene, self.start
         materials = self.materials
+        if self.trajectory.mass is not None:
+            of_masses = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)
+            return of_masses[self.trajectory.mass]
         if any(mass.kind != "box" for mass in scene.masses):
             own = initial_particles(scene)
             return np.asarray(own.material[cKDTree(own.positions).query(start)[1]])

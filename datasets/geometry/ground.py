@@ -1,11 +1,17 @@
 """The ground: lines and height fields of terrain, beyond the sides of the box, and their elevation anywhere in plan."""
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.margins import BEYOND, TOUCHING, Box
 from datasets.geometry.solid import Solid
+
+if TYPE_CHECKING:
+    from datasets.scene import Scene
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +30,46 @@ def elevation(solids: tuple[Solid, ...], box: Box, plan: Floats) -> Floats:
             x, z, heights, _ = ground_grid(solid, key, box)
             height = np.maximum(height, interpolated(x, z, heights, plan))
     return height
+
+
+def ground_raster(scene: "Scene", spacing: float) -> tuple[Floats, Floats]:
+    """Elevation [m] and Coulomb coefficient [-] of the ground of `scene`, `spacing` [m] apart from the box's corner on.
+
+    Both of shape [X], in 3D [X, Z], to the first place at or beyond the end of the box. Where no terrain is, it is the
+    floor.
+    """
+    height, friction, _ = _ground_at(scene, spacing)
+    return height, friction
+
+
+def topmost(scene: "Scene", spacing: float) -> NDArray[np.int64]:
+    """Number of the solid that is the ground at each place of `ground_raster`, -1 for the floor; shape [X(, Z)]."""
+    return _ground_at(scene, spacing)[2]
+
+
+def _ground_at(scene: "Scene", spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Elevation [m], Coulomb coefficient [-] and number of the solid that is the ground, each of shape [X(, Z)]."""
+    size, dimension = scene.domain.size, scene.dimension
+    box = Box(size, scene.domain.cell)
+    axes = [spacing * np.arange(math.ceil(size[axis] / spacing - 1.0e-6) + 1) for axis in range(dimension) if axis != 1]
+    grids = np.meshgrid(*axes, indexing="ij")
+    plan = np.stack([grid.ravel() for grid in grids], axis=1)
+    height, friction = np.zeros(len(plan)), np.full(len(plan), scene.floor_friction)
+    top = np.full(len(plan), -1)
+    for index, solid in enumerate(scene.solids):
+        if solid.kind != "terrain":
+            continue
+        if dimension == 2:
+            points, rough = ground_line(solid, f"solids[{index}]", box)
+            own, mu = (np.interp(plan[:, 0], points[:, 0], values) for values in (points[:, 1], rough))
+        else:
+            x, z, heights, roughs = ground_grid(solid, f"solids[{index}]", box)
+            own, mu = interpolated(x, z, heights, plan), interpolated(x, z, roughs, plan)
+        higher = own >= height
+        friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
+        height = np.maximum(height, own)
+    shape = grids[0].shape
+    return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
 
 
 def ground_line(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats]:

@@ -212,7 +212,8 @@ def underside(scene: "Scene", mass: "Mass") -> Floats:
 
 def tops_beneath(surface: Surface, points: Floats, cell: float) -> Floats:
     """Elevation [m] of the highest place of the surface at or beneath each point, 0 where there is none; shape [N]."""
-    up = surface.normals[:, 1] > 0.0
+    # Not more than rounding: the sides of a turned box have no area in plan.
+    up = surface.normals[:, 1] > 1.0e-9
     corners = surface.corners[up]
     flat = [axis for axis in range(surface.dimension) if axis != 1]
     tops = np.zeros(len(points))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory, read_arrays, scene_in
+from datasets.trajectory import Trajectory, checked_mass, read_arrays, scene_in
 
 LIMIT = 2**30
 """Largest array [bytes] that is read into memory because it cannot be mapped: compressed, or not float32."""
@@ -27,15 +27,16 @@ def open_trajectory(path: Path) -> Trajectory:
     Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
     The file stays open for as long as the positions are in use.
     """
-    arrays = read_arrays(path, "velocity0", "friction", "time", "scene")
+    arrays = read_arrays(path, "velocity0", "friction", "time", "scene", optional=("volume", "mass"))
     scene = scene_in(arrays["scene"], path)
     positions = mapped(path, "positions")
     if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
         expected = "shape [T, N, 2 or 3], at least one frame of one particle"
         raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
     frames, particles, dimension = positions.shape
-    for key, shape in {"time": (frames,), "velocity0": (particles, dimension), "friction": (particles,)}.items():
-        if arrays[key].shape != shape:
+    shapes = {"time": (frames,), "velocity0": (particles, dimension), "friction": (particles,), "volume": (particles,)}
+    for key, shape in shapes.items():
+        if key in arrays and arrays[key].shape != shape:
             raise InputError(f"expected shape {shape}, got {arrays[key].shape}", where=str(path), key=key)
     if scene.dimension != dimension:
         expected = f"{scene.dimension}D positions as in the scene"
@@ -46,6 +47,8 @@ def open_trajectory(path: Path) -> Trajectory:
         velocity0=arrays["velocity0"].astype(np.float32, copy=False),
         friction=arrays["friction"].astype(np.float32, copy=False),
         scene=scene,
+        volume=arrays["volume"].astype(np.float32, copy=False) if "volume" in arrays else None,
+        mass=checked_mass(arrays.get("mass"), particles, scene, path),
     )
 
 

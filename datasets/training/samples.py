@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import InputError
+from datasets.geometry.ground import ground_raster
 from datasets.geometry.plain import check_plain
-from datasets.particles import mass_counts, particle_volumes
+from datasets.particles import mass_counts
 from datasets.scene import Scene
 from datasets.training.memory_mapped import open_trajectory
 from datasets.training.thinning import thin
@@ -36,16 +37,14 @@ class Flow:
     """tan(phi) of each particle [-], shape [N]."""
     cohesion: Floats
     """Cohesion of each particle [Pa], shape [N]."""
-    baffles: Floats
-    """Lower and upper corner of each baffle [m], shape [K, 2, D]; K may be 0."""
     volume: NDArray[np.float64]
     """Initial volume of each particle [m^D], shape [N]."""
-    size: tuple[float, ...]
-    """Extent of the domain [m], length D."""
-    gravity: float
-    """Gravitational acceleration [m/s^2]."""
+    surroundings: "Surroundings"
+    """Box, gravity and solids."""
     step: float
     """Time between two positions [s]."""
+    seed: int = 0
+    """Seed of the jitter: flows that share it, and the number of particles, start from the same ones."""
 
     @property
     def released(self) -> bool:
@@ -59,27 +58,122 @@ class Flow:
         return square > (MOVING * self.step) ** 2
 
     @staticmethod
-    def from_trajectory(trajectory: Trajectory, step: float, name: str) -> "Flow":
-        """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError."""
-        scene = trajectory.scene
+    def from_trajectory(trajectory: Trajectory, step: float, name: str, *, spacing: float = 0.01) -> "Flow":
+        """Every so many frames of `trajectory` that they are `step` [s] apart. Raises InputError.
+
+        spacing: between two elevations of the ground [m].
+        """
+        scene, count = trajectory.scene, trajectory.positions.shape[1]
         stride = frames_per_step(trajectory.frame_dt, step, name)
-        check_plain(scene, "a model", name)
-        if scene.slope_deg != 0.0:
-            raise InputError("expected a level floor, a model knows no other", where=name, key="slope_deg")
-        if any(mass.release is not None for mass in scene.masses):
-            raise InputError("expected masses that are free from the start, a model knows no barriers", where=name)
+        check_known(scene, "a model", name)
         return Flow(
             name=name,
             positions=trajectory.positions[::stride],
             velocity0=trajectory.velocity0,
             friction=trajectory.friction,
-            cohesion=point_cohesion(scene, len(trajectory.friction), name),
-            baffles=corners(scene),
-            volume=particle_volumes(scene, len(trajectory.friction)),
-            size=scene.domain.size,
-            gravity=scene.gravity,
+            cohesion=particle_cohesion(scene, count, trajectory.mass, name),
+            volume=trajectory.volumes,
+            surroundings=Surroundings.of_scene(scene, spacing),
             step=step,
+            seed=scene.seed,
         )
+
+
+def check_known(scene: Scene, who: str, where: str = "") -> None:
+    """Raise InputError for a scene that has what no surrogate knows: the key, and what was expected."""
+    check_plain(scene, who, where, terrain=True)
+    if any(mass.release is not None for mass in scene.masses):
+        message = f"expected masses that are free from the start, {who} knows no barriers"
+        raise InputError(message, where=where, key="masses")
+    densities = {scene.material_of(mass).density for mass in scene.masses}
+    if len(densities) > 1:
+        got = " and ".join(f"{density:g}" for density in sorted(densities))
+        raise InputError(
+            f"expected masses of one density, {who} knows no others, got {got} kg/m^3", where=where, key="masses"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """What is around a flow: its box, gravity and solids."""
+
+    size: Floats
+    """Extent of the domain [m], shape [D]."""
+    gravity: Floats
+    """Gravitational acceleration in the axes of the box [m/s^2], shape [D]."""
+    floor_friction: float
+    """Coulomb coefficient of the floor [-]."""
+    wall_friction: float
+    """Coulomb coefficient of the other walls [-]."""
+    damping: float
+    """Local damping [-]."""
+    baffles: Floats
+    """Lower and upper corner of each baffle before its turn [m], shape [K, 2, D]; K may be 0."""
+    baffle_turn: Floats
+    """Turn of each baffle [rad], in 2D from x to y, in 3D about the vertical from x to z; shape [K]."""
+    baffle_friction: Floats
+    """Coulomb coefficient of each baffle [-], shape [K]."""
+    ground: tuple[Floats, Floats] | None
+    """Elevation [m] and Coulomb coefficient [-] of terrain, `spacing` apart from x = 0 (and z = 0) on, [X(, Z)]."""
+
+    @staticmethod
+    def of_scene(scene: Scene, spacing: float) -> "Surroundings":
+        """Those of `scene`; spacing: between two elevations of the ground [m]."""
+        ground = None
+        if scene.solids:
+            elevation, friction = ground_raster(scene, spacing)
+            ground = elevation.astype(np.float32), friction.astype(np.float32)
+        frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
+        return Surroundings(
+            size=np.array(scene.domain.size, np.float32),
+            gravity=np.array(scene.gravity_vector, np.float32),
+            floor_friction=scene.floor_friction,
+            wall_friction=scene.wall_friction,
+            damping=scene.damping,
+            baffles=corners(scene),
+            baffle_turn=np.radians([each.turned_deg for each in scene.baffles]).astype(np.float32),
+            baffle_friction=np.array(frictions, np.float32),
+            ground=ground,
+        )
+
+    def mirrored(self, axis: int, spacing: float) -> "Surroundings":
+        """The same, mirrored along a horizontal `axis`; spacing: between two elevations of the ground [m]."""
+        flip, origin = mirror(axis, self.size)
+        baffles = origin + flip * self.baffles
+        # What was the lower side is now the upper.
+        baffles[..., axis] = baffles[:, ::-1, axis]
+        ground = self.ground
+        if ground is not None:
+            along = 0 if axis == 0 else 1
+            plan = spacing * np.arange(ground[0].shape[along])
+
+            def turned(field: Floats) -> Floats:
+                values = np.apply_along_axis(lambda line: np.interp(self.size[axis] - plan, plan, line), along, field)
+                return values.astype(np.float32)
+
+            ground = turned(ground[0]), turned(ground[1])
+        return dataclasses.replace(
+            self, gravity=flip * self.gravity, baffles=baffles, baffle_turn=-self.baffle_turn, ground=ground
+        )
+
+    def exchanged(self) -> "Surroundings":
+        """The same in 3D with x and z exchanged."""
+        turn = [2, 1, 0]
+        return dataclasses.replace(
+            self,
+            size=self.size[turn],
+            gravity=self.gravity[turn],
+            baffles=self.baffles[..., turn],
+            baffle_turn=-self.baffle_turn,
+            ground=None if self.ground is None else (self.ground[0].T, self.ground[1].T),
+        )
+
+
+def mirror(axis: int, size: Floats) -> tuple[Floats, Floats]:
+    """Factor and shift of coordinates that mirror a box of `size` [m] along `axis`, both of shape [D]."""
+    flip, origin = np.ones(len(size), np.float32), np.zeros(len(size), np.float32)
+    flip[axis], origin[axis] = -1.0, size[axis]
+    return flip, origin
 
 
 def frames_per_step(frame_dt: float, step: float, where: str) -> int:
@@ -90,23 +184,26 @@ def frames_per_step(frame_dt: float, step: float, where: str) -> int:
     return stride
 
 
-def point_cohesion(scene: Scene, particles: int, where: str) -> Floats:
-    """Cohesion [Pa] of each of a scene's particles, in the order of `initial_particles`; [particles].
+def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | None, where: str = "") -> Floats:
+    """Cohesion [Pa] of each particle of a trajectory of `scene`, shape [particles].
 
-    Raises InputError where masses differ and the number of particles is not theirs.
+    mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
+    where masses differ and nothing says which particle belongs to which.
     """
-    values = [scene.material_of(mass).cohesion for mass in scene.masses]
-    if len(set(values)) == 1:
+    values = np.array([scene.material_of(each).cohesion for each in scene.masses], np.float32)
+    if mass is not None:
+        return values[mass]
+    if len(set(values.tolist())) == 1:
         return np.full(particles, values[0], np.float32)
     counts = mass_counts(scene)
     if sum(counts) != particles:
         message = f"expected the {sum(counts)} particles of masses that differ in cohesion, got {particles}"
         raise InputError(message, where=where, key="positions")
-    return np.repeat(np.array(values, np.float32), counts)
+    return np.repeat(values, counts)
 
 
 def corners(scene: Scene) -> Floats:
-    """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
+    """Lower and upper corner of each baffle before its turn [m], shape [K, 2, D]."""
     lower = np.array([baffle.lower for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
     size = np.array([baffle.size for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
     return np.concatenate((lower, lower + size), axis=1)
@@ -115,8 +212,8 @@ def corners(scene: Scene) -> Floats:
 class Flows(Sequence[Flow]):
     """Flows on disk, each opened when it is asked for: all that is held of them is the names of their files."""
 
-    def __init__(self, files: Sequence[Path], *, step: float, dimension: int) -> None:
-        self._files, self._step, self._dimension = tuple(files), step, dimension
+    def __init__(self, files: Sequence[Path], *, step: float, dimension: int, spacing: float) -> None:
+        self._files, self._step, self._dimension, self._spacing = tuple(files), step, dimension, spacing
 
     def __len__(self) -> int:
         return len(self._files)
@@ -127,23 +224,27 @@ class Flows(Sequence[Flow]):
     def __getitem__(self, index: slice) -> "Flows": ...
     def __getitem__(self, index: int | slice) -> "Flow | Flows":
         if isinstance(index, slice):
-            return Flows(self._files[index], step=self._step, dimension=self._dimension)
+            return Flows(self._files[index], step=self._step, dimension=self._dimension, spacing=self._spacing)
         file = self._files[index]
-        flow = Flow.from_trajectory(open_trajectory(file), self._step, str(file))
-        if len(flow.size) != self._dimension:
-            raise InputError(f"expected a {self._dimension}D trajectory, got {len(flow.size)}D", where=str(file))
+        flow = Flow.from_trajectory(open_trajectory(file), self._step, str(file), spacing=self._spacing)
+        if len(flow.surroundings.size) != self._dimension:
+            raise InputError(
+                f"expected a {self._dimension}D trajectory, got {len(flow.surroundings.size)}D", where=str(file)
+            )
         return flow
 
 
-def load_flows(dataset: Path, split: str, *, step: float, dimension: int, progress: bool = False) -> Flows:
-    """All trajectories of a split (`train`, `valid`, `test`), by file name.
+def load_flows(
+    dataset: Path, split: str, *, step: float, dimension: int, spacing: float, progress: bool = False
+) -> Flows:
+    """All trajectories of a split (`train`, `valid`, `test`), by file name; spacing: of elevations of the ground [m].
 
     Each is opened once to see that it is whole. Raises InputError.
     """
     files = sorted((dataset / split).glob("*.npz"))
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz, there are none", where=str(dataset))
-    flows = Flows(files, step=step, dimension=dimension)
+    flows = Flows(files, step=step, dimension=dimension, spacing=spacing)
     for _ in tqdm(flows, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
         pass
     return flows
@@ -165,8 +266,11 @@ class Sample:
     """Cohesion of each particle [Pa], shape [n]."""
     volume: Floats
     """Initial volume of each particle [m^D], shape [n]."""
-    baffles: Floats
-    """Lower and upper corner of each baffle [m], shape [K, 2, D]."""
+    surroundings: Surroundings
+    """Box, gravity and solids."""
+    shares: Floats
+    """Coordinates of the middles of n equal parts of all of the flow's volume along each axis, in the coming steps [m],
+    shape [K, n, D]; of all its particles, not only of those that stay."""
 
 
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
@@ -177,41 +281,52 @@ def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: in
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     particles = thinned.indices
     first = max(0, now - history)
+    coming = flow.positions[now + 1 : now + 1 + steps]
     return Sample(
         frames=flow.positions[first : now + 1, particles],
         velocity0=flow.velocity0[particles],
-        targets=flow.positions[now + 1 : now + 1 + steps, particles],
+        targets=coming[:, particles],
+        shares=shares_of(coming, len(particles)),
         friction=flow.friction[particles],
         cohesion=flow.cohesion[particles],
         volume=thinned.volumes,
-        baffles=flow.baffles,
+        surroundings=flow.surroundings,
     )
 
 
-def mirrored(sample: Sample, axis: int, length: float) -> Sample:
-    """The same flow, mirrored along a horizontal `axis`, in a domain that is `length` [m] long there."""
-    flip = np.ones(sample.velocity0.shape[1], np.float32)
-    origin = np.zeros_like(flip)
-    flip[axis], origin[axis] = -1.0, length
-    baffles = origin + flip * sample.baffles
-    # What was the lower side is now the upper.
-    baffles[..., axis] = baffles[:, ::-1, axis]
+def shares_of(positions: Floats, parts: int) -> Floats:
+    """Coordinates of the middles of equal parts of a cloud along each axis [m], shape [K, parts, D].
+
+    positions: [m], shape [K, N, D], of particles that stand for about the same volume.
+    """
+    ordered = np.sort(positions, axis=1)
+    rank = (np.arange(parts) + 0.5) / parts * positions.shape[1] - 0.5
+    below = np.clip(rank.astype(np.int64), 0, positions.shape[1] - 2)
+    share = (rank - below).astype(np.float32)[:, None]
+    return np.asarray((1.0 - share) * ordered[:, below] + share * ordered[:, below + 1])
+
+
+def mirrored(sample: Sample, axis: int, spacing: float) -> Sample:
+    """The same flow, mirrored along a horizontal `axis`; spacing: between two elevations of the ground [m]."""
+    flip, origin = mirror(axis, sample.surroundings.size)
     return dataclasses.replace(
         sample,
         frames=origin + flip * sample.frames,
         velocity0=flip * sample.velocity0,
         targets=origin + flip * sample.targets,
-        baffles=baffles,
+        shares=np.sort(origin + flip * sample.shares, axis=1),
+        surroundings=sample.surroundings.mirrored(axis, spacing),
     )
 
 
 def exchanged(sample: Sample) -> Sample:
-    """The same 3D flow with x and z exchanged, in a domain as wide as it is long."""
+    """The same 3D flow with x and z exchanged."""
     turn = [2, 1, 0]
     return dataclasses.replace(
         sample,
         frames=sample.frames[..., turn],
         velocity0=sample.velocity0[..., turn],
         targets=sample.targets[..., turn],
-        baffles=sample.baffles[..., turn],
+        shares=sample.shares[..., turn],
+        surroundings=sample.surroundings.exchanged(),
     )

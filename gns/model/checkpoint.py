@@ -1,29 +1,40 @@
-"""A model on disk: settings, weights, normalisation and where they come from; it loads without flags or pickle."""
+"""A model on disk: weights as safetensors, settings and provenance as JSON in the file's metadata; no flags, no pickle.
+
+| key of the metadata | what                                                            |
+| `format`            | `FORMAT`                                                        |
+| `settings`          | `gns.model.settings.ModelSettings`                              |
+| `provenance`        | command, seed, datasets, minutes and scores that made the weights |
+
+A file may be anybody's, so nothing is built before it is known to be as large as the tensors that are in the file.
+"""
 
 import dataclasses
-import pickle
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
 
+from datasets import files
 from datasets.errors import InputError
-from datasets.files import replacing
+from datasets.records import from_mapping
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 
-FORMAT = 3
-"""Raised when files get another layout; those of format 2 are read too, with the names of their weights renamed."""
-SECTIONS = {
-    "network.encoder.": "network.encoder.mlp.",
-    "network.contexts.": "network.processor.contexts.",
-    "network.layers.": "network.processor.steps.",
-    "network.norm.": "network.decoder.norm.",
-    "network.decoder.": "network.decoder.mlp.",
-}
-"""Prefixes of weights in files of format 2, and what they are called now."""
+FORMAT = "4"
+"""Raised when files get another layout."""
+ENDING = ".safetensors"
+TORCH = b"PK\x03\x04"
+"""How files of torch begin, in which models were kept up to format 3."""
+BLANK = Normalisation(displacement=1.0, acceleration=1.0, friction_mean=0.0, friction_std=1.0)
+"""The true constants are among the tensors."""
+SCALES = ("displacement_scale", "acceleration_scale", "friction_std")
+"""Constants that features are divided by or outputs multiplied with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,54 +49,92 @@ class Model:
 
 def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> None:
     """Write a model; `provenance` holds strings, numbers and lists or mappings of them."""
-    content = {
-        "format": FORMAT,
-        "settings": dataclasses.asdict(simulator.settings),
-        "state": simulator.state_dict(),
-        "provenance": dict(provenance),
+    settings = dataclasses.asdict(simulator.settings)
+    metadata = {"settings": json.dumps(settings), "provenance": json.dumps(files.finite(provenance))}
+    tensors = {
+        name: value.detach().to(device="cpu", dtype=torch.float32).contiguous()
+        for name, value in simulator.state_dict().items()
     }
-    with replacing(path) as part:
-        torch.save(content, part)
+    with files.replacing(path) as part:
+        save_file(tensors, part, {"format": FORMAT, **metadata})
 
 
 def load(path: Path) -> Model:
-    """Read what `save` wrote and build the simulator. Raises InputError, which names the file."""
-    content = read(path)
-    if not isinstance(content, dict) or content.get("format") not in (2, FORMAT):
-        raise InputError(f"expected a model of format 2 or {FORMAT}", where=str(path), key="format")
+    """Read what `save` wrote and build the simulator. Raises InputError, which names the file and what is wrong."""
     try:
-        settings = ModelSettings.from_mapping(content["settings"])
-        # The true constants are buffers in the state.
-        blank = Normalisation(displacement=1.0, acceleration=1.0, friction_mean=0.0, friction_std=1.0)
-        simulator = Simulator(settings, blank)
-        simulator.load_state_dict(renamed(content["state"]))
-        provenance = content["provenance"]
-    except (KeyError, TypeError, RuntimeError) as error:
-        raise InputError(f"expected a whole model, {str(error).splitlines()[0]}", where=str(path)) from None
+        tensors, metadata = read(path)
+        if metadata.get("format") != FORMAT:
+            raise InputError(f"expected a model of format {FORMAT}", key="format")
+        settings = from_mapping(ModelSettings, parsed(metadata, "settings"))
+        provenance = parsed(metadata, "provenance")
+        check(settings, tensors)
+        simulator = Simulator(settings, BLANK)
     except InputError as error:
         raise error.at(str(path)) from None
+    simulator.load_state_dict(tensors)
     return Model(simulator=simulator.eval(), provenance=provenance)
 
 
-def renamed(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Weights by today's names, of a file of format 2 or later."""
-    if not any("network.contexts." in name for name in state):
-        return dict(state)
-
-    def new(name: str) -> str:
-        head, _, tail = name.partition("network.")
-        old = next((each for each in SECTIONS if f"network.{tail}".startswith(each)), "")
-        return head + SECTIONS[old] + f"network.{tail}".removeprefix(old) if old and tail else name
-
-    return {new(name): value for name, value in state.items()}
-
-
-def read(path: Path) -> Any:
-    """Plain tensors, strings and numbers from a file that torch wrote. Raises InputError."""
+def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors and metadata of a file of safetensors. Raises InputError."""
     try:
-        return torch.load(path, map_location="cpu", weights_only=True)
+        with path.open("rb") as file:
+            if file.read(len(TORCH)) == TORCH:
+                raise InputError(
+                    f"expected a model as {ENDING}, got a file of torch; those are of older physics and features, "
+                    "train anew with python -m gns.train"
+                )
+        with safe_open(path, framework="pt") as file:
+            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
     except FileNotFoundError:
-        raise InputError("expected the weights of a model, there is no such file", where=str(path)) from None
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
-        first = next(iter(str(error).splitlines()), "empty file")
-        raise InputError(f"expected whole weights of a model, {first}", where=str(path)) from None
+        raise InputError("expected the weights of a model, there is no such file") from None
+    except (OSError, SafetensorError) as error:
+        first = next(iter(str(error).splitlines()), "")
+        raise InputError(f"expected whole weights of a model, {first}") from None
+
+
+def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
+    """A table of the metadata. Raises InputError."""
+    try:
+        value = json.loads(metadata.get(key, ""))
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise InputError("expected a table in JSON in the file's metadata", key=key)
+    return value
+
+
+def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
+    """Raise InputError, which names the setting or the tensor, where tensors are not those of a model of `settings`.
+
+    No network is built before its widths are known to be sizes of tensors, and the numbers of its layers to be no
+    larger than that of tensors; and then first without memory, to compare every name and shape.
+    """
+    for name, tensor in tensors.items():
+        if tensor.dtype != torch.float32 or tensor.numel() == 0:
+            got = f"{tuple(tensor.shape)} of {str(tensor.dtype).removeprefix('torch.')}"
+            raise InputError(f"expected numbers of float32, got {got}", key=name)
+        if not torch.isfinite(tensor).all():
+            raise InputError("expected finite numbers", key=name)
+    widest = max((size for tensor in tensors.values() for size in tensor.shape), default=0)
+    limits = dict.fromkeys(("width", "grid_channels", "history"), widest)
+    limits |= dict.fromkeys(("layers", "mlp_layers", "rounds", "grid_layers"), len(tensors))
+    for key, limit in limits.items():
+        if getattr(settings, key) > limit:
+            message = f"expected at most {limit}, from the tensors in the file, got {getattr(settings, key)}"
+            raise InputError(message, key=f"settings.{key}")
+    try:
+        with torch.device("meta"):
+            expected = Simulator(settings, BLANK).state_dict()
+    except ArithmeticError as error:
+        raise InputError(f"expected sizes of a model, {error}", key="settings") from None
+    for name, like in expected.items():
+        if name not in tensors:
+            raise InputError("expected a tensor of that name, there is none", key=name)
+        if tensors[name].shape != like.shape:
+            raise InputError(f"expected shape {tuple(like.shape)}, got {tuple(tensors[name].shape)}", key=name)
+    if other := sorted(tensors.keys() - expected.keys()):
+        raise InputError("expected no such tensor in a model of these settings", key=other[0])
+    for name in SCALES:
+        if not tensors[name] > 0.0:
+            raise InputError(f"expected a positive number, got {float(tensors[name]):g}", key=name)

@@ -1,9 +1,8 @@
 """The grid context: information across the whole domain in one step, through a background grid.
 
 A message-passing step carries information over one cutoff radius, while a step of the model spans many. Latents are
-scattered to a coarse grid over the domain, convolved there, and interpolated back to the nodes of the graph: a
-receptive field as wide as the domain for little more time (the idea of CoRGI, arXiv 2511.22938). Walls are the zero
-padding around the grid.
+scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the graph: a
+receptive field as wide as the flow for little more time (the idea of CoRGI, arXiv 2511.22938).
 """
 
 import torch
@@ -16,8 +15,8 @@ from gns.model.settings import ModelSettings
 
 
 def channels(settings: ModelSettings) -> int:
-    """Input channels of every grid node: `gns.model.grid.column_features`, and the occupancy of its cell by baffles."""
-    return settings.dimension + 2 + (1 if settings.baffles else 0)
+    """Input channels of every grid node: `gns.model.grid.column_features`, and the share of its cell without room."""
+    return settings.dimension + 3
 
 
 class GridContext(nn.Module):
@@ -40,7 +39,12 @@ class GridContext(nn.Module):
         nodes: input channels of the grid's nodes, [B * nodes, `channels`].
         """
         inputs = torch.cat((stencil.scatter(self.to_grid(x) * fraction), nodes), dim=1)
-        field = functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1)
+        field = masked(functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1), stencil)
         for layer in self.layers:
-            field = field + functional.silu(layer(field))
+            field = masked(field + functional.silu(layer(field)), stencil)
         return torch.as_tensor(self.from_grid(stencil.gather(field.reshape(-1, field.shape[-1]))))
+
+
+def masked(field: Tensor, stencil: Stencil) -> Tensor:
+    """The field, zero where a sample alone would have no nodes: what is beside it makes no difference."""
+    return field if stencil.own is None else field * stencil.own

@@ -18,6 +18,7 @@ The edges carry no latents of their own; their features enter every step anew.
 
 from functools import cache
 
+import torch
 from torch import Tensor, nn
 
 from gns.kernels.messages import fused_message_sum
@@ -35,7 +36,11 @@ class Interaction(nn.Module):
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
         """The sum of the messages to each node."""
-        receiver, sender, weight = self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T
+        receiver, sender = self.from_receiver(x), self.from_sender(x)
+        # Half precision under autocast is not for sums; double stays double.
+        full = torch.promote_types(receiver.dtype, torch.float32)
+        receiver, sender = receiver.to(full), sender.to(full)
+        weight = self.from_offset.weight.T
         if x.is_cpu:
             return fused_message_sum(receiver, sender, weight, graph)
         return message_sum(receiver, sender, weight, graph)

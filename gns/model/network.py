@@ -2,7 +2,7 @@
 
 x = encoder(features)
 x = processor(x)            rounds of: grid context, then message-passing steps
-a = decoder(x)              normalised acceleration of each node
+a, c = decoder(x)           normalised acceleration of each node, and shares of known ones
 """
 
 import torch
@@ -37,29 +37,27 @@ class Encoder(nn.Module):
 
 
 class MessagePassingStep(nn.Module):
-    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = norm(x_i).
+    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i.
 
-    With FiLM y_i = (1 + g_i) norm(x_i) + b_i, scale g and shift b linear in the material (Perez et al., FiLM: visual
-    reasoning with a general conditioning layer, AAAI 2018).
+    Scale g and shift b are linear in what is constant for a particle (FiLM: Perez et al., visual reasoning with a
+    general conditioning layer, AAAI 2018).
     """
 
-    def __init__(self, settings: ModelSettings, material: int) -> None:
+    def __init__(self, settings: ModelSettings, constant: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(settings.width)
         self.interaction = Interaction(settings.width, settings.dimension)
         self.update = mlp(2 * settings.width, settings.width, settings)
-        self.film = nn.Linear(material, 2 * settings.width) if settings.film else None
-        if self.film is not None:
-            nn.init.zeros_(self.film.weight)
-            nn.init.zeros_(self.film.bias)
+        self.film = nn.Linear(constant, 2 * settings.width)
+        nn.init.zeros_(self.film.weight)
+        nn.init.zeros_(self.film.bias)
         self.scale = 1.0 / mean_envelope_sum(settings.radius, settings.particle_volume, settings.dimension)
 
-    def forward(self, x: Tensor, material: Tensor, graph: Graph) -> Tensor:
-        """Latents [N, C] to latents [N, C]; material: [N, M]."""
+    def forward(self, x: Tensor, constant: Tensor, graph: Graph) -> Tensor:
+        """Latents [N, C] to latents [N, C]; constant: [N, M]."""
         normal = self.norm(x)
-        if self.film is not None:
-            scale, shift = self.film(material).chunk(2, dim=1)
-            normal = torch.addcmul(normal + shift, normal, scale)
+        scale, shift = self.film(constant).chunk(2, dim=1)
+        normal = torch.addcmul(normal + shift, normal, scale)
         messages = self.scale * self.interaction(normal, graph)
         return x + torch.as_tensor(self.update(torch.cat((normal, messages), dim=1)))
 
@@ -67,30 +65,30 @@ class MessagePassingStep(nn.Module):
 class Processor(nn.Module):
     """Rounds of a grid context, each followed by an equal share of the message-passing steps."""
 
-    def __init__(self, settings: ModelSettings, material: int) -> None:
+    def __init__(self, settings: ModelSettings, constant: int) -> None:
         super().__init__()
         self.contexts = nn.ModuleList(GridContext(settings) for _ in range(settings.rounds))
-        self.steps = nn.ModuleList(MessagePassingStep(settings, material) for _ in range(settings.layers))
+        self.steps = nn.ModuleList(MessagePassingStep(settings, constant) for _ in range(settings.layers))
 
     def forward(
-        self, x: Tensor, material: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
+        self, x: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
     ) -> Tensor:
         """Latents [N, C] to latents [N, C]; for the other arguments see `Network`."""
         per_round = len(self.steps) // len(self.contexts)
         for index, context in enumerate(self.contexts):
             x = x + context(x, stencil, fraction, nodes)
             for step in self.steps[index * per_round : (index + 1) * per_round]:
-                x = step(x, material, graph)
+                x = step(x, constant, graph)
         return x
 
 
 class Decoder(nn.Module):
-    """Node latents [N, C] to accelerations in units of their standard deviation [N, D]."""
+    """Node latents [N, C] to normalised accelerations and the shares of known ones [N, D + K]."""
 
-    def __init__(self, settings: ModelSettings) -> None:
+    def __init__(self, known: int, settings: ModelSettings) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(settings.width)
-        self.mlp = mlp(settings.width, settings.dimension, settings)
+        self.mlp = mlp(settings.width, settings.dimension + known, settings)
         # An untrained model is free flight.
         last = self.mlp[-1]
         assert isinstance(last, nn.Linear)
@@ -98,26 +96,26 @@ class Decoder(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[N, C] to [N, D]."""
+        """[N, C] to [N, D + K]."""
         return torch.as_tensor(self.mlp(self.norm(x)))
 
 
 class Network(nn.Module):
-    """Features of the nodes to one normalised acceleration each."""
+    """Features of the nodes to a normalised acceleration of each, and to shares of K known ones."""
 
-    def __init__(self, features: int, material: int, settings: ModelSettings) -> None:
+    def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
         super().__init__()
         self.encoder = Encoder(features, settings)
-        self.processor = Processor(settings, material)
-        self.decoder = Decoder(settings)
+        self.processor = Processor(settings, constant)
+        self.decoder = Decoder(known, settings)
 
     def forward(
-        self, features: Tensor, material: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
+        self, features: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
     ) -> Tensor:
-        """Features [N, F] to accelerations in units of their standard deviation [N, D].
+        """Features [N, F] to accelerations in units of their standard deviation, then the shares [N, D + K].
 
-        material: [N, M]; stencil, fraction, nodes: see `gns.model.context.GridContext`.
+        constant: [N, M]; stencil, fraction, nodes: see `gns.model.context.GridContext`.
         """
         x = self.encoder(features)
-        x = self.processor(x, material, graph, stencil, fraction, nodes)
+        x = self.processor(x, constant, graph, stencil, fraction, nodes)
         return torch.as_tensor(self.decoder(x))

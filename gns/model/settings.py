@@ -1,17 +1,13 @@
 """Settings of a model: what a checkpoint needs to build it again."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from datasets.errors import InputError
-
-RENAMED = {"points_per_cell": "particles_per_cell", "hidden_layers": "mlp_layers"}
-"""Keys in older files, and what they are called now."""
+from datasets.records import Record
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelSettings:
+class ModelSettings(Record):
     """Resolution in space and time, and the sizes of the network."""
 
     dimension: int = 2
@@ -28,12 +24,11 @@ class ModelSettings:
     """Cutoff radius [m]: particles closer than this exchange messages."""
     history: int = 3
     """Past displacements among the node features."""
-    baffles: bool = False
-    """Whether baffles are among the features; a model without runs scenes without them, at no cost."""
-    film: bool = False
-    """Whether the material scales and shifts the latents in every layer (FiLM), beside being a feature."""
-    past_accelerations: bool = False
-    """Whether their differences are features too, in the scale of the output; measured over a few steps only."""
+    body_length: float | None = None
+    """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
+    (`gns.units`); None for scenes that are run as they are."""
+    density: float = 1800.0
+    """Density in the training data [kg/m^3]."""
     rest_speed: float = 0.01
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
     width: int = 64
@@ -57,19 +52,15 @@ class ModelSettings:
                 raise InputError(f"expected {expected}, got {getattr(self, key)}", key=key)
 
         require(self.dimension in (2, 3), "dimension", "2 or 3")
-        for key in ("cell", "frame_dt", "radius", "grid_cell"):
+        for key in ("cell", "frame_dt", "radius", "grid_cell", "density"):
             require(getattr(self, key) > 0.0, key, "a positive number")
+        require(self.body_length is None or self.body_length > 0.0, "body_length", "a positive number")
         for key in ("particles_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
             require(getattr(self, key) >= 1, key, "an integer of at least 1")
         require(self.rest_speed >= 0.0, "rest_speed", "a speed of at least 0 m/s")
         for key in ("mlp_layers", "grid_layers"):
             require(getattr(self, key) >= 0, key, "an integer of at least 0")
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds")
-
-    @staticmethod
-    def from_mapping(data: Mapping[str, Any]) -> "ModelSettings":
-        """Settings as a file has them, under today's or older names. Raises TypeError for an unknown name."""
-        return ModelSettings(**{RENAMED.get(key, key): value for key, value in data.items()})
 
     @property
     def step(self) -> float:

@@ -1,14 +1,15 @@
-"""Walls, floor and baffles as geometry: features of their distance, and the projection that keeps particles outside.
+"""Walls, ground and baffles as geometry: features of their distance, and the projection that keeps particles outside.
 
-Baffles are boxes, `baffles` [m], shape [B, K, 2, D]: lower and upper corner of K boxes in each of B samples. A sample
-with fewer has boxes of no size far outside the domain. Everything is differentiable in the corners, as exactly as in
+Everything is differentiable in the corners and turns of the baffles and the elevations of the ground, as exactly as in
 the positions; any number of baffles costs next to nothing, because only the particles near one are processed.
 """
 
-import math
-
 import torch
 from torch import Tensor
+
+from gns.model.boxes import Boxes, entered
+from gns.model.ground import above, lifted, nearest_ground
+from gns.model.state import Conditions
 
 ROUNDING = 0.1
 """Radius to which edges are rounded for the outward direction of a baffle, as a share of the cutoff radius.
@@ -17,68 +18,71 @@ The direction from a sharp edge turns by any angle within any distance, and its 
 """
 SKIN = 1.0e-5
 """Distance from a face at which particles are held [m]: neither rounding nor the joint of two baffles admits one."""
+SLACK = 0.1 * SKIN
+"""How far within that distance rounding may put a particle [m]."""
 GRAZE = 1.0e-3
 """A path that cuts off less than this of a baffle's corner passes it [m]."""
 
 
-def feature_count(dimension: int, with_baffles: bool) -> int:
+def feature_count(dimension: int) -> int:
     """Number of `solid_features`."""
-    return 2 * dimension + (1 + dimension if with_baffles else 0)
+    return 2 * dimension + 2 + dimension
 
 
-def solid_features(
-    positions: Tensor,
-    size: tuple[float, ...],
-    baffles: Tensor | None,
-    batch: Tensor | None,
-    cutoff: float,
-    *,
-    with_baffles: bool,
-) -> Tensor:
+def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> Tensor:
     """Features of the solids closer than `cutoff` [m] to the particles: shape [N, `feature_count`].
 
-    positions: [m], shape [N, D]; size: extent of the box [0, size] [m]; batch: sample of each particle, shape [N].
+    positions: [m], shape [N, D].
 
-    | distance to the walls | lower ones, then upper ones, over the cutoff, at most 1 [-]            |
-    | distance to a baffle  | of the nearest one over the cutoff, at most 1 [-]; only `with_baffles` |
-    | outward direction     | see `nearest_baffle`; only `with_baffles`                              |
+    | distance to the walls  | lower ones, then upper ones, over the cutoff, at most 1 [-]                  |
+    | distance to a solid    | of the nearest baffle or ground over the cutoff, at most 1 [-]               |
+    | outward direction      | of these: sum_k (w_k^2 / sum_j w_j) n_k, w = max(1 - distance / cutoff, 0)   |
+    | friction               | of these: sum_k (w_k^2 / sum_j w_j) mu_k [-]                                 |
 
-    Without baffles in the scene, their distance is that of the cutoff.
+    n is a solid's outward unit normal and mu its friction. All of it is continuous where another solid becomes the
+    nearest, and where the last one leaves the cutoff.
     """
-    walls = torch.cat((positions, positions.new_tensor(size) - positions), dim=1) / cutoff
-    parts = [walls.clamp(max=1.0)]
-    if with_baffles:
-        if baffles is None:
-            parts += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions)]
-        else:
-            distance, direction = nearest_baffle(positions, baffles, batch, cutoff)
-            parts += [(distance / cutoff).unsqueeze(1), direction]
-    return torch.cat(parts, dim=1)
+    size = conditions.of_particles(conditions.size)
+    walls = torch.cat((positions, size - positions), dim=1) / cutoff
+    features = [walls.clamp(max=1.0)]
+    near = []
+    if conditions.baffles is not None:
+        near.append(nearest_baffle(positions, conditions, cutoff))
+    if conditions.ground is not None:
+        near.append(nearest_ground(positions, conditions.ground, conditions.batch, cutoff))
+    if not near:
+        features += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions), torch.zeros_like(positions[:, :1])]
+    elif len(near) == 1:
+        ((distance, direction, friction),) = near
+        features += [(distance / cutoff).unsqueeze(1), direction, friction.unsqueeze(1)]
+    else:
+        distance = torch.stack([each[0] for each in near])
+        weight = (1.0 - distance / cutoff).clamp(min=0.0)
+        total = weight.sum(dim=0)
+        weight = (weight / torch.where(total > 0.0, total, 1.0)).unsqueeze(2)
+        directed = torch.stack([torch.cat((each[1], each[2].unsqueeze(1)), dim=1) for each in near])
+        features += [(distance.min(dim=0).values / cutoff).unsqueeze(1), (weight * directed).sum(dim=0)]
+    return torch.cat(features, dim=1)
 
 
-def nearest_baffle(positions: Tensor, baffles: Tensor, batch: Tensor | None, cutoff: float) -> tuple[Tensor, Tensor]:
-    """Signed distance [m], shape [N], and outward direction [-], shape [N, D], of the nearest baffle.
+def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Signed distance [m], shape [N], of the nearest baffle; outward direction [-], [N, D], and friction [-], [N].
 
-    With q = |x - centre| - half the box, per axis, the distance of a box is |max(q, 0)| outside and max(q), negative,
-    inside (the exact distance function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It
-    is cut off at `cutoff` [m]. The direction is the sum of the boxes' outward unit normals n,
-
-        sum_k (w_k^2 / sum_j w_j) n_k        w = max(1 - distance / cutoff, 0)
-
-    so n (1 - distance / cutoff) near a single one. It is continuous where another baffle becomes the nearest, and
-    where the last one leaves the cutoff.
+    Direction and friction as `solid_features` weighs them. With q = |x| - half the box, per axis and x from its middle
+    in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
+    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It is cut off at `cutoff` [m].
     """
     distance = positions.new_full((len(positions),), cutoff)
     direction = torch.zeros_like(positions)
-    lower, upper = _corners(baffles, batch)
-    x = positions.unsqueeze(1)
-    near = ((x > lower - cutoff) & (x < upper + cutoff)).all(dim=2).any(dim=1).nonzero().squeeze(1)
+    rough = torch.zeros_like(distance)
+    boxes = Boxes.of_conditions(conditions)
+    near = _close(boxes, positions, positions, cutoff, conditions.batch)
     if len(near) == 0:
-        return distance, direction
-    x = x.index_select(0, near)
-    if batch is not None:
-        lower, upper = lower.index_select(0, near), upper.index_select(0, near)
-    q = torch.maximum(lower - x, x - upper)
+        return distance, direction, rough
+    row = _samples(near, conditions.batch)
+    boxes = boxes.select(row)
+    x = boxes.own(positions.index_select(0, near))
+    q = x.abs() - boxes.half
     square = q.clamp(min=0.0).square().sum(dim=2)
     outside = square > 0.0
     # The root has no slope at zero: on the surface the distance is that to the face.
@@ -86,147 +90,140 @@ def nearest_baffle(positions: Tensor, baffles: Tensor, batch: Tensor | None, cut
     weight = (1.0 - distances / cutoff).clamp(min=0.0)
     total = weight.sum(dim=1, keepdim=True)
     weight = weight * (weight / torch.where(total > 0.0, total, 1.0))
-    sum_of_normals = (weight.unsqueeze(2) * _normals(x, lower, upper, q, ROUNDING * cutoff)).sum(dim=1)
+    normals = boxes.world_vectors(_normals(x, boxes.half, q, ROUNDING * cutoff))
     nearest = distances.min(dim=1).values.clamp(max=cutoff)
-    return distance.index_copy(0, near, nearest), direction.index_copy(0, near, sum_of_normals)
+    assert conditions.baffle_friction is not None
+    friction = conditions.baffle_friction.index_select(0, row)
+    return (
+        distance.index_copy(0, near, nearest),
+        direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1)),
+        rough.index_copy(0, near, (weight * friction).sum(dim=1)),
+    )
 
 
-def _normals(x: Tensor, lower: Tensor, upper: Tensor, q: Tensor, radius: float) -> Tensor:
-    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `x` [n, 1, D].
+def _close(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> Tensor:
+    """Indices of the particles whose way from `first` to `last` [N, D] comes close to a baffle of their sample.
+
+    To within `margin` [m], or what is about it: boxes are compared along the axes of the scene. A sample's baffles are
+    put into a single box first, which most particles are far from.
+    """
+    with torch.no_grad():
+        low, high = torch.minimum(first, last), torch.maximum(first, last)
+        lower, upper = boxes.middle - boxes.half_extent - margin, boxes.middle + boxes.half_extent + margin
+        if batch is None:
+            ends = lower.amin(dim=1), upper.amax(dim=1)
+            some = ((low < ends[1]) & (high > ends[0])).all(dim=1).nonzero().squeeze(1)
+            low, high = low.index_select(0, some).unsqueeze(1), high.index_select(0, some).unsqueeze(1)
+        else:
+            # Absent baffles are far outside: all that they would add to such a box is room.
+            some = torch.arange(len(low), device=low.device)
+            low, high, lower, upper = low.unsqueeze(1), high.unsqueeze(1), lower[batch], upper[batch]
+        return some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
+
+
+def _samples(near: Tensor, batch: Tensor | None) -> Tensor:
+    """The sample of each of these particles."""
+    return torch.zeros_like(near) if batch is None else batch.index_select(0, near)
+
+
+def _normals(x: Tensor, half: Tensor, q: Tensor, radius: float) -> Tensor:
+    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `x`, in their own axes.
 
     They point from the box that is smaller by the radius on every side; q: of `nearest_baffle`, [n, K, D].
     """
-    half = 0.5 * (upper - lower)
     arm = (q + half.clamp(max=radius)).clamp(min=0.0)
     square = arm.square().sum(dim=2, keepdim=True)
     outside = square > 0.0
     # Deep inside it is the normal of the nearest face.
     face = torch.nn.functional.one_hot(q.argmax(dim=2), q.shape[2]).to(q)
     normal = torch.where(outside, arm / torch.where(outside, square, 1.0).sqrt(), face)
-    return torch.where(x < lower + half, -normal, normal)
+    return torch.where(x < 0.0, -normal, normal)
 
 
-def keep_out(
-    positions: Tensor, before: Tensor, size: tuple[float, ...], baffles: Tensor | None, batch: Tensor | None
-) -> Tensor:
+def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tensor:
     """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
 
-    The walls of the box [0, size] stop them, and so do the baffles: a particle whose path enters a baffle, or crosses
-    it, is held at a distance SKIN from the first face on its path, and its motion along that face remains.
-    A particle on a face follows it: the gradient in the corner is one. A particle that was inside before counts as
-    having been at the nearest face that is free.
+    The walls of the box [0, size] and the ground stop them, and so do the baffles: a particle whose path enters a
+    baffle, or crosses it, is held at a distance SKIN from the first face on its path, and its motion along that face
+    remains. A particle on a face follows it: the gradient in the corner is one. A particle that was inside before
+    counts as having been at the nearest face that is free. Where turned baffles leave no way along a face, as between
+    a face and a wall that it meets at an acute angle, the particle stays where it was.
     """
+    size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
-    if baffles is None:
+    if ground is not None:
+        # What a wall sends back from its way along the normal may be below the ground again.
+        kept = lifted(_clamped(above(kept, ground, batch), size), ground, batch)
+    if conditions.baffles is None:
         return kept
-    lower, upper = _corners(baffles, batch)
-    lower, upper = lower - SKIN, upper + SKIN
-    with torch.no_grad():
-        first, last = torch.minimum(before, kept).unsqueeze(1), torch.maximum(before, kept).unsqueeze(1)
-        near = ((first < upper) & (last > lower)).all(dim=2).any(dim=1).nonzero().squeeze(1)
+    boxes = Boxes.of_conditions(conditions).grown(SKIN)
+    near = _close(boxes, before, kept, 0.0, batch)
     if len(near) == 0:
         return kept
+    row = _samples(near, batch)
+    boxes, ends = boxes.select(row), conditions.size.index_select(0, row)
+    fixed = boxes.each(Tensor.detach)
     point = kept.index_select(0, near)
-    lower, upper = (
-        corner.expand(len(near), -1, -1) if batch is None else corner.index_select(0, near) for corner in (lower, upper)
-    )
-    start = _clamped(before.detach().index_select(0, near), size)
-    start = _freed(start, size, lower.detach(), upper.detach())
-    # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each.
-    for _ in range(baffles.shape[1]):
-        box, axis, rises = _entered(start, point.detach(), lower.detach(), upper.detach())
-        if not bool((box >= 0).any()):
+    start = _clamped(before.detach().index_select(0, near), ends.detach())
+    start = _freed(start, ends.detach(), fixed)
+    own_start = fixed.own(start)
+    is_turned = boxes.cosine is not None
+    # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each. Of
+    # turned ones that is so but for the next one to send it back.
+    for _ in range(boxes.half.shape[1] * (2 if is_turned else 1)):
+        box, axis, along = entered(own_start, fixed.own(point.detach()), fixed.half, graze=GRAZE, slack=SLACK)
+        hit = (box >= 0).nonzero().squeeze(1)
+        if len(hit) == 0:
             break
-        row = torch.arange(len(near), device=box.device)
-        index = box.clamp(min=0)
-        face = torch.where(rises, lower[row, index, axis], upper[row, index, axis]).unsqueeze(1)
-        stopped = (axis.unsqueeze(1) == torch.arange(len(size), device=box.device)) & (box >= 0).unsqueeze(1)
-        point = torch.where(stopped, face, point)
+        point = point.index_copy(0, hit, _stopped(point[hit], boxes.select(hit).one(box[hit]), axis[hit], along[hit]))
+        if is_turned:
+            point = _clamped(point, ends)
+    own = None if batch is None else row
+    if ground is not None:
+        point = lifted(point, ground, own)
+    if is_turned:
+        # Of smaller boxes, or rounding would stop what slides along a face.
+        box, *_ = entered(own_start, fixed.own(point.detach()), fixed.half - SLACK, graze=GRAZE, slack=0.0)
+        point = torch.where((box >= 0).unsqueeze(1), start, point)
+        if ground is not None:
+            point = lifted(point, ground, own)
     return kept.index_copy(0, near, point)
 
 
-def _clamped(points: Tensor, size: tuple[float, ...]) -> Tensor:
-    """Positions [n, D] clamped to the box [0, size]."""
-    # Bounds as numbers: a clamp to tensors would halve the gradient of a particle that rests exactly on a wall.
-    return torch.stack([points[:, axis].clamp(0.0, length) for axis, length in enumerate(size)], dim=1)
+def _stopped(point: Tensor, box: Boxes, axis: Tensor, along: Tensor) -> Tensor:
+    """Positions [n, D] moved to a face of a box, K = 1: across `axis` [n], the lower one where paths go `along` it."""
+    across = torch.nn.functional.one_hot(axis, point.shape[1]).to(point).unsqueeze(1)
+    half = (box.half * across).sum(dim=2)
+    shift = torch.where(along.unsqueeze(1), -half, half) - (box.own(point) * across).sum(dim=2)
+    return point + shift * box.world_vectors(across).squeeze(1)
 
 
-def _entered(start: Tensor, end: Tensor, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The box that each path from `start` to `end` [n, D] enters first, -1 where none; along which axis; if it rises.
-
-    By the slab method (Kay and Kajiya 1986): the path is inside between the last of the axes' entries and the first
-    of their exits. lower, upper: [m], shape [n, K, D].
-    """
-    path = (end - start).unsqueeze(1)
-    x = start.unsqueeze(1)
-    still = path == 0.0
-    divisor = torch.where(still, 1.0, path)
-    entry, leave = (lower - x) / divisor, (upper - x) / divisor
-    between = (x > lower) & (x < upper)
-    entry, leave = (
-        torch.where(still, torch.where(between, -math.inf, math.inf), torch.minimum(entry, leave)),
-        torch.where(still, torch.where(between, math.inf, -math.inf), torch.maximum(entry, leave)),
-    )
-    entered, axis = entry.max(dim=2)
-    cut = (leave.min(dim=2).values.clamp(max=1.0) - entered) * path.norm(dim=2)
-    ended_inside = ((end.unsqueeze(1) > lower) & (end.unsqueeze(1) < upper)).all(dim=2)
-    hit = ended_inside | ((entered >= 0.0) & (cut > GRAZE))
-    earliest, box = torch.where(hit, entered, math.inf).min(dim=1)
-    axis = axis.gather(1, box.unsqueeze(1)).squeeze(1)
-    rises = path.squeeze(1).gather(1, axis.unsqueeze(1)).squeeze(1) > 0.0
-    return torch.where(earliest < math.inf, box, -1), axis, rises
+def _clamped(points: Tensor, size: Tensor) -> Tensor:
+    """Positions [n, D] clamped to the box [0, size]; size: [n or 1, D]."""
+    # Not by torch.minimum, which would halve the gradient of a particle that rests exactly on a wall.
+    points = points.clamp(min=0.0)
+    return torch.where(points > size, size, points)
 
 
-def _freed(points: Tensor, size: tuple[float, ...], lower: Tensor, upper: Tensor) -> Tensor:
+def _freed(points: Tensor, size: Tensor, boxes: Boxes) -> Tensor:
     """Positions [n, D], those inside a box moved to its nearest face that neither a wall nor another box covers."""
-    inside = ((points.unsqueeze(1) > lower) & (points.unsqueeze(1) < upper)).all(dim=2)
+    inside = boxes.contain(points, SLACK)
     stuck = inside.any(dim=1).nonzero().squeeze(1)
     if len(stuck) == 0:
         return points
-    point, lower, upper = points[stuck], lower[stuck], upper[stuck]
-    row, box = torch.arange(len(stuck), device=points.device), inside[stuck].int().argmax(dim=1)
-    faces = torch.stack((lower[row, box], upper[row, box]), dim=1)
-    ends = point.new_tensor(size)
-    # One candidate for each of the 2 D faces [n, 2, D], moved along one axis: [n, 2, D, D].
-    along = torch.eye(len(size), dtype=torch.bool, device=points.device)
-    moved = torch.where(along, faces.unsqueeze(3), point.view(-1, 1, 1, len(size)))
-    others = torch.arange(lower.shape[1], device=points.device) != box.unsqueeze(1)
-    within = (moved.unsqueeze(3) > lower[:, None, None]) & (moved.unsqueeze(3) < upper[:, None, None])
-    covered = (within.all(dim=4) & others[:, None, None]).any(dim=3) | (faces < 0.0) | (faces > ends)
-    effort = (faces - point.unsqueeze(1)).abs() + covered * ends.norm()
-    best = effort.flatten(1).argmin(dim=1)
-    return points.index_copy(0, stuck, moved.flatten(1, 2)[row, best])
-
-
-def occupancy(
-    shape: tuple[int, ...],
-    cell: float,
-    size: tuple[float, ...],
-    baffles: Tensor | None,
-    samples: int,
-    like: Tensor | None = None,
-) -> Tensor:
-    """Share of each grid node's cell that baffles cover [-], shape [samples * nodes, 1], as in `gns.model.grid`.
-
-    shape, cell, size: of the grid, its edge [m] and the box that it spans [m]. A node's cell is the box of that edge
-    around it, as far as it is in the domain. like: without baffles, type and device of the zeros.
-    """
-    nodes = math.prod(shape)
-    if baffles is None:
-        return torch.zeros(samples * nodes, 1) if like is None else like.new_zeros(samples * nodes, 1)
-    covered = baffles.new_ones(*baffles.shape[:2], *(1 for _ in shape))
-    for axis, (count, length) in enumerate(zip(shape, size, strict=True)):
-        middle = cell * torch.arange(count, dtype=baffles.dtype, device=baffles.device)
-        begin, end = (middle - 0.5 * cell).clamp(min=0.0), (middle + 0.5 * cell).clamp(max=length)
-        lower, upper = baffles[:, :, 0, axis].unsqueeze(2), baffles[:, :, 1, axis].unsqueeze(2)
-        overlap = (torch.minimum(upper, end) - torch.maximum(lower, begin)).clamp(min=0.0)
-        # The last node can lie so far beyond the wall that nothing of its cell is in the domain.
-        share = overlap / torch.where(end > begin, end - begin, 1.0)
-        covered = covered * share.view(*share.shape[:2], *(-1 if other == axis else 1 for other in range(len(shape))))
-    return covered.sum(dim=1).view(samples * nodes, 1)
-
-
-def _corners(baffles: Tensor, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Lower and upper corners of the boxes in each particle's sample [m], shape [N or 1, K, D]."""
-    boxes = baffles if batch is None else baffles.index_select(0, batch)
-    return boxes[:, :, 0], boxes[:, :, 1]
+    point, ends, boxes = points[stuck], size[stuck], boxes.select(stuck)
+    count, dimension = point.shape
+    row, number = torch.arange(count, device=points.device), inside[stuck].int().argmax(dim=1)
+    box = boxes.one(number)
+    # One candidate for each of the 2 D faces, the lower ones first: [n, 2 D, D].
+    axes = torch.eye(dimension, dtype=point.dtype, device=point.device).expand(count, -1, -1)
+    faces = torch.stack((-box.half, box.half), dim=1).squeeze(2)
+    shift = (faces - box.own(point)).flatten(1)
+    directions = box.each(lambda part: part.expand(-1, dimension, *part.shape[2:])).world_vectors(axes).repeat(1, 2, 1)
+    moved = point.unsqueeze(1) + shift.unsqueeze(2) * directions
+    each = boxes.select(row.repeat_interleave(2 * dimension))
+    covered = each.contain(moved.flatten(0, 1), SLACK).view(count, 2 * dimension, -1)
+    covered[row, :, number] = False
+    beyond = ((moved < -SLACK) | (moved > ends.unsqueeze(1) + SLACK)).any(dim=2)
+    effort = shift.abs() + (covered.any(dim=2) | beyond) * ends.norm(dim=1, keepdim=True)
+    return points.index_copy(0, stuck, moved[row, effort.argmin(dim=1)])

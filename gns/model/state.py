@@ -1,11 +1,13 @@
 """What a simulation step takes and gives."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import torch
 from torch import Tensor
+
+from gns.units import Units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,12 +17,12 @@ class Tensors:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """The same record on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
+        for each in dataclasses.fields(self):
+            value = getattr(self, each.name)
             if isinstance(value, Tensor):
-                moved[field.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+                moved[each.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
             elif isinstance(value, Tensors):
-                moved[field.name] = value.to(device, dtype)
+                moved[each.name] = value.to(device, dtype)
         return dataclasses.replace(self, **moved)
 
 
@@ -32,6 +34,12 @@ class State(Tensors):
     """Positions [m], shape [N, D]."""
     displacements: Tensor
     """The last H displacements [m per step], newest last, shape [H, N, D]."""
+
+    def over(self, length: float) -> "State":
+        """The same state with lengths in another unit, `length` [m]."""
+        if length == 1.0:
+            return self
+        return State(positions=self.positions / length, displacements=self.displacements / length)
 
     @staticmethod
     def moving(positions: Tensor, velocities: Tensor, *, step: float, history: int) -> "State":
@@ -50,25 +58,84 @@ class State(Tensors):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ground(Tensors):
+    """Terrain as a raster of elevations at the same distances in plan, from the corner of the box on."""
+
+    elevation: Tensor
+    """Elevation [m], shape [B, X], in 3D [B, X, Z]; may require a gradient."""
+    friction: Tensor
+    """Coulomb coefficient [-], of the same shape."""
+    spacing: float
+    """Distance between two elevations [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Conditions(Tensors):
-    """What is constant during a rollout: material, volumes, box, gravity, baffles."""
+    """What is constant during a rollout: material, volumes, box, gravity, solids; of B samples side by side.
+
+    All that is a tensor may require a gradient.
+    """
 
     friction: Tensor
-    """tan(phi) of each particle [-], shape [N]; may require a gradient."""
+    """tan(phi) of each particle [-], shape [N]."""
     cohesion: Tensor
-    """Cohesion of each particle [Pa], shape [N]; may require a gradient."""
+    """Cohesion of each particle [Pa], shape [N]."""
     volume: Tensor
     """Initial volume of each particle [m^D], shape [N]."""
-    size: tuple[float, ...]
-    """Extent of the box [0, size] that holds all samples [m], length D."""
-    gravity: float = 9.81
-    """Gravitational acceleration along -y [m/s^2]."""
+    size: Tensor
+    """Extent of the box [0, size] of each sample [m], shape [B, D]."""
+    gravity: Tensor
+    """Gravitational acceleration [m/s^2], shape [B, D]."""
+    floor_friction: Tensor
+    """Coulomb coefficient of the floor [-], shape [B]."""
+    wall_friction: Tensor
+    """Coulomb coefficient of the other walls [-], shape [B]."""
+    damping: Tensor
+    """Local damping [-], shape [B]."""
     batch: Tensor | None = None
     """Sample that each particle belongs to, shape [N]; absent where there is one."""
-    samples: int = 1
-    """Number of samples, B."""
     baffles: Tensor | None = None
-    """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D]; may require a gradient.
+    """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D].
 
-    A sample with fewer has boxes of no size far outside the domain.
+    A sample with fewer has boxes of no size far outside the domain. Those of a turned one are before its turn.
     """
+    baffle_turn: Tensor | None = None
+    """Turn of these baffles about their centres [rad], in 2D from x to y, in 3D about the vertical from x to z, [B, K].
+
+    Absent where none is turned.
+    """
+    baffle_friction: Tensor | None = None
+    """Coulomb coefficient of these baffles [-], shape [B, K]."""
+    ground: Ground | None = None
+    """Terrain; absent where no sample has any."""
+    units: Units = field(default_factory=Units)
+    """What one unit of the model is in these samples."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, B."""
+        return len(self.size)
+
+    def of_particles(self, values: Tensor) -> Tensor:
+        """Values of the samples [B, ...], for each particle [N or 1, ...]."""
+        return values if self.batch is None else values.index_select(0, self.batch)
+
+    def in_model_units(self) -> "Conditions":
+        """These conditions in the units of the model."""
+        units = self.units
+        if units == Units():
+            return self
+        length = units.length
+        ground = self.ground
+        if ground is not None:
+            ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+        return dataclasses.replace(
+            self,
+            cohesion=self.cohesion / units.stress,
+            volume=self.volume / length ** self.size.shape[1],
+            size=self.size / length,
+            gravity=self.gravity * (units.time**2 / length),
+            baffles=None if self.baffles is None else self.baffles / length,
+            ground=ground,
+            units=Units(),
+        )

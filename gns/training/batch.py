@@ -7,24 +7,27 @@ from torch import Tensor
 from torch_geometric.data import Batch, Data
 
 from datasets.training.samples import Sample
+from gns.conditions import NO_GROUND, conditions_of, tensors_of
 from gns.model.state import Conditions, State
 
-ABSENT = -10.0
-"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have."""
-TIME_FIRST = ("displacements", "targets")
+TIME_FIRST = ("displacements", "targets", "shares")
 """Whose first axis is time, so that samples are joined along the second."""
 
 
 class Particles(Data):  # type: ignore[misc]
     """The particles of a sample, or of multiple samples joined by `Batch`, which then has these properties too.
 
-    | attribute                      | unit       | shape                         |
-    | pos                            | m          | [N, D]                        |
-    | displacements                  | m per step | [H, N, D], newest last        |
-    | targets                        | m          | [K, N, D], the coming steps   |
-    | friction, cohesion, volume     | -, Pa, m^D | [N]                           |
-    | baffles                        | m          | [B, K, 2, D], padded; K may be 0 |
-    | domain, gravity                | m, m/s^2   | [B, D], [B]; extent of the box |
+    | attribute                      | unit       | shape                                           |
+    | pos                            | m          | [N, D]                                          |
+    | displacements                  | m per step | [H, N, D], newest last                          |
+    | targets                        | m          | [K, N, D], the coming steps                     |
+    | shares                         | m          | [K, N, D], of each sample; see `Sample.shares`  |
+    | friction, cohesion, volume     | -, Pa, m^D | [N]                                             |
+    | box, gravity                   | m, m/s^2   | [B, D]; extent of the boxes                     |
+    | floor_friction, wall_friction, damping | -  | [B]                                             |
+    | baffles, baffle_friction       | m, -       | [B, K, 2, D], [B, K], padded; K may be 0        |
+    | baffle_turn                    | rad        | [B, K]; [B, 0] where none is turned             |
+    | elevation, ground_friction     | m, -       | [B, X(, Z)], padded; X is 0 without any terrain |
     """
 
     def __cat_dim__(self, key: str, value: Any, *args: Any, **kwargs: Any) -> int:
@@ -35,49 +38,42 @@ class Particles(Data):  # type: ignore[misc]
         """Where the samples start."""
         return State(positions=self.pos, displacements=self.displacements)
 
-    @property
-    def conditions(self) -> Conditions:
-        """What is constant during their rollout."""
-        return Conditions(
+    def conditions(self, spacing: float) -> Conditions:
+        """What is constant during their rollout; spacing: between two elevations of the ground [m]."""
+        return conditions_of(
+            self,
             friction=self.friction,
             cohesion=self.cohesion,
             volume=self.volume,
-            size=tuple(self.domain[0].tolist()),
-            gravity=self.gravity[0].item(),
+            spacing=spacing,
             batch=self.batch,
-            samples=self.num_graphs,
-            baffles=self.baffles if self.baffles.shape[1] else None,
         )
 
 
-def batched(samples: list[Sample], *, size: tuple[float, ...], gravity: float, step: float, history: int) -> Particles:
-    """Join samples of one domain of `size` [m]; they have equally many targets. `.to(device)` moves all of it."""
-    boxes = max(len(sample.baffles) for sample in samples)
-    batch: Particles = Batch.from_data_list(
-        [_particles(sample, boxes, size=size, gravity=gravity, step=step, history=history) for sample in samples]
-    )
+def batched(samples: list[Sample], *, step: float, history: int) -> Particles:
+    """Join samples; they have equally many targets. `.to(device)` moves all of it."""
+    boxes = max(len(sample.surroundings.baffles) for sample in samples)
+    turned = any(bool(sample.surroundings.baffle_turn.any()) for sample in samples)
+    rasters = [sample.surroundings.ground[0].shape for sample in samples if sample.surroundings.ground is not None]
+    raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or NO_GROUND
+    parts = []
+    for sample in samples:
+        frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
+        state = State.observed(frames, velocity0, step=step, history=history)
+        parts.append(
+            Particles(
+                pos=state.positions,
+                displacements=state.displacements,
+                targets=torch.from_numpy(sample.targets),
+                shares=torch.from_numpy(sample.shares),
+                friction=torch.from_numpy(sample.friction),
+                cohesion=torch.from_numpy(sample.cohesion),
+                volume=torch.from_numpy(sample.volume),
+                **tensors_of(sample.surroundings, boxes=boxes, turned=turned, raster=raster),
+            )
+        )
+    batch: Particles = Batch.from_data_list(parts)
     return batch
-
-
-def _particles(
-    sample: Sample, boxes: int, *, size: tuple[float, ...], gravity: float, step: float, history: int
-) -> Particles:
-    """A sample with its baffles padded to so many boxes."""
-    frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
-    state = State.observed(frames, velocity0, step=step, history=history)
-    baffles = state.positions.new_full((1, boxes, 2, len(size)), ABSENT)
-    baffles[0, : len(sample.baffles)] = torch.from_numpy(sample.baffles)
-    return Particles(
-        pos=state.positions,
-        displacements=state.displacements,
-        targets=torch.from_numpy(sample.targets),
-        friction=torch.from_numpy(sample.friction),
-        cohesion=torch.from_numpy(sample.cohesion),
-        volume=torch.from_numpy(sample.volume),
-        baffles=baffles,
-        domain=torch.tensor([size], dtype=torch.float64),
-        gravity=torch.tensor([gravity], dtype=torch.float64),
-    )
 
 
 def perturbed(batch: Particles, noise: float, generator: torch.Generator) -> Particles:

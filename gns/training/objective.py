@@ -14,14 +14,10 @@ from gns.model.simulator import Normalisation, Simulator
 from gns.training.batch import Particles, batched
 from gns.unroll import unroll
 
-Domain = tuple[tuple[float, ...], float]
-"""Extent of the box [m] and gravity [m/s^2]."""
-SHARE_FIRST = 0.15
-"""Share of samples that start with the flow itself: from positions and velocities alone."""
-SHARE_EARLY = 0.10
-"""Share that starts just after, with part of the history made up from the initial velocities."""
-SHARE_MOVING = 0.60
-"""Share that starts while the flow moves; the rest starts anywhere, settled deposits included, which must stay."""
+SHARE_EARLY = 0.12
+"""Share of the other samples that starts just after, part of their history made up from the initial velocities."""
+SHARE_MOVING = 0.70
+"""Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 SAMPLED_TIMES = 2048
@@ -44,6 +40,26 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
     return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
 
 
+def share_loss(positions: Tensor, shares: Tensor, batch: Tensor, samples: int, scale: float) -> tuple[Tensor, Tensor]:
+    """How far the parts of each cloud lie from those of the truth: the n-th particle along an axis from the n-th part.
+
+    positions, shares: [m], shape [K, N, D]; batch: sample of each particle, shape [N]; scale: distance [m] that counts
+    as one. Returns the mean smooth L1 distance of all samples, and that of the differences between the errors of one
+    sample and of the next, for pairs of equally many particles: what is wrong with the answer to a change.
+
+    A particle's own path is chaotic where grains collide; the distribution of all is not, and is what is observed.
+    """
+    errors = []
+    for sample in range(samples):
+        own = batch == sample
+        errors.append((positions[:, own].sort(dim=1).values - shares[:, own]) / scale)
+    mean = torch.stack([functional.smooth_l1_loss(error, torch.zeros_like(error)) for error in errors]).mean()
+    pairs = [(a, b) for a, b in zip(errors[::2], errors[1::2], strict=False) if a.shape == b.shape]
+    if not pairs:
+        return mean, torch.zeros_like(mean)
+    return mean, torch.stack([functional.smooth_l1_loss(a, b) for a, b in pairs]).mean()
+
+
 def unrolled_steps(schedule: Sequence[int], progress: float) -> int:
     """Steps to train through at `progress` in [0, 1]: the entries of `schedule` share the budget equally."""
     return schedule[min(int(progress * len(schedule)), len(schedule) - 1)]
@@ -62,79 +78,112 @@ def remaining_steps(schedule: Sequence[int], progress: float) -> float:
 class UnrolledLoss(nn.Module):
     """Batch to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
 
-    def __init__(self, simulator: Simulator, *, loss_scale: float, mixed: bool = False) -> None:
-        """loss_scale: `s` of `rollout_loss` as a share of the accelerations; mixed: products in bfloat16."""
+    def __init__(
+        self, simulator: Simulator, *, loss_scale: float, shares: float = 0.0, changes: float = 0.0, mixed: bool = False
+    ) -> None:
+        """loss_scale: `s` of `rollout_loss` as a share of the accelerations; shares, changes: weights of `share_loss`;
+        mixed: products in bfloat16."""
         super().__init__()
         self.simulator = simulator
-        self.loss_scale = loss_scale
+        self.loss_scale, self.shares, self.changes = loss_scale, shares, changes
         self.mixed = mixed
 
     def forward(self, batch: Particles, kept_steps: int) -> Tensor:
         """The loss of unrolling `batch` to its last target; kept_steps: see `gns.unroll.unroll`."""
         steps = len(batch.targets)
         with torch.autocast(batch.targets.device.type, torch.bfloat16, enabled=self.mixed):
-            positions = unroll(self.simulator, batch.state, batch.conditions, steps, kept_steps=kept_steps)
+            positions = unroll(
+                self.simulator,
+                batch.state,
+                batch.conditions(self.simulator.settings.cell),
+                steps,
+                kept_steps=kept_steps,
+            )
         scale = self.loss_scale * self.simulator.acceleration_scale
-        return rollout_loss(positions, batch.targets, scale)
+        loss = rollout_loss(positions, batch.targets, scale)
+        if self.shares > 0.0 or self.changes > 0.0:
+            cell = self.simulator.settings.cell
+            apart, changed = share_loss(positions[1:], batch.shares, batch.batch, batch.num_graphs, cell)
+            loss = loss + self.shares * apart + self.changes * changed
+        return loss
 
 
 class Curriculum:
-    """Draws training samples: datasets in equal shares, flows of a dataset alike, in a random one of their symmetries.
+    """Draws training samples: datasets in equal shares, their flows alike, each in a random one of its symmetries."""
 
-    A batch is of one domain and gravity, and so are all flows of a dataset.
-    """
-
-    def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings) -> None:
-        self._settings = settings
-        self._domains: dict[Domain, list[Sequence[Flow]]] = {}
-        for flows in datasets:
-            self._domains.setdefault((flows[0].size, flows[0].gravity), []).append(flows)
-        # As many times as a domain has datasets, so that these get equal shares.
-        self._shares = [domain for domain, group in self._domains.items() for _ in group]
+    def __init__(
+        self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, *, first: float = 0.15, pairs: float = 0.0
+    ) -> None:
+        """first: share of samples that start with the flow itself, from positions and velocities alone; pairs: share of
+        batches of a flow and its variant, which starts from the same particles."""
+        self._settings, self._datasets, self._first, self._pairs = settings, datasets, first, pairs
+        self._partners = [partners(flows) if pairs > 0.0 else {} for flows in datasets]
 
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """`count` samples with `steps` targets, side by side."""
-        domain = self._shares[int(rng.integers(len(self._shares)))]
-        samples = [self.draw(domain, steps, rng) for _ in range(count)]
-        settings, (size, gravity) = self._settings, domain
-        return batched(samples, size=size, gravity=gravity, step=settings.step, history=settings.history)
+        samples = self.samples(count, steps, rng)
+        return batched(samples, step=self._settings.step, history=self._settings.history)
 
-    def draw(self, domain: Domain, steps: int, rng: np.random.Generator) -> Sample:
-        """One sample of a domain with `steps` targets."""
-        settings, datasets = self._settings, self._domains[domain]
-        flows = datasets[int(rng.integers(len(datasets)))]
-        flow = flows[int(rng.integers(len(flows)))]
+    def samples(self, count: int, steps: int, rng: np.random.Generator) -> list[Sample]:
+        """`count` samples with `steps` targets; of pairs the two follow each other."""
+        samples: list[Sample] = []
+        paired = rng.random() < self._pairs
+        while len(samples) < count:
+            which = int(rng.integers(len(self._datasets)))
+            flows = self._datasets[which]
+            number = int(rng.integers(len(flows)))
+            seed = int(rng.integers(2**63))
+            chosen = [number]
+            if paired and len(samples) + 1 < count and number in self._partners[which]:
+                chosen.append(self._partners[which][number])
+            last = min(len(flows[each].positions) for each in chosen) - 1 - steps
+            now = self._start(flows[number], last, rng)
+            samples += [self._sample(flows[each], now, steps, np.random.default_rng(seed)) for each in chosen]
+        return samples
+
+    def _sample(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
+        """The stretch of `flow` with `steps` targets after index `now`, in a random one of its symmetries."""
+        settings = self._settings
         sample = cut(
             flow,
-            now=self._start(flow, len(flow.positions) - 1 - steps, rng),
+            now=now,
             steps=steps,
             history=settings.history,
             cell=settings.cell,
             kept=settings.particles_per_cell,
             rng=rng,
         )
-        return turned(sample, flow.size, rng)
+        return turned(sample, settings.cell, rng)
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
-        kind = rng.random()
-        if kind < SHARE_FIRST:
+        if rng.random() < self._first:
             return 0
-        if kind < SHARE_FIRST + SHARE_EARLY:
+        kind = rng.random()
+        if kind < SHARE_EARLY:
             return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
         anywhere = rng.integers(0, last + 1, size=TRIES)
-        if kind < SHARE_FIRST + SHARE_EARLY + SHARE_MOVING:
+        if kind < SHARE_EARLY + SHARE_MOVING:
             # The first that moves is a random one of those that move, and only two frames of each are read.
             return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
         return int(anywhere[0])
 
 
-def turned(sample: Sample, size: tuple[float, ...], rng: np.random.Generator) -> Sample:
-    """The sample in a random one of the symmetries of its box [m]: gravity is along y, no other axis is special."""
+def partners(flows: Sequence[Flow]) -> dict[int, int]:
+    """Number of a flow -> number of another one that starts from the same particles."""
+    alike: dict[tuple[int, int], list[int]] = {}
+    for number, flow in enumerate(flows):
+        alike.setdefault((flow.seed, flow.positions.shape[1]), []).append(number)
+    return {a: b for group in alike.values() for a, b in zip(group, group[1:] + group[:1], strict=True) if a != b}
+
+
+def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:
+    """The sample in a random one of the symmetries of its box; spacing: between two elevations of its ground [m]."""
+    size = sample.surroundings.size
     for axis in (axis for axis in range(len(size)) if axis != UP):
         if rng.random() < 0.5:
-            sample = mirrored(sample, axis, size[axis])
-    if len(size) == 3 and size[0] == size[2] and rng.random() < 0.5:
+            sample = mirrored(sample, axis, spacing)
+    if len(size) == 3 and rng.random() < 0.5:
         sample = exchanged(sample)
     return sample
 
@@ -156,7 +205,7 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
                 continue
             moved = np.diff(flow.positions[time : time + 3], axis=0)
             change = moved[1] - moved[0]
-            change[:, UP] += flow.gravity * flow.step**2
+            change -= flow.surroundings.gravity * flow.step**2
             displacement += float(np.square(moved[0], dtype=np.float64).sum())
             acceleration += float(np.square(change, dtype=np.float64).sum())
             count += change.size

@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,12 +15,13 @@ from torch.optim.swa_utils import AveragedModel
 from datasets import files
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from gns.model import checkpoint
+from datasets.records import from_mapping
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.training.batch import Particles, perturbed
 from gns.training.distributed import Processes
 from gns.training.objective import Curriculum, UnrolledLoss
+from gns.training.optimiser import Optimiser
 from gns.unroll import step_activation_bytes
 
 MARGIN = 1.5
@@ -35,8 +38,8 @@ class TrainingSettings:
     """Samples per update, of each process."""
     unroll: tuple[int, ...] = (1, 2, 4, 4, 8, 8, 12, 12)
     """Steps to train through; the entries share the budget equally."""
-    learning_rate: float = 1.0e-3
-    """Learning rate of Adam at the start."""
+    learning_rate: float = 6.0e-4
+    """Learning rate at the start."""
     final_learning_rate: float = 1.0e-5
     """At the end; half a cosine in between."""
     warmup: int = 100
@@ -47,6 +50,14 @@ class TrainingSettings:
     """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    first: float = 0.15
+    """Share of samples that start with the flow itself: from positions and velocities alone."""
+    shares: float = 0.0
+    """Weight of the distance between the distributions of the particles and of the truth (`share_loss`)."""
+    changes: float = 0.0
+    """Weight of the error in the answer to a change, in pairs."""
+    pairs: float = 0.0
+    """Share of batches that are made of pairs: a flow and its variant."""
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
     validate_minutes: float = 5.0
@@ -112,8 +123,16 @@ class Run:
         self.simulator = simulator.to(processes.device)
         self.training, self.seed, self.processes, self.memory_gib = training, seed, processes, memory_gib
         self.average = AveragedModel(self.simulator, avg_fn=self._averaged)
-        self.optimiser = torch.optim.Adam(self.simulator.parameters(), lr=training.learning_rate)
-        self.model = processes.wrapped(UnrolledLoss(self.simulator, loss_scale=training.loss_scale, mixed=mixed))
+        self.optimiser = Optimiser(self.simulator, training.learning_rate)
+        self.model = processes.wrapped(
+            UnrolledLoss(
+                self.simulator,
+                loss_scale=training.loss_scale,
+                shares=training.shares,
+                changes=training.changes,
+                mixed=mixed,
+            )
+        )
         self.position = Position()
 
     def _averaged(self, average: Tensor, current: Tensor, updates: Tensor | int) -> Tensor:
@@ -139,15 +158,13 @@ class Run:
         if steps == 1 and training.noise > 0.0:
             batch = perturbed(batch, training.noise, torch.Generator().manual_seed(int(rng.integers(2**63))))
         batch = batch.to(self.processes.device)
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
         self.optimiser.zero_grad()
         loss = self.model(batch, self.kept_steps(batch))
         (self.processes.share(batch.targets.shape[1]) * loss).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.simulator.parameters(), training.clip)
         if not math.isfinite(norm):
             raise WorkFailed(f"the gradient of update {position.updates + 1} is not finite; last.pt is older and whole")
-        self.optimiser.step()
+        self.optimiser.step(rate)
         self.average.update_parameters(self.simulator)
         value = loss.item()
         position.updates, position.steps, position.losses = position.updates + 1, steps, position.losses + value
@@ -157,7 +174,9 @@ class Run:
         """Steps whose activations fit into the memory; the others are computed a second time, to the same result."""
         particles, steps = batch.targets.shape[1], len(batch.targets)
         if not self.position.particle_bytes:
-            measured = step_activation_bytes(self.simulator, batch.state, batch.conditions)
+            measured = step_activation_bytes(
+                self.simulator, batch.state, batch.conditions(self.simulator.settings.cell)
+            )
             self.position.particle_bytes = MARGIN * measured / particles
         return min(steps, int(self.memory_gib * 2**30 / (self.position.particle_bytes * particles)))
 
@@ -178,18 +197,26 @@ class Run:
 
     def resume(self, path: Path) -> None:
         """Restore what `save` wrote. Raises InputError."""
-        content = checkpoint.read(path)
+        content = read(path)
         try:
-            if ModelSettings.from_mapping(content["settings"]) != self.simulator.settings:
+            if from_mapping(ModelSettings, content["settings"]) != self.simulator.settings:
                 raise InputError("expected the model settings that the run was begun with", where=str(path))
             if content["seed"] != self.seed:
                 raise InputError(f"expected the seed of the run, {content['seed']}", where=str(path), key="seed")
-            self.simulator.load_state_dict(checkpoint.renamed(content["weights"]))
-            self.average.load_state_dict(checkpoint.renamed(content["average"]))
+            self.simulator.load_state_dict(content["weights"])
+            self.average.load_state_dict(content["average"])
             self.optimiser.load_state_dict(content["optimiser"])
-            old = {"point_bytes": "particle_bytes"}
-            self.position = Position(**{old.get(key, key): value for key, value in content["position"].items()})
+            self.position = Position(**content["position"])
         except (KeyError, TypeError, RuntimeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"expected a whole run, {str(error).splitlines()[0]}", where=str(path)) from None
+
+
+def read(path: Path) -> Any:
+    """Plain tensors, strings and numbers from a file that torch wrote. Raises InputError."""
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        first = next(iter(str(error).splitlines()), "empty file")
+        raise InputError(f"expected a whole run, {first}", where=str(path)) from None

@@ -1,4 +1,4 @@
-"""The learned simulator as a forward model: from the scene or the MPM's first frames to the deposit, differentiably."""
+"""The learned simulator as a forward model: from the scene to the deposit, differentiably."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,9 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from gns.initial import MPM_SECONDS, InitialState, Start, first_frames, initial_state
+from gns.initial import InitialState, initial_state
 from gns.model.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values
@@ -24,30 +23,33 @@ THINNING_SEED = 0
 
 
 class GnsForward:
-    """A rollout of the surrogate that is a differentiable function of the problem's parameters."""
+    """A rollout of the surrogate from rest that is a differentiable function of the problem's parameters.
+
+    State, conditions and positions are in SI units of the scene; `unroll` scales them to the model's.
+    """
 
     def __init__(
         self,
         simulator: Simulator,
-        beginning: Trajectory | None,
         problem: Problem,
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
+        *,
+        seed: int | None = None,
     ) -> None:
+        """seed: of the particles' jitter; the scene's where absent. Raises InputError as `gns.initial.check`."""
         self.simulator, self.observation, self.kinds = simulator, observation, problem.kinds
+        scene = problem.scene if seed is None else dataclasses.replace(problem.scene, seed=seed)
         dtype = next(simulator.parameters()).dtype
-        self.initial = beginning_of(beginning, problem, simulator).to(dtype=dtype)
+        self.initial = initial_state(scene, simulator.settings, seed=THINNING_SEED).to(dtype=dtype)
         self.indices, self.steps = self.initial.indices, self.initial.steps
-        # Before the rollout begins: for an observation over time alone.
-        self.before = torch.from_numpy(self.initial.known[:-1])
-        self.times = self.initial.times[0 if observation.over_time else len(self.before) :]
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [m], of parameters, float64 of shape [U]."""
-        volumes = self.initial.conditions.volume
-        return self.observation.predict(Rollout(positions=self._path(parameters), times=self.times, volumes=volumes))
+        positions, volumes = self._path(parameters), self.initial.conditions.volume
+        return self.observation.predict(Rollout(positions=positions, times=self.initial.times, volumes=volumes))
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], one after the other."""
@@ -71,20 +73,9 @@ class GnsForward:
         return initial
 
     def _path(self, parameters: Tensor) -> Tensor:
-        """Positions [m] at `times`, shape [T, n, D]."""
+        """Positions [m] at the times of the initial state, shape [T, n, D]."""
         initial = self.entered(parameters)
-        moved = unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
-        return torch.cat((self.before.to(moved.dtype), moved)) if self.observation.over_time else moved
-
-
-def beginning_of(beginning: Trajectory | None, problem: Problem, simulator: Simulator) -> InitialState:
-    """Where the rollout begins: at the scene, or after the first frames of `beginning`."""
-    settings, scene = simulator.settings, problem.scene
-    if problem.start is Start.FROM_REST:
-        seed = scene.seed if beginning is None else beginning.scene.seed
-        return initial_state(dataclasses.replace(scene, seed=seed), settings, seed=THINNING_SEED)
-    assert beginning is not None, "`GnsSource.first_frames` asked for them"
-    return initial_state(scene, settings, first_frames(beginning), seed=THINNING_SEED)
+        return unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
 
 
 class GnsSource:
@@ -96,10 +87,7 @@ class GnsSource:
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.memory_gib = problem, observation, memory_gib
 
-    def first_frames(self, scene: Scene) -> Scene | None:
-        """`scene`, cut to a twentieth of a second: all that the surrogate needs of the MPM, if it needs any."""
-        return None if self.problem.start is Start.FROM_REST else dataclasses.replace(scene, duration=MPM_SECONDS)
-
     def start(self, beginning: Trajectory | None) -> GnsForward:
-        """The surrogate that goes on from the first frames of `beginning`."""
-        return GnsForward(self.simulator, beginning, self.problem, self.observation, self.memory_gib)
+        """The surrogate of the flow whose particles have the jitter of `beginning`, else that of the scene."""
+        seed = None if beginning is None else beginning.scene.seed
+        return GnsForward(self.simulator, self.problem, self.observation, self.memory_gib, seed=seed)

@@ -30,7 +30,7 @@ class Differentiable(Forward, Protocol):
 
 
 class Surrogate(Differentiable, Protocol):
-    """A learned simulator of one flow, started from the scene or from the MPM's first frames; or what stands for it."""
+    """A learned simulator of one flow, or what stands for it."""
 
     def select(self, target: Values, /) -> Values:
         """The part of an exact observation [M] that its own numbers [m] are compared with."""
@@ -42,13 +42,10 @@ class Surrogate(Differentiable, Protocol):
 class SurrogateSource(Protocol):
     """Makes surrogates of a flow: a learned one, or the MPM linearised."""
 
-    def first_frames(self, scene: Scene) -> Scene | None:
-        """`scene`, cut to the first frames that a surrogate is started from; None where it needs none."""
-
     def start(self, beginning: Trajectory | None) -> Surrogate:
-        """The surrogate that goes on from the first frames of `beginning`, as long as the problem's scene lasts.
+        """The surrogate beside `beginning`, a run of the problem's scene at some parameters, which it may agree with.
 
-        One that needs no frames takes the jitter of the particles from `beginning`, or from the problem's scene.
+        The jitter of its particles is that of `beginning`; of the problem's scene where there is no run yet.
         """
 
 

@@ -19,7 +19,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.forward.interface import Simulate
 from inverse.observations import Observation, Values
@@ -76,10 +75,6 @@ class MpmSource:
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate) -> None:
         self.problem, self.observation, self.simulate = problem, observation, simulate
-
-    def first_frames(self, scene: Scene) -> Scene | None:
-        """None: it needs no frames of another run."""
-        return None
 
     def start(self, beginning: Trajectory | None) -> Quadratic:
         """The model around `beginning`, whole runs; where there is none yet, around the problem's start."""

@@ -1,7 +1,4 @@
-"""The front of a deposit, the x that 99.5 % of its particles are behind, in the end or at given times.
-
-Between two frames the front is interpolated linearly.
-"""
+"""The front of a deposit, the x that 99.5 % of its particles are behind, in the end or at given times."""
 
 from typing import Self
 

@@ -1,4 +1,8 @@
-"""Samples at given times, linear between frames; and what measured positions and times have to be."""
+"""Observations at given times, and what measured positions and times have to be.
+
+Between two frames positions are linear in time: a step of the surrogate may last longer than a flow takes to pass a
+gauge, whose height then is far from linear.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -27,23 +31,22 @@ def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
 def at_times(
     operator: Callable[[NDArray[np.floating]], Values], trajectory: Trajectory, times: Values
 ) -> NDArray[np.float64]:
-    """`operator` of the positions [N, D] at each of `times` [s], linear between frames; shape [times, ...]."""
-    before, share = brackets(trajectory.time, times)
+    """`operator` of the positions [N, D] at each of `times` [s], shape [times, ...]."""
+    positions, different, which = trajectory.positions, *np.unique(times, return_inverse=True)
+    before, share = brackets(trajectory.time, different)
     after = np.minimum(before + 1, len(trajectory.time) - 1)
-    values = {int(each): operator(trajectory.positions[each]) for each in {*before, *after}}
-    return np.stack(
-        [(1.0 - s) * values[int(b)] + s * values[int(a)] for b, a, s in zip(before, after, share, strict=True)]
-    )
+    between = zip(before, after, share.astype(positions.dtype), strict=True)
+    return np.stack([operator((1.0 - s) * positions[b] + s * positions[a]) for b, a, s in between])[which]
 
 
 def predicted_at_times(operator: Callable[[Tensor], Tensor], rollout: Rollout, times: Values) -> Tensor:
     """As `at_times`, differentiable."""
-    before, share = brackets(rollout.times, times)
+    positions, different, which = rollout.positions, *np.unique(times, return_inverse=True)
+    before, share = brackets(rollout.times, different)
     after = np.minimum(before + 1, len(rollout.times) - 1)
-    values = {int(each): operator(rollout.positions[each]) for each in {*before, *after}}
-    return torch.stack(
-        [(1.0 - s) * values[int(b)] + s * values[int(a)] for b, a, s in zip(before, after, share, strict=True)]
-    )
+    between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
+    values = torch.stack([operator(torch.lerp(positions[b], positions[a], s)) for b, a, s in between])
+    return values[torch.from_numpy(which)]
 
 
 def require_count(values: Values | None, count: int) -> Values | None:

@@ -9,12 +9,12 @@
 | `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
 | `baffles[I].height` | m | its extent along y, from its foot |
 | `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
+| `solids[I].friction` | - | Coulomb coefficient of solid I |
 | `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
 | `masses[I].k0` | - | ratio of the initial stresses of mass I |
 | `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
-| `solids[I].friction` | - | Coulomb coefficient of solid I |
 
-The last five rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
+The last three rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 """

@@ -2,21 +2,18 @@
 
 import dataclasses
 import itertools
-import math
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.scene import Baffle, Mass, Scene
-from gns.initial import MPM_SECONDS, InitialState
+from datasets.geometry.planar import turned
+from datasets.scene import Baffle, Scene
+from gns.initial import InitialState
 from inverse.parameters.kind import UP, Kind, Parts, T, replaced, require_axis, require_index
-
-CLEAR_CELLS = 2.0
-"""Distance from a baffle up to which a flow may depend on it, in cells of the MPM's grid."""
 
 
 @dataclass(frozen=True)
@@ -81,40 +78,38 @@ class Extent(BaffleKind):
 
 
 def swept(scene: Scene, kinds: Sequence[Kind], bounds: Sequence[tuple[float, float]]) -> dict[int, Baffle]:
-    """The box that each baffle with a parameter may occupy, while each parameter stays in its (lower, upper)."""
+    """The box that each baffle with a parameter may occupy, while each parameter stays in its (lower, upper).
+
+    For a turned baffle the smaller one of the box turned alike and the one along the axes around all it may occupy.
+    """
     moving = [(kind, ends) for kind, ends in zip(kinds, bounds, strict=True) if isinstance(kind, BaffleKind)]
     boxes = {}
     for index in sorted({kind.baffle for kind, _ in moving}):
         own = [(kind, ends) for kind, ends in moving if kind.baffle == index]
-        corners = []
+        extremes = []
         for values in itertools.product(*(ends for _, ends in own)):
             parts = Parts.split(scene)
             for (kind, _), value in zip(own, values, strict=True):
                 kind.put(parts, value)
-            baffle = parts.baffles[index]
-            corners.append((np.array(baffle.lower), np.array(baffle.lower) + baffle.size))
-        lower = np.min([low for low, _ in corners], axis=0).round(9)
-        upper = np.max([high for _, high in corners], axis=0).round(9)
-        boxes[index] = Baffle(lower=tuple(lower.tolist()), size=tuple((upper - lower).round(9).tolist()))
+            extremes.append(parts.baffles[index])
+        around = [_around(extremes, turned_deg) for turned_deg in (scene.baffles[index].turned_deg, 0.0)]
+        boxes[index] = min(around, key=lambda box: float(np.prod(box.size)))
     return boxes
 
 
-def clear_of_start(scene: Scene, boxes: Iterable[Baffle]) -> bool:
-    """Whether the MPM's first frames of `scene` do not depend on baffles anywhere in `boxes`.
-
-    Until then no particle gets further than |v| t + g t^2, twice as far as in a free fall.
-    """
-    cells = CLEAR_CELLS * scene.domain.cell
-    return all(
-        gap(mass, box) > math.hypot(*(mass.velocity or (0.0,))) * MPM_SECONDS + scene.gravity * MPM_SECONDS**2 + cells
-        for mass in scene.masses
-        for box in boxes
-    )
-
-
-def gap(mass: Mass, baffle: Baffle) -> float:
-    """Distance of two boxes along the axis on which it is largest [m]; negative where they overlap."""
-    return max(
-        max(low_b - (low_m + size_m), low_m - (low_b + size_b))
-        for low_m, size_m, low_b, size_b in zip(mass.lower, mass.size, baffle.lower, baffle.size, strict=True)
-    )
+def _around(baffles: Sequence[Baffle], turned_deg: float) -> Baffle:
+    """The smallest box, turned by this angle, around baffles of an equal turn."""
+    dimension = len(baffles[0].size)
+    lower, size = (np.array([getattr(each, key) for each in baffles], dtype=np.float64) for key in ("lower", "size"))
+    middle, plane = lower + 0.5 * size, [0, dimension - 1]
+    if turned_deg != baffles[0].turned_deg:
+        angle = np.radians(baffles[0].turned_deg - turned_deg)
+        size[:, plane] = abs(np.cos(angle)) * size[:, plane] + abs(np.sin(angle)) * size[:, plane[::-1]]
+    # About any point: the middles in the axes of the box.
+    pivot = middle[0, plane]
+    middle[:, plane] = turned(middle[:, plane], pivot, -turned_deg)
+    low, high = (middle - 0.5 * size).min(axis=0), (middle + 0.5 * size).max(axis=0)
+    centre, extent = 0.5 * (low + high), (high - low).round(9)
+    centre[plane] = turned(centre[None, plane], pivot, turned_deg)[0]
+    corner = (centre - 0.5 * extent).round(9)
+    return Baffle(lower=tuple(corner.tolist()), size=tuple(extent.tolist()), turned_deg=turned_deg)

@@ -1,10 +1,15 @@
-"""Friction of floor, walls, baffles and solids, and damping: coefficients of the MPM alone."""
+"""Friction of floor, walls, baffles and solids, and damping."""
 
 import dataclasses
 from dataclasses import dataclass
 
+import torch
+from torch import Tensor
+
 from datasets.errors import InputError
+from datasets.geometry.ground import topmost
 from datasets.scene import Scene
+from gns.initial import InitialState
 from inverse.parameters.kind import Kind, Parts, require_index
 
 
@@ -18,6 +23,7 @@ class SceneConstant(Kind):
     digits = 3
     step = 0.02
     positive = True
+    differentiable = True
 
     def check(self, scene: Scene) -> None:
         if self.name == "baffle_friction" and not scene.baffles:
@@ -28,6 +34,16 @@ class SceneConstant(Kind):
 
     def put(self, parts: Parts, value: float) -> None:
         parts.constants[self.name] = value
+
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        known = getattr(initial.conditions, self.name)
+        value = value.to(known.dtype)
+        if self.name == "baffle_friction":
+            # Of the baffles that have none of their own.
+            shared = torch.tensor([baffle.friction is None for baffle in initial.scene.baffles])
+            return initial.with_conditions(baffle_friction=torch.where(shared, value, known))
+        changed = initial.with_conditions(**{self.name: value.expand_as(known)})
+        return with_ground_friction(changed, None, value) if self.name == "floor_friction" else changed
 
 
 @dataclass(frozen=True)
@@ -40,6 +56,7 @@ class SolidFriction(Kind):
     digits = 3
     step = 0.02
     positive = True
+    differentiable = True
 
     def check(self, scene: Scene) -> None:
         require_index("solids", self.solid, len(scene.solids))
@@ -53,3 +70,16 @@ class SolidFriction(Kind):
 
     def put(self, parts: Parts, value: float) -> None:
         parts.solids[self.solid] = dataclasses.replace(parts.solids[self.solid], friction=value)
+
+    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
+        return with_ground_friction(initial, self.solid, value)
+
+
+def with_ground_friction(initial: InitialState, solid: int | None, value: Tensor) -> InitialState:
+    """`initial` with the coefficient `value` where the ground is the terrain `solid`, for None the floor."""
+    ground = initial.conditions.ground
+    if ground is None:
+        return initial
+    own = torch.from_numpy(topmost(initial.scene, ground.spacing) == (-1 if solid is None else solid))
+    friction = torch.where(own, value.to(ground.friction.dtype), ground.friction)
+    return initial.with_conditions(ground=dataclasses.replace(ground, friction=friction))

@@ -68,8 +68,6 @@ class Kind(ABC):
     """Whether more or less material is released with it."""
     differentiable: bool = False
     """Whether it is an input of the surrogate, which is differentiable in it; else the MPM's alone."""
-    changes_start: bool = False
-    """Whether the MPM's first frames depend on it so much that a rollout has to begin before them."""
     order: int = 2
     """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
 

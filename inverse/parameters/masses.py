@@ -40,7 +40,6 @@ class Velocity(MassKind):
     digits = 3
     step = 0.01
     differentiable = True
-    changes_start = True
 
     def check(self, scene: Scene) -> None:
         super().check(scene)

@@ -49,7 +49,7 @@ def outflow(batch: Batch, index: int) -> dict[str, float] | None:
     return {side: float(mass[removed & (through == DOMAIN_SIDES.index(side))].sum()) for side in scene.open_sides}
 
 
-def fields_of(batch: Batch, index: int) -> dict[str, NDArray[np.float32]]:
+def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     """The fields that were asked for of scene `index`, by the names of `datasets.trajectory.Trajectory`."""
     scene, particles, record = batch.scenes[index], batch.particles[index], batch.recording
     positions, values, features = batch.recorded(index), batch.recorded_fields(index), batch.features

@@ -1,28 +1,30 @@
 """The dataset definitions: reproducible, divided as promised, and blind to the test scenarios."""
 
+import dataclasses
 import hashlib
 from collections import Counter
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from datasets.definitions.channel3d import CHANNEL3D
+from datasets.definitions import flows3d
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D, FRICTION_DEG
-from datasets.definitions.layers2d import LAYERS2D
+from datasets.definitions.flows2d import AREA, FLOWS2D, KINDS, is_variant
+from datasets.definitions.flows3d import FLOWS3D
+from datasets.definitions.held_out import is_held_out
 from datasets.definitions.obstacle3d import OBSTACLE3D
-from datasets.definitions.releases2d import RELEASES2D, held_out
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.particles import initial_particles
-from datasets.scene import Baffle, Mass
+from datasets.material import Material
+from datasets.particles import initial_particles, released_volume
+from datasets.scene import Baffle, Mass, Scene
 
 every = pytest.mark.parametrize(
-    "definition", [FLOW2D, RELEASES2D, LAYERS2D, OBSTACLE3D, CHANNEL3D], ids=lambda definition: definition.name
+    "definition", [FLOWS2D, FLOW2D, FLOWS3D, OBSTACLE3D], ids=lambda definition: definition.name
 )
-planar = pytest.mark.parametrize("definition", [FLOW2D, RELEASES2D, LAYERS2D], ids=lambda definition: definition.name)
 
 
 @cache
@@ -40,11 +42,10 @@ def test_a_smaller_dataset_is_a_prefix_of_a_larger_one(definition: Definition) -
 
 
 DRAWN = {
+    "flows2d": "03da22001541a9c2",
+    "flows3d": "d21446dc39662ab7",
     "flow2d": "71d164625d9d0b46",
-    "releases2d": "a4fc42c5df2d20c5",
-    "layers2d": "8f8e4853599fc0de",
     "obstacle3d": "a1040b34a80c7f51",
-    "channel3d": "3b6146bba9857f15",
 }
 """Digest of the first 40 scenes of seed 0, which weights that ship were trained on."""
 
@@ -66,9 +67,14 @@ def test_the_seed_decides(definition: Definition) -> None:
 
 @every
 def test_every_scene_has_its_own_shape_and_jitter(definition: Definition) -> None:
-    entries = all_entries(definition)
-    assert len({entry.scene.seed for entry in entries}) == definition.size
-    assert len({entry.scene.masses for entry in entries}) > 0.9 * definition.size
+    # A variant is to share them.
+    entries = [
+        entry
+        for index, entry in enumerate(all_entries(definition))
+        if definition.storage is None or not is_variant(index)
+    ]
+    assert len({entry.scene.seed for entry in entries}) == len(entries)
+    assert len({entry.scene.masses for entry in entries}) > 0.9 * len(entries)
 
 
 @every
@@ -84,10 +90,9 @@ def test_a_negative_seed(definition: Definition) -> None:
         definition.entries(seed=-1)
 
 
-@planar
-def test_shapes_are_whole_cells_and_settings_the_columns_own(definition: Definition) -> None:
+def test_flow2d_s_shapes_are_whole_cells_and_settings_the_columns_own() -> None:
     column = read_scene("column-short-21")
-    for entry in all_entries(definition):
+    for entry in all_entries(FLOW2D):
         corners = np.array([[mass.lower, mass.size] for mass in entry.scene.masses]) / 0.01
         np.testing.assert_allclose(corners, corners.round(), atol=1e-9)
         same = entry.scene.with_friction_deg(21.0)
@@ -127,96 +132,73 @@ def test_a_small_flow2d_has_every_angle_and_every_split() -> None:
     assert all(by_angle[angle, split] == 1 for angle in FRICTION_DEG for split in Split)
 
 
-def test_releases2d_is_what_it_says() -> None:
-    entries = all_entries(RELEASES2D)
-    assert splits(entries) == {Split.TRAIN: 1080, Split.VALID: 60, Split.TEST: 60}
-    angles = [entry.scene.material.friction_deg for entry in entries]
-    assert 15.0 <= min(angles) < 17.0
-    assert 43.0 < max(angles) <= 45.0
-    columns = Counter(len(entry.scene.masses) for entry in entries)
-    assert sorted(columns) == [1, 2, 3]
-    assert min(columns.values()) > 250
+def test_flows2d_is_what_it_says() -> None:
+    entries = all_entries(FLOWS2D)
+    assert splits(entries) == {Split.TRAIN: 640, Split.VALID: 80, Split.TEST: 80}
+    assert FLOWS2D.storage is not None
     for entry in entries:
-        masses = entry.scene.masses
-        assert all(mass.velocity is None and mass.lower[1] == 0.0 for mass in masses)
-        lengths, heights = np.array([mass.size for mass in masses]).T
-        assert 0.0999 < lengths.sum() < 0.4501
-        assert 0.0799 < heights.min() <= heights.max() < 0.5001
-        assert 0.0199 < (lengths * heights).sum() < 0.1201
-        assert np.all(np.abs(np.diff(heights)) > 0.0299)
-        for left, right in pairwise(masses):
-            assert left.lower[0] + left.size[0] == pytest.approx(right.lower[0])
+        scene = entry.scene
+        assert scene.domain.cell == FLOWS2D.storage.cell
+        assert 0.0 <= scene.damping <= 0.25
+        assert 0.1 <= scene.floor_friction <= 1.0
+        # On terrain a box or a layer is limited in height.
+        area = released_volume(scene) / AREA
+        assert 0.5 < area < 1.0 + 1e-9 if scene.solids else area == pytest.approx(1.0)
+    shared = [entry.scene for index, entry in enumerate(entries) if not is_variant(index)]
+    angles = [scene.material.friction_deg for scene in shared]
+    assert 12.0 <= min(angles) < 14.0
+    assert 46.0 < max(angles) <= 48.0
+    cohesions = np.array([scene.material.cohesion for scene in shared])
+    assert 0.3 < np.mean(cohesions == 0.0) < 0.5
+    assert max(cohesions) <= 3000.0
+    # Each kind is a tenth or more of the set.
+    assert 0.08 < np.mean([len(scene.baffles) > 0 for scene in shared]) < 0.12
+    assert 0.08 < np.mean([len(scene.solids) > 0 for scene in shared]) < 0.12
+    assert 0.08 < np.mean([scene.slope_deg != 0.0 for scene in shared]) < 0.12
+    assert {len(scene.masses) for scene in shared} == set(range(1, 11))
 
 
-def leaning(entry: Entry) -> str:
-    first, last = entry.scene.masses[0], entry.scene.masses[-1]
-    if first.lower[0] == 0.0:
-        return "left"
-    return "right" if last.lower[0] + last.size[0] == pytest.approx(1.0) else "free"
+def test_no_flow_is_a_neighbour_of_what_is_held_out() -> None:
+    near = [entry.name for entry in all_entries(FLOWS2D)[:200] if is_held_out(entry.scene)]
+    assert near == []
 
 
-def test_half_of_the_releases_lean_on_the_left_wall() -> None:
-    entries = all_entries(RELEASES2D)
-    assert Counter(map(leaning, entries)) == {"left": 600, "free": 400, "right": 200}
-    for split in Split:
-        assert {"left", "free"} <= {leaning(entry) for entry in entries if entry.split is split}
+def differences(scene: Scene, other: Scene) -> set[str]:
+    """The kinds of parameters in which two scenes differ."""
+    found = {key for key in Scene.__dataclass_fields__ if getattr(scene, key) != getattr(other, key)}
+    sands = [[each.material_of(mass) for mass in each.masses] + [each.material] for each in (scene, other)]
+    for key in Material.__dataclass_fields__:
+        if any(getattr(a, key) != getattr(b, key) for a, b in zip(*sands, strict=True)):
+            found.add(key)
+    bare = [[dataclasses.replace(mass, material=None) for mass in each.masses] for each in (scene, other)]
+    if bare[0] == bare[1]:
+        found -= {"masses"}
+    elif [dataclasses.replace(mass, velocity=None) for mass in bare[0]] == [
+        dataclasses.replace(mass, velocity=None) for mass in bare[1]
+    ]:
+        found = found - {"masses"} | {"velocity"}
+    return found - {"material", "tension_cutoff"}
 
 
-def test_layers2d_is_what_it_says() -> None:
-    entries = all_entries(LAYERS2D)
-    assert splits(entries) == {Split.TRAIN: 432, Split.VALID: 24, Split.TEST: 24}
-    assert {len(entry.scene.masses) for entry in entries} == set(range(1, 11))
-    moving = 0
-    for entry in entries:
-        masses = entry.scene.masses
-        for lower, upper in pairwise(masses):
-            assert lower.lower[1] + lower.size[1] == pytest.approx(upper.lower[1])
-            assert (lower.lower[0], lower.size[0]) == (upper.lower[0], upper.size[0])
-        length, height = masses[0].size[0], sum(mass.size[1] for mass in masses)
-        assert 0.0199 < length * height < 0.1201
-        assert min(mass.size[1] for mass in masses) > 0.0199
-        # Neither the ten layers of the inverse problem nor a column of a test.
-        assert max(abs(length - 0.35), abs(height - 0.28)) > 0.03
-        assert leaning(entry) == "free" or not held_out(length, height)
-        velocities = [mass.velocity[0] for mass in masses if mass.velocity]
-        assert max(map(abs, velocities)) <= 2.0
-        moving += any(velocities)
-        cohesions = {mass.material.cohesion for mass in masses if mass.material}
-        assert len(cohesions) == 1
-        assert 30.0 <= cohesions.pop() <= 3000.0
-    assert moving == 320
-    angles = [len({mass.material.friction_deg for mass in entry.scene.masses if mass.material}) for entry in entries]
-    assert 0.3 < np.mean(np.array(angles) == 1) < 0.7
+def test_a_variant_has_the_particles_of_its_base_and_differs_in_one_parameter() -> None:
+    entries = all_entries(FLOWS2D)[:200]
+    kinds = Counter[str]()
+    for index, entry in enumerate(entries):
+        if not is_variant(index):
+            continue
+        base = entries[index - len(KINDS)]
+        assert base.split is entry.split
+        (kind,) = differences(base.scene, entry.scene)
+        kinds[kind] += 1
+    assert set(kinds) == {"friction_deg", "velocity", "cohesion", "baffles"}
+    assert kinds["friction_deg"] > 50
 
 
-def test_no_release_is_a_test_scenario() -> None:
-    scenarios = [read_scene(f"column-{kind}-21").masses[0].size for kind in ("short", "tall")]
-    for entry in all_entries(RELEASES2D):
-        if len(entry.scene.masses) == 1 and leaning(entry) != "free":
-            length, height = entry.scene.masses[0].size
-            for other_length, other_height in scenarios:
-                assert max(abs(length - other_length), abs(height - other_height)) > 0.03 + 1e-9
-            if 0.06 <= length * height <= 0.10:
-                assert min(abs(height / length / aspect - 1.0) for aspect in (0.5, 0.8, 1.0, 2.0, 3.0)) > 0.04
-
-
-@pytest.mark.parametrize(
-    ("length", "height", "kept"),
-    [
-        (0.40, 0.20, True),
-        (0.37, 0.23, True),
-        (0.36, 0.20, False),
-        (0.36, 0.18, True),  # aspect 0.5, area 0.065
-        (0.20, 0.10, False),  # aspect 0.5, area 0.02
-        (0.20, 0.40, True),
-        (0.30, 0.30, True),  # aspect 1
-        (0.30, 0.28, False),
-        (0.16, 0.48, True),  # aspect 3
-        (0.35, 0.28, True),  # aspect 0.8: the layered column
-    ],
-)
-def test_held_out_boxes(length: float, height: float, kept: bool) -> None:
-    assert held_out(length, height) is kept
+def test_the_particles_of_a_variant_are_those_of_its_base() -> None:
+    entries = all_entries(FLOWS2D)
+    for index in range(len(KINDS)):
+        base, variant = (initial_particles(entries[each].scene) for each in (index, index + len(KINDS)))
+        np.testing.assert_array_equal(variant.positions, base.positions)
 
 
 def clearance(a: Baffle | Mass, b: Baffle | Mass) -> float:
@@ -269,29 +251,37 @@ def test_baffles_stand_anywhere_between_the_nodes() -> None:
     assert np.all((shares > 0.06) & (shares < 0.14))
 
 
-def test_channel3d_is_what_it_says() -> None:
-    entries = all_entries(CHANNEL3D)
-    assert splits(entries) == {Split.TRAIN: 432, Split.VALID: 24, Split.TEST: 24}
-    counts = Counter(len(entry.scene.baffles) for entry in entries)
-    assert counts == dict.fromkeys(range(6), 80)
-    three_cells = 3 * 0.03125 - 1e-9
-    (design,) = read_scene("baffles-2").masses
-    for number, entry in enumerate(entries):
-        scene = entry.scene
-        assert scene.domain.size == (2.0, 1.0, 1.0)
-        (mass,) = scene.masses
-        if number < 240:
-            assert min(mass.size) >= 0.25
-        else:
-            assert 3 / 32 <= mass.size[1] <= 8 / 32
-        # The paper's scene of two baffles in such a box is none of these, nor near one.
-        assert max(abs(a - b) for a, b in zip(mass.size, design.size, strict=True)) > 0.03
-        for baffle in scene.baffles:
-            assert 0.15 <= baffle.size[1] <= 0.35
-            assert all(0.10 <= baffle.size[axis] <= 0.17 for axis in (0, 2))
-            assert three_cells <= baffle.lower[0] - mass.lower[0] - mass.size[0] <= three_cells + 0.6 + 1e-8
-            assert baffle.lower[0] + baffle.size[0] <= 2.0
-        assert all(clearance(a, b) >= three_cells for a, b in combinations(scene.baffles, 2))
+def test_flows3d_is_what_it_says() -> None:
+    entries = FLOWS3D.entries(seed=0, count=80)
+    assert entries[:30] == FLOWS3D.entries(seed=0, count=30)
+    scenes = [entry.scene for entry in entries]
+    assert all(released_volume(scene) == pytest.approx(flows3d.VOLUME) for scene in scenes)
+    assert {len(scene.baffles) for scene in scenes} >= set(range(flows3d.MOST_BAFFLES))
+    with_baffles = [scene for scene in scenes if scene.baffles]
+    turned = [scene for scene in with_baffles if any(baffle.turned_deg for baffle in scene.baffles)]
+    assert 0.2 < len(turned) / len(with_baffles) < 0.5
+    assert any(scene.solids for scene in scenes)
+    assert any(scene.slope_deg for scene in scenes)
+    assert 0.2 < np.mean([scene.material.cohesion == 0.0 for scene in scenes]) < 0.6
+    # A variant is released from the same place.
+    for index in (index for index in range(80) if flows3d.is_variant(index)):
+        first, second = scenes[index - len(flows3d.KINDS)], scenes[index]
+        assert [mass.lower for mass in first.masses] == [mass.lower for mass in second.masses]
+        assert first != second
+
+
+def test_a_shipped_3d_scene_is_held_out_whatever_its_size_and_mirrored_or_turned() -> None:
+    scene = read_scene("baffles-5")
+    assert is_held_out(scene)
+    moved = dataclasses.replace(scene.baffles[0], lower=(0.6, 0.0, 0.2), turned_deg=4.0)
+    assert is_held_out(dataclasses.replace(scene, baffles=(moved, *scene.baffles[1:])))
+    turned = dataclasses.replace(scene.baffles[0], turned_deg=45.0)
+    assert not is_held_out(dataclasses.replace(scene, baffles=(turned, *scene.baffles[1:])))
+    two = read_scene("baffles-2")
+    across = [
+        dataclasses.replace(b, lower=(*b.lower[:2], two.domain.size[2] - b.lower[2] - b.size[2])) for b in two.baffles
+    ]
+    assert is_held_out(dataclasses.replace(two, baffles=tuple(across)))
 
 
 @pytest.mark.parametrize(("name", "points", "baffles"), [("baffles-2", 11_010, 2), ("baffles-5", 32_113, 5)])

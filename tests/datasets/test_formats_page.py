@@ -97,6 +97,7 @@ def test_the_solids_and_bodies_on_the_page_load(tmp_path: Path) -> None:
 def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> None:
     shapes = {
         "volume": (5,),
+        "mass": (5,),
         "velocities": (3, 5, 2),
         "stress": (3, 5, 4),
         "pressure": (3, 5),
@@ -104,7 +105,7 @@ def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> No
         "plastic_strain": (3, 5),
         "baffle_impulse": (3, 0, 2),
     }
-    fields = {key: np.zeros(shape) for key, shape in shapes.items()}
+    fields = {key: np.zeros(shape, np.int32 if key == "mass" else np.float64) for key, shape in shapes.items()}
     fields["solid_impulse"] = fields.pop("baffle_impulse")
     dataclasses.replace(trajectory, **fields).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:

@@ -26,6 +26,18 @@ def test_a_trajectory_is_opened_as_it_was_saved(saved: Path) -> None:
         assert np.array_equal(getattr(opened, key), getattr(whole, key))
         assert getattr(opened, key).dtype == getattr(whole, key).dtype
     assert opened.scene == whole.scene
+    assert opened.mass is opened.volume is None
+
+
+def test_the_volume_and_the_mass_of_each_particle_are_opened_too(trajectory: Trajectory, tmp_path: Path) -> None:
+    volume = np.linspace(1.0, 2.0, 5, dtype=np.float32)
+    dataclasses.replace(trajectory, volume=volume, mass=np.zeros(5, np.int32)).save(tmp_path / "a.npz")
+    opened = open_trajectory(tmp_path / "a.npz")
+    np.testing.assert_array_equal(opened.volumes, volume)
+    np.testing.assert_array_equal(opened.mass, np.zeros(5))
+    dataclasses.replace(trajectory, mass=np.ones(5, np.int32)).save(tmp_path / "b.npz")
+    with pytest.raises(InputError, match=r"b\.npz: mass: expected the index of one of 1 masses for each of 5"):
+        open_trajectory(tmp_path / "b.npz")
 
 
 def test_positions_are_a_map_of_the_file_that_nobody_can_write_to(saved: Path, trajectory: Trajectory) -> None:

@@ -5,7 +5,9 @@ import pytest
 
 from datasets.material import Material
 from datasets.measures import (
+    SHARES,
     UPSTREAM,
+    equal_shares,
     front,
     height_profile,
     kinetic_energy,
@@ -14,6 +16,7 @@ from datasets.measures import (
     profile_stations,
     runout,
     toe,
+    transport_distance,
     upstream_depth,
 )
 from datasets.scene import Baffle, Domain, Mass, Scene
@@ -101,6 +104,29 @@ def before_baffles(*, dimension: int) -> Scene:
         masses=(Mass(lower=(0.0,) * dimension, size=(0.1,) * dimension),),
         baffles=tuple(Baffle(lower=corner, size=(0.1,) * dimension) for corner in corners),
     )
+
+
+def test_equal_shares_of_a_uniform_block() -> None:
+    deposit = block(0.4, 0.1)
+    shares = equal_shares(deposit, np.ones(len(deposit)))
+    # Columns of particles stand 5 mm apart.
+    np.testing.assert_allclose(shares, 0.4 * (np.arange(SHARES) + 0.5) / SHARES, atol=SPACING)
+
+
+def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
+    deposit = block(0.4, 0.1)
+    one = np.ones(len(deposit))
+    assert transport_distance(deposit, one, deposit + np.array([0.03, 0.0]), one) == pytest.approx(0.03)
+    # Twice as long: each part is as far again from the wall, rms 0.4 / sqrt(3).
+    long = deposit * np.array([2.0, 0.5])
+    assert transport_distance(long, one, deposit, one) == pytest.approx(0.4 / np.sqrt(3.0), rel=0.02)
+    # Each second column of particles, of twice the volume, is the same deposit to half a spacing; heights do not count.
+    some = deposit[np.isin((deposit[:, 0] / SPACING).astype(int) % 2, 0)]
+    assert transport_distance(some * np.array([1.0, 3.0]), np.full(len(some), 2.0), deposit, one) < SPACING
+    # A quarter of the volume that flew on by 0.2 m.
+    ahead = deposit.copy()
+    ahead[deposit[:, 0] > 0.3, 0] += 0.2
+    assert transport_distance(ahead, one, deposit, one) == pytest.approx(0.1, rel=0.02)
 
 
 def test_depth_before_the_first_baffles_is_that_of_the_strip() -> None:

@@ -7,10 +7,21 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.training.samples import Flow, Sample, corners, cut, exchanged, load_flows, mirrored, point_cohesion
+from datasets.training.samples import (
+    Flow,
+    Sample,
+    Surroundings,
+    cut,
+    exchanged,
+    load_flows,
+    mirrored,
+    particle_cohesion,
+    shares_of,
+)
 from datasets.trajectory import Trajectory
 
 
@@ -43,10 +54,33 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
     assert sample.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_a_flow_on_a_slope_is_refused(trajectory: Trajectory) -> None:
-    tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=5.0))
-    with pytest.raises(InputError, match="a: slope_deg: expected a level floor"):
-        Flow.from_trajectory(tilted, 0.0025, "a")
+def test_shares_are_those_of_all_particles(flow: Flow) -> None:
+    # Four parts of a row of 400 particles, from x = 0 to 1: their middles, whatever the order.
+    row = np.stack((np.linspace(0.0, 1.0, 400), np.full(400, 0.2)), axis=1).astype(np.float32)
+    shuffled = np.random.default_rng(0).permutation(row)[None]
+    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 0], [0.125, 0.375, 0.625, 0.875], atol=2e-3)
+    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 1], 0.2, rtol=1e-6)
+    sample = cut(flow, now=2, steps=3, history=3, cell=1.0, kept=1, rng=np.random.default_rng(0))
+    assert sample.targets.shape == sample.shares.shape == (3, 1, 2)
+    np.testing.assert_allclose(sample.shares[:, 0], np.median(flow.positions[3:6], axis=1), atol=1e-7)
+
+
+def test_a_flow_on_a_slope_has_its_gravity(trajectory: Trajectory) -> None:
+    tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=30.0))
+    around = Flow.from_trajectory(tilted, 0.0025, "a").surroundings
+    np.testing.assert_allclose(around.gravity, [9.81 * 0.5, -9.81 * 0.75**0.5], rtol=1e-6)
+
+
+def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(trajectory: Trajectory) -> None:
+    def over(solid: Solid) -> Trajectory:
+        return dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, solids=(solid,)))
+
+    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.1, 0.0), (0.2, 0.05)), friction=0.5)
+    around = Flow.from_trajectory(over(ramp), 0.0025, "a", spacing=0.05).surroundings
+    assert around.ground is not None
+    np.testing.assert_allclose(around.ground, [[0.0, 0.0, 0.0, 0.025, 0.05], [0.5] * 5], atol=1e-7)
+    with pytest.raises(InputError, match=r"a: solids\[0\].kind: expected terrain"):
+        Flow.from_trajectory(over(Solid(lower=(0.15, 0.0), size=(0.02, 0.05))), 0.0025, "a")
 
 
 def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
@@ -54,18 +88,23 @@ def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
     two = dataclasses.replace(scene, masses=masses)
     points = initial_particles(two)
-    found = point_cohesion(two, len(points.positions), "a")
+    found = particle_cohesion(two, len(points.positions), None, "a")
     assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
     assert set(found) == {0.0, 500.0}
     with pytest.raises(
         InputError, match="a: positions: expected the 68 particles of masses that differ in cohesion, got"
     ):
-        point_cohesion(two, 60, "a")
+        particle_cohesion(two, 60, None, "a")
+    # A part of the particles, as it is stored: each says its mass.
+    assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32), "a").tolist() == [500.0, 0.0, 500.0]
     # Where all are alike, any number of points will do: an imported trajectory has its own.
-    assert point_cohesion(dataclasses.replace(scene, material=stiff), 3, "a").tolist() == [500.0] * 3
+    assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None, "a").tolist() == [500.0] * 3
 
 
-BAFFLES = (Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)), Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1)))
+BAFFLES = (
+    Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)),
+    Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0),
+)
 
 
 @pytest.fixture
@@ -77,58 +116,82 @@ def stretch() -> Sample:
         material=Material(friction_deg=30.0),
         masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),),
         baffles=BAFFLES,
+        slope_deg=20.0,
+        baffle_friction=0.3,
     )
+    ground = rng.random((9, 9), np.float32), rng.random((9, 9), np.float32)
     return Sample(
         frames=rng.random((3, 7, 3), np.float32),
         velocity0=rng.random((7, 3), np.float32),
         targets=rng.random((2, 7, 3), np.float32),
+        shares=np.sort(rng.random((2, 7, 3), np.float32), axis=1),
         friction=rng.random(7, np.float32),
         cohesion=rng.random(7, np.float32),
         volume=rng.random(7, np.float32),
-        baffles=corners(scene),
+        surroundings=dataclasses.replace(Surroundings.of_scene(scene, 0.1), ground=ground),
     )
 
 
 def same(one: Sample, other: Sample) -> bool:
     """Whether two samples are equal but for round-off."""
-    return all(
-        np.allclose(getattr(one, field.name), getattr(other, field.name), rtol=0.0, atol=1e-6)
-        for field in dataclasses.fields(Sample)
-    )
+
+    def arrays(sample: Sample) -> list[object]:
+        fields = [getattr(sample, field.name) for field in dataclasses.fields(Sample) if field.name != "surroundings"]
+        around = sample.surroundings
+        return fields + [getattr(around, field.name) for field in dataclasses.fields(Surroundings)]
+
+    return all(np.allclose(a, b, rtol=0.0, atol=1e-6) for a, b in zip(arrays(one), arrays(other), strict=True))
 
 
 @pytest.mark.parametrize("axis", [0, 2])
 def test_mirroring_twice_changes_nothing_and_once_turns_an_axis_around(stretch: Sample, axis: int) -> None:
-    once = mirrored(stretch, axis, 0.8)
+    once = mirrored(stretch, axis, 0.1)
     others = [other for other in range(3) if other != axis]
     np.testing.assert_allclose(once.frames[..., axis], 0.8 - stretch.frames[..., axis], atol=1e-7)
     np.testing.assert_allclose(once.velocity0[:, axis], -stretch.velocity0[:, axis])
-    for name in ("frames", "targets", "velocity0", "baffles"):
+    for name in ("frames", "targets", "velocity0"):
         assert np.array_equal(getattr(once, name)[..., others], getattr(stretch, name)[..., others])
+    before, after = stretch.surroundings, once.surroundings
+    assert np.array_equal(after.baffles[..., others], before.baffles[..., others])
+    assert np.array_equal(after.baffle_turn, -before.baffle_turn)
+    assert after.gravity[axis] == -before.gravity[axis]
+    assert np.array_equal(after.gravity[others], before.gravity[others])
+    assert before.ground is not None
+    assert after.ground is not None
+    for there, here in zip(after.ground, before.ground, strict=True):
+        np.testing.assert_allclose(there, np.flip(here, 0 if axis == 0 else 1), atol=1e-6)
     assert not same(once, stretch)
-    assert same(mirrored(once, axis, 0.8), stretch)
+    assert same(mirrored(once, axis, 0.1), stretch)
 
 
 def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sample) -> None:
     once = exchanged(stretch)
-    for name in ("frames", "targets", "velocity0", "baffles"):
-        assert np.array_equal(getattr(once, name)[..., 0], getattr(stretch, name)[..., 2])
-        assert np.array_equal(getattr(once, name)[..., 1], getattr(stretch, name)[..., 1])
+    vectors = [(getattr(once, name), getattr(stretch, name)) for name in ("frames", "targets", "velocity0")]
+    for name in ("baffles", "gravity", "size"):
+        vectors.append((getattr(once.surroundings, name), getattr(stretch.surroundings, name)))
+    for there, here in vectors:
+        assert np.array_equal(there[..., 0], here[..., 2])
+        assert np.array_equal(there[..., 1], here[..., 1])
+    np.testing.assert_allclose(once.surroundings.baffle_turn, [0.0, -np.pi / 6.0], atol=1e-6)
+    assert once.surroundings.ground is not None
+    assert stretch.surroundings.ground is not None
+    assert np.array_equal(once.surroundings.ground[0], stretch.surroundings.ground[0].T)
     assert same(exchanged(once), stretch)
 
 
 def test_baffles_go_where_the_points_go(stretch: Sample) -> None:
-    turned = exchanged(mirrored(stretch, 0, 0.8))
-    assert (turned.baffles[:, 0] <= turned.baffles[:, 1]).all()
+    turned = exchanged(mirrored(stretch, 0, 0.1))
+    baffles = turned.surroundings.baffles
+    assert (baffles[:, 0] <= baffles[:, 1]).all()
     # A baffle from x = 0.5 to 0.6 stands from 0.2 to 0.3 in the mirror, and then so in z.
-    np.testing.assert_allclose(turned.baffles[0], [[0.1, 0.0, 0.2], [0.3, 0.3, 0.3]], atol=1e-6)
-    np.testing.assert_allclose(stretch.baffles[0], [[0.5, 0.0, 0.1], [0.6, 0.3, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(baffles[0], [[0.1, 0.0, 0.2], [0.3, 0.3, 0.3]], atol=1e-6)
+    np.testing.assert_allclose(stretch.surroundings.baffles[0], [[0.5, 0.0, 0.1], [0.6, 0.3, 0.3]], atol=1e-6)
 
 
 def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:
     for name in ("a", "b", "c"):
         trajectory.save(tmp_path / "train" / f"{name}.npz")
-    flows = load_flows(tmp_path, "train", step=0.0025, dimension=2)
+    flows = load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
     assert np.array_equal(flows[1].positions, trajectory.positions)
     assert not flows[1].positions.flags.owndata
     assert [Path(flow.name).stem for flow in flows[1:]] == ["b", "c"]
@@ -137,15 +200,15 @@ def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_pa
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
         flows[1]
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
-        load_flows(tmp_path, "train", step=0.0025, dimension=2)
+        load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
 
 
 def test_a_split_is_loaded_in_order(trajectory: Trajectory, tmp_path: Path) -> None:
     for name in ("b", "a"):
         trajectory.save(tmp_path / "valid" / f"{name}.npz")
-    flows = load_flows(tmp_path, "valid", step=0.0025, dimension=2)
+    flows = load_flows(tmp_path, "valid", step=0.0025, dimension=2, spacing=0.01)
     assert [Path(flow.name).stem for flow in flows] == ["a", "b"]
     with pytest.raises(InputError, match="expected trajectories in train"):
-        load_flows(tmp_path, "train", step=0.0025, dimension=2)
+        load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
     with pytest.raises(InputError, match="expected a 3D trajectory"):
-        load_flows(tmp_path, "valid", step=0.0025, dimension=3)
+        load_flows(tmp_path, "valid", step=0.0025, dimension=3, spacing=0.01)

@@ -94,6 +94,26 @@ def test_fields_that_were_recorded(tmp_path: Path, with_baffles: Trajectory, rec
             assert getattr(again, key) is None
 
 
+def test_the_mass_of_each_particle(tmp_path: Path, trajectory: Trajectory) -> None:
+    second = dataclasses.replace(trajectory.scene.masses[0], lower=(0.1, 0.0))
+    scene = dataclasses.replace(trajectory.scene, masses=(*trajectory.scene.masses, second))
+    mass = np.array([0, 1, 1, 0, 1], np.int32)
+    path = tmp_path / "trajectory.npz"
+    dataclasses.replace(trajectory, scene=scene, mass=mass).save(path)
+    again = Trajectory.load(path)
+    assert again.mass is not None
+    assert again.mass.dtype == np.int32
+    np.testing.assert_array_equal(again.mass, mass)
+    for wrong in (mass[:4], mass + 1, mass - 1):
+        dataclasses.replace(trajectory, scene=scene, mass=wrong).save(path)
+        with pytest.raises(InputError, match="mass: expected the index of one of 2 masses for each of 5 particles"):
+            Trajectory.load(path)
+    content = dict(np.load(path, allow_pickle=False))
+    np.savez(path, **{**content, "mass": np.zeros(5)})
+    with pytest.raises(InputError, match="mass: expected the index"):
+        Trajectory.load(path)
+
+
 def test_impulses_of_solids_have_a_key_of_their_own(tmp_path: Path, with_baffles: Trajectory) -> None:
     """Baffles come first, then the other solids, each by its name."""
     wall = Solid(name="wall", lower=(0.19, 0.0), size=(0.01, 0.02))

@@ -56,7 +56,16 @@ def cloud(settings: ModelSettings) -> Cloud:
         friction = torch.full((len(positions),), 0.5)
         volume = torch.full((len(positions),), settings.particle_volume)
         cohesion = torch.full_like(friction, 100.0)
-        return state, Conditions(friction=friction, cohesion=cohesion, volume=volume, size=(1.0, 1.0))
+        return state, Conditions(
+            friction=friction,
+            cohesion=cohesion,
+            volume=volume,
+            size=torch.ones(1, 2),
+            gravity=torch.tensor([[0.0, -9.81]]),
+            floor_friction=torch.tensor([0.4]),
+            wall_friction=torch.tensor([0.2]),
+            damping=torch.tensor([0.1]),
+        )
 
     return build
 

@@ -1,49 +1,128 @@
 """Models on disk: whole or refused in one line."""
 
 import dataclasses
+import json
+import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
 
 from datasets.errors import InputError
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
-from tests.gns.conftest import NORMALISATION, Cloud
+from tests.gns.conftest import NORMALISATION
+
+Change = Callable[[dict[str, Tensor], dict[str, Any]], None]
+LAST = "network.decoder.mlp.2.weight"
 
 
-def test_a_model_comes_back_without_flags(lively: Simulator, cloud: Cloud, tmp_path: Path) -> None:
-    file = tmp_path / "model.pt"
-    checkpoint.save(file, lively, {"seed": 3, "datasets": ["a"]})
+def changed(path: Path, change: Change) -> Path:
+    """The model at `path` with other tensors or settings."""
+    tensors, metadata = checkpoint.read(path)
+    settings = json.loads(metadata["settings"])
+    change(tensors, settings)
+    save_file(tensors, path, {**metadata, "settings": json.dumps(settings)})
+    return path
+
+
+@pytest.fixture
+def file(lively: Simulator, tmp_path: Path) -> Path:
+    path = tmp_path / "model.safetensors"
+    checkpoint.save(path, lively, {"seed": 3, "datasets": ["a"], "score": math.nan})
+    return path
+
+
+def test_a_model_comes_back_without_flags(lively: Simulator, file: Path) -> None:
     model = checkpoint.load(file)
     assert model.simulator.settings == lively.settings
-    assert model.provenance == {"seed": 3, "datasets": ["a"]}
+    assert model.provenance == {"seed": 3, "datasets": ["a"], "score": None}
     assert model.simulator.acceleration_scale.item() == pytest.approx(NORMALISATION.acceleration)
-    state, conditions = cloud()
-    with torch.no_grad():
-        assert torch.equal(model.simulator(state, conditions).positions, lively(state, conditions).positions)
+    assert not model.simulator.training
+    again, own = model.simulator.state_dict(), lively.state_dict()
+    assert again.keys() == own.keys()
+    assert all(torch.equal(again[name], own[name]) for name in own)
 
 
-def test_missing_truncated_and_foreign_files_are_input_errors(lively: Simulator, tmp_path: Path) -> None:
-    file = tmp_path / "model.pt"
-    checkpoint.save(file, lively, {})
+def test_the_file_says_what_it_is_to_any_reader(lively: Simulator, file: Path) -> None:
+    with safe_open(file, framework="np") as content:
+        assert set(content.keys()) == set(lively.state_dict())
+        metadata = content.metadata()
+    assert metadata["format"] == checkpoint.FORMAT
+    assert json.loads(metadata["settings"]) == dataclasses.asdict(lively.settings)
+    assert json.loads(metadata["provenance"])["datasets"] == ["a"]
+
+
+def test_missing_truncated_and_foreign_files_are_input_errors(file: Path, tmp_path: Path) -> None:
     whole = file.read_bytes()
     for content in (whole[: len(whole) // 2], whole[:10], b"", b"not a model"):
         file.write_bytes(content)
-        with pytest.raises(InputError, match=r"model\.pt: expected whole weights"):
+        with pytest.raises(InputError, match=r"model\.safetensors: expected whole weights"):
             checkpoint.load(file)
     with pytest.raises(InputError, match="there is no such file"):
-        checkpoint.load(tmp_path / "absent.pt")
-    torch.save({"weights": torch.zeros(1)}, file)
-    with pytest.raises(InputError, match="format"):
+        checkpoint.load(tmp_path / "absent.safetensors")
+    save_file({"weights": torch.zeros(1)}, file)
+    with pytest.raises(InputError, match=r"model\.safetensors: format: expected a model of format"):
         checkpoint.load(file)
 
 
-def test_weights_of_another_shape_are_refused(lively: Simulator, tmp_path: Path) -> None:
-    file = tmp_path / "model.pt"
-    settings = dataclasses.asdict(lively.settings) | {"width": 8}
-    torch.save(
-        {"format": checkpoint.FORMAT, "settings": settings, "state": lively.state_dict(), "provenance": {}}, file
-    )
-    with pytest.raises(InputError, match="expected a whole model"):
+def test_files_of_torch_are_refused_with_what_to_do(lively: Simulator, tmp_path: Path) -> None:
+    file = tmp_path / "flow2d.pt"
+    torch.save({"format": 3, "state": lively.state_dict()}, file)
+    with pytest.raises(InputError, match=r"flow2d\.pt: expected a model as \.safetensors.*train anew") as caught:
         checkpoint.load(file)
+    assert "\n" not in str(caught.value)
+
+
+def put(**settings: Any) -> Change:
+    return lambda _, known: known.update(settings)
+
+
+def tensor(name: str, change: Callable[[Tensor], Tensor]) -> Change:
+    def apply(tensors: dict[str, Tensor], _: dict[str, Any]) -> None:
+        tensors[name] = change(tensors[name]).contiguous()
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (put(width=10**9), r"settings\.width: expected at most \d+, from the tensors in the file, got 1000000000"),
+        (put(layers=10**9), r"settings\.layers: expected at most \d+"),
+        (put(grid_layers=10**9), r"settings\.grid_layers: expected at most"),
+        (put(mlp_layers=10**9), r"settings\.mlp_layers: expected at most"),
+        (put(grid_channels=10**9), r"settings\.grid_channels: expected at most"),
+        (put(history=10**9), r"settings\.history: expected at most"),
+        (put(radius=1e300, cell=1e-300), "settings: expected sizes of a model"),
+        (put(width=8), r"network\S+: expected shape \(8, \d+\), got \(16, \d+\)"),
+        (put(layers=4), r"network\.processor\.steps\.2\S+: expected a tensor of that name, there is none"),
+        (put(mlp_layers=0), r"network\S+: expected shape"),
+        (put(rounds=1, layers=1), r"network\.processor\.\S+: expected no such tensor"),
+        (put(dimension=4), "dimension: expected 2 or 3, got 4"),
+        (put(widht=8), "widht: expected a known key, did you mean 'width'"),
+        (put(width="8"), "width: expected a valid integer"),
+        (tensor(LAST, lambda weight: weight.double()), LAST + ": expected numbers of float32, got .* of float64"),
+        (tensor(LAST, lambda weight: weight[:, :0]), LAST + ": expected numbers of float32"),
+        (tensor(LAST, lambda weight: weight * math.nan), LAST + ": expected finite numbers"),
+        (tensor("acceleration_scale", lambda scale: -scale), "acceleration_scale: expected a positive number, got -"),
+    ],
+)
+def test_each_fault_is_named_in_a_line(file: Path, change: Change, said: str) -> None:
+    with pytest.raises(InputError, match=r"model\.safetensors: " + said) as caught:
+        checkpoint.load(changed(file, change))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "3", "{", "[" * 10_000])
+def test_metadata_that_is_no_table_is_refused(file: Path, text: str) -> None:
+    tensors, metadata = checkpoint.read(file)
+    for key in ("settings", "provenance"):
+        save_file(tensors, file, {**metadata, key: text})
+        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected a table in JSON"):
+            checkpoint.load(file)

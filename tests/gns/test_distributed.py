@@ -18,7 +18,7 @@ from gns.model.simulator import Simulator
 from gns.training.batch import Particles, batched
 from gns.training.distributed import Processes, joined
 from gns.training.objective import Curriculum
-from gns.training.update import Run, TrainingSettings
+from gns.training.update import Run, TrainingSettings, read
 
 ROOT = Path(__file__).parents[2]
 STEPS = 3
@@ -33,7 +33,7 @@ class Given(Curriculum):
     def batch(self, count: int, steps: int, rng: np.random.Generator) -> Particles:
         """All of them."""
         settings = self._settings
-        joint = batched(self._samples, size=(0.6, 0.4), gravity=9.81, step=settings.step, history=settings.history)
+        joint = batched(self._samples, step=settings.step, history=settings.history)
         return joint.apply(lambda values: values.double() if values.is_floating_point() else values)
 
 
@@ -60,7 +60,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
     lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path
 ) -> None:
     simulator, rng = lively.double(), np.random.default_rng(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
+    flows = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
     samples = [
         cut(flow, now=now, steps=STEPS, history=settings.history, cell=cell, kept=1, rng=rng)
         for flow, now, cell in zip(flows, (0, 5, 9), (0.01, 0.01, 0.015), strict=False)
@@ -80,7 +80,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
         each.join(60.0)
     assert [each.exitcode for each in workers] == [0, 0]
     one = updated(simulator, samples, Processes(device=torch.device("cpu")))
-    first, second = (checkpoint.read(tmp_path / f"{rank}.pt") for rank in (0, 1))
+    first, second = (read(tmp_path / f"{rank}.pt") for rank in (0, 1))
     for name, value in one.items():
         assert torch.equal(first[name], second[name])
         if name.startswith("gradient"):
@@ -99,12 +99,12 @@ def test_torchrun_trains_stops_and_resumes(dataset: Path, tmp_path: Path) -> Non
         subprocess.run(command, cwd=ROOT, check=True, timeout=120)
 
     run(tmp_path, "--updates", "6")
-    content = checkpoint.read(tmp_path / "last.pt")
+    content = read(tmp_path / "last.pt")
     assert content["position"]["updates"] == 6
-    assert checkpoint.load(tmp_path / "best.pt").provenance["processes"] == 2
+    assert checkpoint.load(tmp_path / "best.safetensors").provenance["processes"] == 2
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 3
     run(tmp_path, "--updates", "8", "--resume")
-    assert checkpoint.read(tmp_path / "last.pt")["position"]["updates"] == 8
+    assert read(tmp_path / "last.pt")["position"]["updates"] == 8
 
 
 def test_without_torchrun_there_is_one_process() -> None:

@@ -1,23 +1,35 @@
-"""The background grid: exact for linear fields, conserving, and its features of a column."""
+"""The background grid: exact for linear fields, conserving, as large as the flow, and its features of a column."""
 
 import pytest
 import torch
 
-from gns.model.grid import REFERENCE_HEIGHT, column_features, stencil_of
+from gns.model.grid import MARGIN, MULTIPLE, REFERENCE_HEIGHT, Stencil, column_features, stencil_of
+
+BOX = torch.ones(1, 2, dtype=torch.float64)
 
 
 @pytest.mark.parametrize("size", [(1.0, 0.4), (0.3, 0.2, 0.25)])
 def test_gathering_is_exact_for_linear_fields_and_scattering_conserves(size: tuple[float, ...]) -> None:
     torch.manual_seed(0)
-    positions = torch.rand(50, len(size), dtype=torch.float64) * torch.tensor(size, dtype=torch.float64)
-    positions[0], positions[1] = 0.0, torch.tensor(size)
-    points = stencil_of(positions, size, 0.05, None, 1)
-    axes = [torch.arange(count, dtype=torch.float64) * 0.05 for count in points.shape]
-    nodes = torch.cartesian_prod(*axes)
+    box = torch.tensor([size], dtype=torch.float64)
+    positions = torch.rand(50, len(size), dtype=torch.float64) * box
+    positions[0], positions[1] = 0.0, box[0]
+    points = stencil_of(positions, box, 0.05, None)
+    nodes = torch.cartesian_prod(*(axis[0] for axis in points.coordinates(positions)))
     slope = torch.arange(1.0, len(size) + 1.0, dtype=torch.float64)
     torch.testing.assert_close(points.gather((nodes @ slope + 2.0).unsqueeze(1))[:, 0], positions @ slope + 2.0)
     values = torch.rand(50, 3, dtype=torch.float64)
     torch.testing.assert_close(points.scatter(values).sum(0), values.sum(0))
+
+
+def test_the_grid_covers_the_particles_with_a_margin_and_no_more_of_the_box() -> None:
+    positions = torch.tensor([[2.01, 0.03], [2.49, 0.22]], dtype=torch.float64)
+    points = stencil_of(positions, torch.tensor([[5.0, 3.0]], dtype=torch.float64), 0.1, None)
+    # Particles in the cells 20 to 24 along x, 0 to 2 along y; below the floor there is one node, not three.
+    assert points.origin.tolist() == [[20 - MARGIN, -1]]
+    needed = (25 + MARGIN - (20 - MARGIN) + 1, 3 + MARGIN + 1 + 1)
+    assert all(count % MULTIPLE == 0 for count in points.shape)
+    assert all(0 <= count - count_needed < MULTIPLE for count, count_needed in zip(points.shape, needed, strict=True))
 
 
 def bed(height: float, slope: float) -> torch.Tensor:
@@ -26,31 +38,42 @@ def bed(height: float, slope: float) -> torch.Tensor:
     return lattice[lattice[:, 1] < height + slope * lattice[:, 0]]
 
 
+def features(points: Stencil, count: int) -> torch.Tensor:
+    """The column's features at the nodes that lie in the box, [x, y, 4], of particles of 1e-4 m^2."""
+    volume = torch.full((count,), 1e-4, dtype=torch.float64)
+    inside = [(axis[0] > -1e-9) & (axis[0] < 1.0 + 1e-9) for axis in points.coordinates(volume)]
+    return column_features(points, volume, BOX).view(*points.shape, 4)[inside[0]][:, inside[1]]
+
+
 def test_a_level_bed_is_fully_packed_and_has_the_overburden_of_what_lies_above() -> None:
     positions = bed(0.4, 0.0)
-    points = stencil_of(positions, (1.0, 1.0), 0.04, None, 1)
-    around = column_features(points, torch.full((len(positions),), 1e-4, dtype=torch.float64)).view(*points.shape, 4)
-    packing, overburden, height, slope = around.unbind(-1)
+    packing, overburden, height, slope = features(stencil_of(positions, BOX, 0.04, None), len(positions)).unbind(-1)
+    assert len(packing) == 26
     torch.testing.assert_close(packing[:, :9], torch.ones_like(packing[:, :9]), atol=0.02, rtol=0.0)
     expected = (0.4 - 0.04 * torch.arange(9, dtype=torch.float64)) / REFERENCE_HEIGHT
     # The node on the floor stands for the lower half of its cell, so what lies above it is a quarter cell less.
     torch.testing.assert_close(overburden[:, 1:9], expected[1:].expand(26, 8), atol=0.02, rtol=0.0)
     torch.testing.assert_close(height, torch.full_like(height, 4.0), atol=0.08, rtol=0.0)
-    torch.testing.assert_close(slope, torch.zeros_like(slope), atol=0.03, rtol=0.0)
+    torch.testing.assert_close(slope[1:-1], torch.zeros_like(slope[1:-1]), atol=0.03, rtol=0.0)
 
 
 def test_the_slope_is_that_of_the_surface() -> None:
     positions = bed(0.2, 0.4)
-    points = stencil_of(positions, (1.0, 1.0), 0.04, None, 1)
-    volume = torch.full((len(positions),), 1e-4, dtype=torch.float64)
-    slope = column_features(points, volume).view(*points.shape, 4)[2:-2, :, 3]
+    slope = features(stencil_of(positions, BOX, 0.04, None), len(positions))[2:-2, :, 3]
     torch.testing.assert_close(slope, torch.full_like(slope, 0.4), atol=0.05, rtol=0.0)
 
 
 def test_samples_of_a_batch_have_grids_of_their_own() -> None:
-    positions = torch.rand(20, 2)
+    torch.manual_seed(0)
     batch = torch.arange(20) // 10
-    both = stencil_of(positions, (1.0, 1.0), 0.1, batch, 2).scatter(torch.ones(20, 1)).view(2, -1)
+    # The second sample is smaller, elsewhere, and in another box.
+    positions = torch.where(batch.unsqueeze(1) == 0, torch.rand(20, 2), 1.2 + 0.4 * torch.rand(20, 2))
+    size = torch.tensor([[1.0, 1.0], [2.0, 2.0]])
+    both = stencil_of(positions, size, 0.1, batch)
+    sums = both.scatter(torch.ones(20, 1)).view(2, *both.shape)
     for sample in (0, 1):
-        alone = stencil_of(positions[batch == sample], (1.0, 1.0), 0.1, None, 1).scatter(torch.ones(10, 1)).view(-1)
-        torch.testing.assert_close(both[sample], alone)
+        alone = stencil_of(positions[batch == sample], size[sample : sample + 1], 0.1, None)
+        assert torch.equal(alone.origin[0], both.origin[sample])
+        rows, columns = alone.shape
+        torch.testing.assert_close(sums[sample, :rows, :columns], alone.scatter(torch.ones(10, 1)).view(alone.shape))
+        assert sums[sample].sum() == pytest.approx(10.0)

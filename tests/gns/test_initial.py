@@ -13,9 +13,10 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from gns.initial import Start, initial_state
 from gns.model.settings import ModelSettings
+from gns.units import Units
 from tests.gns.conftest import spreading
 
-SETTINGS = ModelSettings(baffles=True)
+SETTINGS = ModelSettings()
 SOIL = Material(friction_deg=30.0, cohesion=500.0)
 SCENE = Scene(
     domain=Domain(size=(0.6, 0.4), cell=0.01),
@@ -24,15 +25,25 @@ SCENE = Scene(
         Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.0, 0.0)),
         Mass(lower=(0.0, 0.1), size=(0.1, 0.06), material=SOIL),
     ),
-    baffles=(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.5, 0.02), size=(0.04, 0.2))),
+    baffles=(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.5, 0.02), size=(0.04, 0.2), friction=0.7)),
     duration=0.25,
+    slope_deg=30.0,
+    floor_friction=0.4,
+    wall_friction=0.2,
+    baffle_friction=0.3,
+    damping=0.1,
 )
 
 
 def test_the_conditions_are_those_of_the_scene() -> None:
     initial = initial_state(SCENE, SETTINGS)
     conditions, particles = initial.conditions, initial_particles(SCENE)
-    assert conditions.size == (0.6, 0.4)
+    assert (conditions.samples, conditions.batch, conditions.ground, conditions.units) == (1, None, None, Units())
+    torch.testing.assert_close(conditions.size, torch.tensor([[0.6, 0.4]]))
+    torch.testing.assert_close(conditions.gravity, 9.81 * torch.tensor([[0.5, -(0.75**0.5)]]))
+    constants = conditions.floor_friction, conditions.wall_friction, conditions.damping
+    torch.testing.assert_close(torch.cat(constants), torch.tensor([0.4, 0.2, 0.1]))
+    torch.testing.assert_close(conditions.baffle_friction, torch.tensor([[0.3, 0.7]]))
     upper = particles.positions[initial.indices, 1] > 0.1
     assert 0 < upper.sum() < len(upper)
     expected = np.where(upper, np.float32(500.0), np.float32(0.0))
@@ -48,11 +59,31 @@ def test_the_conditions_are_those_of_the_scene() -> None:
 
 
 def test_without_baffles_there_are_none() -> None:
-    bare = dataclasses.replace(SCENE, baffles=())
-    for settings in (SETTINGS, ModelSettings()):
-        initial = initial_state(bare, settings)
-        assert initial.conditions.baffles is None
-        assert initial.to("cpu").conditions.baffles is None
+    initial = initial_state(dataclasses.replace(SCENE, baffles=()), SETTINGS)
+    assert initial.conditions.baffles is initial.conditions.baffle_friction is None
+    assert initial.to("cpu").conditions.baffles is None
+
+
+def test_terrain_is_a_raster_as_fine_as_the_particles() -> None:
+    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.25, 0.0), (0.6, 0.07)), friction=0.5)
+    initial = initial_state(dataclasses.replace(SCENE, baffles=(), solids=(ramp,)), SETTINGS)
+    ground = initial.conditions.ground
+    assert ground is not None
+    assert (ground.spacing, ground.elevation.shape) == (SETTINGS.cell, (1, 61))
+    x = SETTINGS.cell * torch.arange(61)
+    torch.testing.assert_close(ground.elevation[0], (0.2 * (x - 0.25)).clamp(min=0.0), atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(ground.friction, torch.full((1, 61), 0.5))
+
+
+def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
+    settings = ModelSettings(body_length=0.28)
+    initial = initial_state(SCENE, settings)
+    units = initial.conditions.units
+    assert units.length == pytest.approx((0.1 * 0.16) ** 0.5 / 0.28, rel=0.1)
+    assert initial.step == units.time * settings.step
+    assert initial.times[-1] == pytest.approx(SCENE.duration)
+    assert len(initial.indices) > 2 * len(initial_state(SCENE, SETTINGS).indices)
+    assert float(initial.conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
 
 
 def test_after_frames_the_baffles_are_there_too() -> None:
@@ -78,32 +109,32 @@ def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:
                 assert wide.dtype == torch.float64
                 torch.testing.assert_close(wide.float(), before)
             else:
-                assert before == on == wide
+                assert before == on == wide, field.name
     assert (there.steps, there.scene, there.start) == (25, SCENE, Start.FROM_REST)
 
 
 def test_the_mass_of_each_particle() -> None:
     initial = initial_state(SCENE, SETTINGS)
     upper = initial.known[0, :, 1] > 0.1
+    np.testing.assert_array_equal(initial.mass, upper.astype(np.int32))
     np.testing.assert_array_equal(initial.of_mass(1).numpy(), upper)
     # The first mass alone is of the scene's shared material.
     np.testing.assert_array_equal(initial.of_mass(None).numpy(), ~upper)
 
 
 REFUSED = [
-    (SCENE, ModelSettings(), "baffles: expected a scene without baffles"),
     (SCENE, ModelSettings(dimension=3), "expected a 3D scene"),
-    (dataclasses.replace(SCENE, slope_deg=10.0), SETTINGS, "slope_deg: expected a level floor"),
     (
         dataclasses.replace(SCENE, solids=(Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)),
         SETTINGS,
-        "solids: expected a scene without solids, the model knows baffles alone",
+        r"solids\[0\].kind: expected terrain, the model knows no other solids but baffles, got a box",
     ),
     (
-        dataclasses.replace(SCENE, baffles=(dataclasses.replace(SCENE.baffles[0], turned_deg=5.0),)),
+        dataclasses.replace(SCENE, solids=(Solid(kind="terrain", points=((0.0, 0.0), (0.6, 0.0)), contact="no-slip"),)),
         SETTINGS,
-        r"baffles\[0\].turned_deg: expected a baffle along the axes",
+        r"solids\[0\].contact: expected Coulomb friction alone, the model knows no other contact",
     ),
+    (dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28), "gravity: expected gravity"),
     (dataclasses.replace(SCENE, open_sides=("x+",)), SETTINGS, "open_sides: expected a closed box"),
     (
         dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),
@@ -119,7 +150,7 @@ REFUSED = [
             ),
         ),
         SETTINGS,
-        "masses: expected masses of one density, the model has no others, got 900 and 1800",
+        "masses: expected masses of one density, the model knows no others, got 900 and 1800",
     ),
 ]
 

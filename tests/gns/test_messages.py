@@ -68,6 +68,17 @@ def test_a_step_of_the_network_is_the_definitions(
         torch.testing.assert_close(fused, defined, atol=1e-6, rtol=1e-4)
 
 
+def test_double_precision_is_kept() -> None:
+    torch.manual_seed(0)
+    positions, x = torch.rand(30, 2, dtype=torch.float64), torch.randn(30, 8, dtype=torch.float64)
+    interaction = Interaction(8, 2).double()
+    messages = interaction(x, radius_graph(positions, 0.4))
+    assert messages.dtype == torch.float64
+    # A change that single precision does not know.
+    changed = interaction(x * (1.0 + 1e-12), radius_graph(positions, 0.4))
+    assert 0.0 < (changed - messages).abs().max() < 1e-10
+
+
 def test_a_node_without_neighbours_gets_no_messages() -> None:
     positions = torch.tensor([[0.0, 0.0], [0.1, 0.0], [5.0, 5.0]])
     messages = Interaction(8, 2)(torch.randn(3, 8), radius_graph(positions, 0.2))

@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.training.samples import Flows, Sample, load_flows
+from datasets.training.samples import Flows, Sample, Surroundings, load_flows, shares_of
 from gns.model.settings import ModelSettings
-from gns.training.objective import Curriculum, remaining_steps, rollout_loss, statistics, turned, unrolled_steps
+from gns.training.objective import (
+    Curriculum,
+    partners,
+    remaining_steps,
+    rollout_loss,
+    share_loss,
+    statistics,
+    turned,
+    unrolled_steps,
+)
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -36,13 +45,13 @@ def test_the_steps_left_are_the_area_under_the_schedule() -> None:
 @pytest.fixture
 def flows(dataset: Path, settings: ModelSettings) -> Flows:
     """The training flows."""
-    return load_flows(dataset, "train", step=settings.step, dimension=2)
+    return load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
 
 
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     curriculum = Curriculum([flows], settings)
     rng = np.random.default_rng(0)
-    drawn = [curriculum.draw((flows[0].size, flows[0].gravity), 4, rng) for _ in range(60)]
+    drawn = curriculum.samples(60, 4, rng)
     assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
@@ -52,21 +61,29 @@ def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSetting
         assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
 
-def test_a_batch_is_of_one_domain_and_datasets_have_equal_shares(flows: Flows, settings: ModelSettings) -> None:
-    wide = [dataclasses.replace(flow, size=(1.2, 0.4)) for flow in flows]
+def test_a_batch_joins_domains_and_datasets_have_equal_shares(flows: Flows, settings: ModelSettings) -> None:
+    around = dataclasses.replace(flows[0].surroundings, size=np.array([1.2, 0.4], np.float32))
+    wide = [dataclasses.replace(flow, surroundings=around) for flow in flows]
     curriculum, rng = Curriculum([flows, wide, wide], settings), np.random.default_rng(0)
-    sizes = [curriculum.batch(2, 1, rng).conditions.size for _ in range(120)]
-    assert set(sizes) == {(0.6, 0.4), (1.2, 0.4)}
-    assert 0.5 < np.mean([size == (1.2, 0.4) for size in sizes]) < 0.8
+    sizes = torch.cat([curriculum.batch(2, 1, rng).box for _ in range(60)])
+    assert {tuple(size) for size in sizes.tolist()} == {
+        tuple(size) for size in torch.tensor([[0.6, 0.4], [1.2, 0.4]]).tolist()
+    }
+    assert 0.5 < (sizes[:, 0] > 1.0).float().mean() < 0.8
 
 
-def test_statistics_leave_gravity_out(flows: Flows) -> None:
+@pytest.mark.parametrize("along", [0.0, 3.0])
+def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
+    gravity = np.array([along, -9.81], np.float32)
     time = np.arange(8) * 0.01
-    falling = np.zeros((8, 5, 2), np.float32)
-    falling[..., 0] = 0.1 * np.arange(5)
-    falling[..., 1] = 0.9 - 0.5 * 9.81 * time[:, None] ** 2
+    corner = np.stack((0.1 * np.arange(5), np.full(5, 0.9)), axis=1)
+    falling = (corner + 0.5 * time[:, None, None] ** 2 * gravity).astype(np.float32)
     flow = dataclasses.replace(
-        flows[0], positions=falling, friction=np.ones(5, np.float32), velocity0=np.zeros((5, 2), np.float32)
+        flows[0],
+        positions=falling,
+        friction=np.ones(5, np.float32),
+        velocity0=np.zeros((5, 2), np.float32),
+        surroundings=dataclasses.replace(flows[0].surroundings, gravity=gravity),
     )
     found = statistics([[flow]])
     assert found.acceleration < 1e-6
@@ -87,36 +104,85 @@ def test_statistics_of_many_times_are_sampled_and_always_the_same(
 
 
 def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.training.objective.SHARE_FIRST", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_EARLY", 0.0)
     monkeypatch.setattr("gns.training.objective.SHARE_MOVING", 1.0)
     flow = flows[0]
     resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
     longer = dataclasses.replace(flow, positions=resting)
-    curriculum, rng = Curriculum([[longer]], settings), np.random.default_rng(0)
-    drawn = [curriculum.draw((flow.size, flow.gravity), 1, rng) for _ in range(30)]
+    curriculum, rng = Curriculum([[longer]], settings, first=0.0), np.random.default_rng(0)
+    drawn = curriculum.samples(30, 1, rng)
     assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
 
 
-@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 4)])
+@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 8)])
 def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
     rng = np.random.default_rng(0)
     corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
     one = np.ones(1, np.float32)
+    around = Surroundings(
+        size=np.array(size, np.float32),
+        gravity=np.array([3.0, -9.0, 0.0], np.float32)[: len(size)],
+        floor_friction=0.4,
+        wall_friction=0.2,
+        damping=0.0,
+        baffles=np.stack((corner, corner + 0.1))[None],
+        baffle_friction=one,
+        baffle_turn=np.zeros(1, np.float32),
+        ground=None,
+    )
     sample = Sample(
         frames=corner.reshape(1, 1, -1),
         velocity0=corner.reshape(1, -1),
         targets=corner.reshape(1, 1, -1),
+        shares=corner.reshape(1, 1, -1),
         friction=one,
         cohesion=one,
         volume=one,
-        baffles=np.stack((corner, corner + 0.1))[None],
+        surroundings=around,
     )
     found = set()
     for _ in range(100):
-        other = turned(sample, size, rng)
+        other = turned(sample, 0.01, rng)
         found.add(tuple(np.round(other.targets[0, 0].astype(float), 5)))
-        assert (other.baffles[:, 0] < other.baffles[:, 1]).all()
+        baffles = other.surroundings.baffles
+        assert (baffles[:, 0] < baffles[:, 1]).all()
         # The point is a corner of the baffle, and stays one.
-        assert np.isclose(other.baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+        assert np.isclose(baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+        # Gravity turns with the velocities.
+        assert float(other.velocity0[0] @ other.surroundings.gravity) == pytest.approx(0.1 * 3.0 - 0.2 * 9.0)
     assert len(found) == ways
+
+
+def test_share_loss_is_zero_where_the_distributions_agree_and_separates_common_errors_from_wrong_answers() -> None:
+    generator = torch.Generator().manual_seed(0)
+    positions = torch.rand((3, 20, 2), generator=generator)
+    batch = torch.arange(2).repeat_interleave(10)
+    shares = torch.cat([positions[:, batch == each].sort(dim=1).values for each in (0, 1)], dim=1)
+    apart, changed = share_loss(positions, shares, batch, 2, 0.01)
+    assert apart == changed == 0.0
+    # Another particle in each place is the same deposit.
+    apart, _ = share_loss(positions[:, torch.arange(10).flip(0).repeat(2) + 10 * batch], shares, batch, 2, 0.01)
+    assert apart == 0.0
+    # An error that both have is no wrong answer to what differs between them.
+    apart, changed = share_loss(positions + 0.005, shares, batch, 2, 0.01)
+    assert apart == pytest.approx(0.125, rel=1e-4)
+    assert changed == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pairs_are_of_variants_and_start_from_the_same_particles(flows: Flows, settings: ModelSettings) -> None:
+    varied = [
+        dataclasses.replace(flow, seed=number // 2, positions=flows[number // 2 * 2].positions)
+        for number, flow in enumerate(flows)
+    ]
+    assert partners(varied) == {0: 1, 1: 0, 2: 3, 3: 2}
+    curriculum = Curriculum([varied], settings, pairs=1.0)
+    samples = curriculum.samples(8, 3, np.random.default_rng(0))
+    for first, second in zip(samples[::2], samples[1::2], strict=True):
+        assert np.array_equal(first.frames, second.frames)
+        assert first.friction[0] != second.friction[0]
+
+
+def test_shares_are_the_middles_of_equal_parts_of_all_particles() -> None:
+    positions = np.random.default_rng(0).permutation(40).reshape(1, 40, 1).astype(np.float32)
+    assert shares_of(positions, 40)[0, :, 0] == pytest.approx(np.arange(40))
+    assert shares_of(positions, 4)[0, :, 0] == pytest.approx([4.5, 14.5, 24.5, 34.5])

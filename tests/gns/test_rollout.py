@@ -36,7 +36,7 @@ BAFFLE = "[[baffles]]\nlower = [0.15, 0.0]\nsize = [0.05, 0.1]\n"
 @pytest.fixture
 def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
     """A scene, a model and the first 21 frames of a run of the scene."""
-    paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.pt", "start": tmp_path / "start.npz"}
+    paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.safetensors", "start": tmp_path / "start.npz"}
     paths["scene"].write_text(SCENE)
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
@@ -65,6 +65,8 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
         assert trajectory.positions.shape == (26, 12 * 16, 2)
         assert (summary["start"], summary["steps"], summary["particles"]) == (kind, steps, 192)
         assert summary["front"] == pytest.approx(measures.front(trajectory.positions[-1]))
+        assert trajectory.mass is not None
+        assert trajectory.mass.tolist() == [0] * 192
     # The known frames are those of the run that was handed over, whatever the model makes of the rest.
     known = Trajectory.load(files["start"]).positions[::4]
     first = Trajectory.load(tmp_path / "frames" / "trajectory.npz").positions[:6]
@@ -77,12 +79,14 @@ def test_energies_of_a_fall() -> None:
     height = 1.0 - 0.5 * 9.81 * time**2
     positions = np.stack((np.stack((3.0 * time, height), 1), np.stack((0.0 * time, height), 1)), 1)
     mass, velocity0 = np.array([2.0, 1.0]), np.array([[3.0, 0.0], [0.0, 0.0]])
-    series = energies(positions.astype(np.float32), velocity0.astype(np.float32), mass, step=0.01, gravity=9.81)
+    series = energies(positions.astype(np.float32), velocity0.astype(np.float32), mass, step=0.01, gravity=(0.0, -9.81))
     kinetic, potential = np.array(series["kinetic"]), np.array(series["potential"])
     assert kinetic[0] == pytest.approx(9.0)
     assert potential[0] == pytest.approx(3.0 * 9.81)
     np.testing.assert_allclose(kinetic[:-1], 9.0 + 0.5 * 3.0 * (9.81 * time[:-1]) ** 2, rtol=1e-4)
     np.testing.assert_allclose((kinetic + potential)[:-1], 9.0 + 3.0 * 9.81, rtol=1e-4)
+    tilted = energies(positions.astype(np.float32), velocity0.astype(np.float32), mass, step=0.01, gravity=(6.0, -8.0))
+    np.testing.assert_allclose(tilted["potential"], 3.0 * 8.0 * height - 2.0 * 6.0 * 3.0 * time, rtol=1e-4, atol=1e-4)
 
 
 def test_the_summary_has_the_energies(files: dict[str, Path], tmp_path: Path) -> None:
@@ -97,8 +101,7 @@ def test_the_summary_has_the_energies(files: dict[str, Path], tmp_path: Path) ->
 
 
 def test_a_scene_with_baffles(files: dict[str, Path], settings: ModelSettings, tmp_path: Path) -> None:
-    with_baffles = Simulator(dataclasses.replace(settings, baffles=True), NORMALISATION)
-    checkpoint.save(files["model"], with_baffles, {})
+    checkpoint.save(files["model"], Simulator(settings, NORMALISATION), {})
     # Thrown at the baffle by a model without contact forces: the baffle itself stops the particles.
     files["scene"].write_text(SCENE + "velocity = [2.0, 0.5]\n" + BAFFLE)
     assert run(files, tmp_path / "out") == 0
@@ -110,7 +113,7 @@ def test_a_scene_with_baffles(files: dict[str, Path], settings: ModelSettings, t
     assert positions[-1, :, 0].max() > 0.25
 
 
-@pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.pt"), (DEEP, "obstacle3d.pt")])
+@pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
 def test_the_shipped_model_is_that_of_the_dimension(
     scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,19 +130,16 @@ def test_a_series_for_paraview(files: dict[str, Path], tmp_path: Path) -> None:
 
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = files["model"].read_bytes()
-    short = tmp_path / "short.pt"
+    short = tmp_path / "short.safetensors"
     short.write_bytes(whole[:1000])
     spreading(31.0).save(tmp_path / "other.npz")
-    baffled = tmp_path / "baffled.toml"
-    baffled.write_text(SCENE + BAFFLE)
     deep = tmp_path / "deep.toml"
     deep.write_text(DEEP)
     cases = [
-        ({**files, "model": short}, [], "short.pt: expected whole weights"),
-        ({**files, "model": tmp_path / "none.pt"}, [], "there is no such file"),
+        ({**files, "model": short}, [], "short.safetensors: expected whole weights"),
+        ({**files, "model": tmp_path / "none.safetensors"}, [], "there is no such file"),
         (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
         (files, ["--start", str(tmp_path / "none.npz")], "expected a trajectory"),
-        ({**files, "scene": baffled}, [], "without baffles"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),
         (files, ["--device", "tpu"], "tpu"),
     ]
@@ -153,13 +153,25 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
     assert not (tmp_path / "out").exists()
 
 
-def test_solids_are_refused_in_one_line(
+def test_a_scene_on_terrain(files: dict[str, Path], tmp_path: Path) -> None:
+    ramp = '[[solids]]\nkind = "terrain"\npoints = [[0.0, 0.1], [0.2, 0.1], [0.4, 0.02], [0.6, 0.02]]\nfriction = 0.5\n'
+    # By a model without contact forces: the ground itself holds the particles.
+    files["scene"].write_text(SCENE.replace("lower = [0.0, 0.0]", "lower = [0.0, 0.1]\nvelocity = [1.0, 0.0]") + ramp)
+    assert run(files, tmp_path / "out") == 0
+    x, y = Trajectory.load(tmp_path / "out" / "trajectory.npz").positions[-1].T
+    above = y - np.interp(x, [0.0, 0.2, 0.4, 0.6], [0.1, 0.1, 0.02, 0.02])
+    assert above.min() > -1e-3
+    assert np.median(above) < 0.05
+    assert x.max() > 0.25
+
+
+def test_other_solids_are_refused_in_one_line(
     files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wall = "[[solids]]\nlower = [0.4, 0.0]\nsize = [0.05, 0.1]\n"
     files["scene"].write_text(SCENE + wall)
     assert run(files, tmp_path / "out") == 2
     error = capsys.readouterr().err
-    assert "solids: expected a scene without solids, the model knows baffles alone" in error
+    assert "solids[0].kind: expected terrain, the model knows no other solids but baffles, got a box" in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()

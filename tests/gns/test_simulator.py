@@ -14,31 +14,32 @@ from tests.gns.conftest import NORMALISATION, Cloud
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
     lively.double()
-    state, conditions = cloud(lower=(0.0, 0.0))
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.0, 0.0)))
     friction = torch.linspace(0.3, 0.9, len(state.positions), dtype=torch.float64)
-    conditions = dataclasses.replace(
-        conditions, friction=friction, cohesion=conditions.cohesion.double(), volume=conditions.volume.double()
-    )
-    state = State(positions=state.positions.double(), displacements=state.displacements.double())
+    conditions = dataclasses.replace(conditions, friction=friction)
     order = torch.randperm(len(friction), generator=torch.Generator().manual_seed(3))
     shuffled = State(positions=state.positions[order], displacements=state.displacements[:, order])
     after = lively(shuffled, dataclasses.replace(conditions, friction=friction[order]))
     torch.testing.assert_close(after.positions, lively(state, conditions).positions[order])
 
 
-def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(cloud: Cloud) -> None:
-    # With convolutions the walls matter: they are the padding of the grid.
-    torch.manual_seed(1)
-    simulator = Simulator(ModelSettings(history=3, width=16, layers=2, grid_channels=8, grid_layers=0), NORMALISATION)
-    with torch.no_grad():
-        simulator.network.decoder.mlp[-1].weight.normal_(std=0.3)
-    state, conditions = cloud()
-    shift = 3 * simulator.settings.grid_cell
+def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simulator, cloud: Cloud) -> None:
+    lively.double()
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(velocity=(0.5, 0.2)))
+    conditions = dataclasses.replace(conditions, size=torch.full((1, 2), 8.0, dtype=torch.float64))
+    shift = lively.settings.grid_cell * torch.tensor([200.0, 31.0], dtype=torch.float64)
     moved = State(positions=state.positions + shift, displacements=state.displacements)
     with torch.no_grad():
-        after, after_moved = simulator(state, conditions), simulator(moved, conditions)
-    assert after.displacements[-1].std() > 1e-5
-    torch.testing.assert_close(after_moved.displacements[-1], after.displacements[-1], atol=1e-6, rtol=0.0)
+        here, there = (unroll(lively, each, conditions, 5) for each in (state, moved))
+    assert (here[-1] - here[0]).std(dim=0).min() > 1e-5
+    torch.testing.assert_close(there - shift, here, atol=1e-9, rtol=0.0)
+
+
+def test_the_box_far_from_the_particles_has_no_effect(lively: Simulator, cloud: Cloud) -> None:
+    state, conditions = cloud()
+    larger = dataclasses.replace(conditions, size=torch.tensor([[30.0, 50.0]]))
+    with torch.no_grad():
+        assert torch.equal(lively(state, conditions).positions, lively(state, larger).positions)
 
 
 def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> None:
@@ -81,9 +82,7 @@ def test_a_short_past_is_continued_with_the_initial_velocity(frames: int) -> Non
     torch.testing.assert_close(state.positions, track[-1])
 
 
-SMALL_3D = ModelSettings(
-    dimension=3, cell=0.05, radius=0.12, width=8, layers=2, grid_channels=4, grid_cell=0.1, baffles=True
-)
+SMALL_3D = ModelSettings(dimension=3, cell=0.05, radius=0.12, width=8, layers=2, grid_channels=4, grid_cell=0.1)
 
 
 def cloud_3d(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[State, Conditions]:
@@ -96,7 +95,11 @@ def cloud_3d(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[St
         friction=torch.full((80,), 0.5),
         cohesion=torch.zeros(80),
         volume=torch.full((80,), settings.particle_volume),
-        size=(1.0, 0.8, 1.0),
+        size=torch.tensor([[1.0, 0.8, 1.0]]),
+        gravity=torch.tensor([[0.0, -9.81, 0.0]]),
+        floor_friction=torch.tensor([0.4]),
+        wall_friction=torch.tensor([0.2]),
+        damping=torch.tensor([0.1]),
     )
     return state, conditions
 
@@ -105,15 +108,16 @@ def test_what_hardly_moves_stands_still_and_the_rest_is_left_alone() -> None:
     limit = 1e-4
     faster = torch.tensor([[0.1, 0.0], [0.0, 1.0], [6.0, 8.0], [0.0, 0.0]]) * limit
     kept = settled(faster, limit) / limit
-    torch.testing.assert_close(
-        kept, torch.tensor([[0.1 * 0.01 / 1.01, 0.0], [0.0, 0.5], [600 / 101, 800 / 101], [0, 0]])
-    )
+    expected = torch.tensor([[0.1 * 1e-4 / 1.0001, 0.0], [0.0, 0.5], [6e4 / 10001, 8e4 / 10001], [0.0, 0.0]])
+    torch.testing.assert_close(kept, expected)
 
 
 def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> None:
-    # Errors of the acceleration as an untrained network makes them, in sand that nothing else drives.
+    # Small errors of the acceleration, of a network that is not exact, in sand that nothing else drives.
+    with torch.no_grad():
+        lively.network.decoder.mlp[-1].weight.mul_(0.1)
     state, conditions = cloud(lower=(0.4, 0.4))
-    conditions = dataclasses.replace(conditions, gravity=0.0)
+    conditions = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
     speeds = []
     for rest_speed in (0.0, 0.05):
         lively.settings = dataclasses.replace(lively.settings, rest_speed=rest_speed)
@@ -144,57 +148,12 @@ def test_no_particle_enters_a_baffle() -> None:
     simulator = Simulator(SMALL_3D, NORMALISATION)
     baffles = box((0.65, 0.0, 0.3), (0.8, 0.6, 0.6))
     state, conditions = cloud_3d(velocity=(3.0, 0.0, 0.0))
-    conditions = dataclasses.replace(conditions, baffles=baffles)
+    conditions = dataclasses.replace(conditions, baffles=baffles, baffle_friction=torch.tensor([[0.3]]))
     with torch.no_grad():
         positions = unroll(simulator, state, conditions, 12)
     inside = ((positions > baffles[0, 0, 0]) & (positions < baffles[0, 0, 1])).all(dim=2)
     assert not inside.any()
     # They touched it: the same flow without it moves on.
     with torch.no_grad():
-        free = unroll(simulator, state, dataclasses.replace(conditions, baffles=None), 12)
+        free = unroll(simulator, state, dataclasses.replace(conditions, baffles=None, baffle_friction=None), 12)
     assert (free[-1, :, 0] - positions[-1, :, 0]).max() > 0.05
-
-
-def test_a_model_without_baffles_does_not_look_at_them() -> None:
-    torch.manual_seed(0)
-    simulator = Simulator(dataclasses.replace(SMALL_3D, baffles=False), NORMALISATION)
-    state, conditions = cloud_3d(velocity=(3.0, 0.0, 0.0))
-    known = dataclasses.replace(conditions, baffles=box((0.65, 0.0, 0.3), (0.8, 0.6, 0.6)))
-    with torch.no_grad():
-        torch.testing.assert_close(simulator(state, known).positions, simulator(state, conditions).positions)
-
-
-def test_the_gradient_in_baffle_and_material_is_that_of_differences() -> None:
-    torch.manual_seed(0)
-    simulator = Simulator(dataclasses.replace(SMALL_3D, film=True), NORMALISATION).double()
-    with torch.no_grad():
-        for name, weight in simulator.named_parameters():
-            if "film" in name or "decoder.mlp.2" in name:
-                weight.normal_(std=0.2)
-    state, conditions = cloud_3d(velocity=(2.0, 0.0, 0.0))
-    state = State(positions=state.positions.double(), displacements=state.displacements.double())
-    baffles = box((0.652, 0.0, 0.303), (0.8, 0.6, 0.6)).double()
-    simulator.requires_grad_(False)
-
-    def end(shift: torch.Tensor) -> torch.Tensor:
-        """A number that depends on where the baffle stands, on cohesion and on friction."""
-        moved = torch.cat((shift[:1], torch.zeros(1, dtype=torch.float64), shift[1:2]))
-        given = dataclasses.replace(
-            conditions,
-            friction=conditions.friction.double() + shift[2],
-            cohesion=conditions.cohesion.double() + 100.0 + 1000.0 * shift[3],
-            volume=conditions.volume.double(),
-            baffles=baffles + moved,
-        )
-        last = unroll(simulator, state, given, 8)[-1]
-        return (last * torch.linspace(0.5, 1.5, last.numel(), dtype=torch.float64).view_as(last)).sum()
-
-    shift = torch.zeros(4, dtype=torch.float64, requires_grad=True)
-    (slope,) = torch.autograd.grad(end(shift), shift)
-    step = 1.0e-6
-    with torch.no_grad():
-        differences = torch.stack(
-            [(end(step * unit) - end(-step * unit)) / (2.0 * step) for unit in torch.eye(4, dtype=torch.float64)]
-        )
-    assert differences.abs().min() > 1e-4
-    torch.testing.assert_close(slope, differences, rtol=1e-4, atol=0.0)

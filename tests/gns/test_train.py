@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.scene import Baffle
+from datasets.geometry.solid import Solid
+from datasets.scene import Baffle, Domain
 from datasets.training.samples import Flow, load_flows
 from datasets.trajectory import Trajectory
 from gns import train as command
@@ -19,7 +20,7 @@ from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.train import pick, train
 from gns.training.budget import Clock
-from gns.training.update import Run
+from gns.training.update import Run, read
 
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
@@ -52,31 +53,31 @@ def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypa
     ticks = itertools.count()
     monkeypatch.setattr(Clock, "now", lambda clock: next(ticks) / 10.0)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
-    first = checkpoint.read(tmp_path / "last.pt")["position"]
+    first = read(tmp_path / "last.pt")["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
-    second = checkpoint.read(tmp_path / "last.pt")["position"]
+    second = read(tmp_path / "last.pt")["position"]
     assert second["updates"] > first["updates"] > 0
     assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
     assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
-    provenance = checkpoint.load(tmp_path / "best.pt").provenance
+    provenance = checkpoint.load(tmp_path / "best.safetensors").provenance
     assert (provenance["seed"], provenance["clock"], provenance["minutes"]) == (0, "wall", 0.04)
     assert "released at rest" in (tmp_path / "scores.md").read_text()
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(dataset, tmp_path / "first", "--updates", "2") == 0
-    model = tmp_path / "first" / "best.pt"
+    model, other = (tmp_path / name / "best.safetensors" for name in ("first", "second"))
     # At hardly any learning rate it stays what it was.
     still = ("--learning-rate", "1e-30", "--final-learning-rate", "0")
     assert run(dataset, tmp_path / "second", "--updates", "1", "--begin", str(model), *still) == 0
-    first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, tmp_path / "second" / "best.pt"))
+    first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, other))
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
-    assert checkpoint.load(tmp_path / "second" / "best.pt").provenance["begin"]["updates"] == 2
+    assert checkpoint.load(other).provenance["begin"]["updates"] == 2
     # No weight depends on the speed of rest.
     slower = ("--begin", str(model), "--rest-speed", "0.02", *still)
     assert run(dataset, tmp_path / "slower", "--updates", "1", *slower) == 0
-    assert checkpoint.load(tmp_path / "slower" / "best.pt").simulator.settings.rest_speed == 0.02
+    assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", "--updates", "1", "--begin", str(model), "--history", "2") == 2
     assert "other is history" in capsys.readouterr().err
 
@@ -125,36 +126,44 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
         broken(call, number, kind, patch)
         assert run(dataset, tmp_path, *flags) == 130
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
-    assert checkpoint.read(tmp_path / "last.pt")["position"]["updates"] == done
+    assert read(tmp_path / "last.pt")["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
     assert rows(tmp_path) == rows(unbroken)
-    found, expected = (checkpoint.read(out / "last.pt") for out in (tmp_path, unbroken))
+    found, expected = (read(out / "last.pt") for out in (tmp_path, unbroken))
     for content in (found, expected):
         for key in ("seconds", "validated_seconds", "log_size"):
             del content["position"][key]
     assert same(found, expected)
-    assert same(checkpoint.read(tmp_path / "best.pt")["state"], checkpoint.read(unbroken / "best.pt")["state"])
+    assert same(*(checkpoint.read(out / "best.safetensors")[0] for out in (tmp_path, unbroken)))
 
 
-def test_baffles_need_a_model_with_baffles(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:
     column = Trajectory.load(dataset / "valid" / "0000.npz")
-    scene = dataclasses.replace(column.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
-    for split in ("train", "valid"):
-        dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / "a.npz")
-    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2") == 2
-    assert "a.npz: baffles: expected flows without baffles" in capsys.readouterr().err
-    assert run(tmp_path / "data", tmp_path / "out", "--updates", "2", "--baffles") == 0
+    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.3, 0.0), (0.6, 0.1)), friction=0.5)
+    for name, change in (
+        ("baffle", {"baffles": (Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),)}),
+        ("slope", {"slope_deg": 10.0}),
+        ("terrain", {"solids": (ramp,)}),
+        ("wide", {"domain": Domain(size=(0.8, 0.4), cell=0.01)}),
+    ):
+        scene = dataclasses.replace(column.scene, **change)
+        for split in ("train", "valid"):
+            dataclasses.replace(column, scene=scene).save(tmp_path / "data" / split / f"{name}.npz")
+    flags = [str(tmp_path / "data"), "--out", str(tmp_path / "out"), *TINY, "--updates", "2", "--batch", "4"]
+    flags[flags.index("--validate-flows") + 1] = "4"
+    assert command_line.run(train, "train", flags) == 0
+    assert len((tmp_path / "out" / "scores.md").read_text().splitlines()) > 2
 
 
 def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gns.training.budget.time.process_time", iter(range(100)).__next__)
     assert run(dataset, tmp_path, "--minutes", "0.1", "--clock", "cpu") == 0
-    assert checkpoint.load(tmp_path / "best.pt").provenance["clock"] == "cpu"
-    assert 6.0 <= checkpoint.read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
+    assert checkpoint.load(tmp_path / "best.safetensors").provenance["clock"] == "cpu"
+    assert 6.0 <= read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
 
 
 def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:
-    released = load_flows(dataset, "train", step=settings.step, dimension=2)
+    released = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
 
     def names(flows: list[Flow]) -> list[str]:
         return [flow.name for flow in flows]
@@ -172,7 +181,7 @@ def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettin
         (["--minutes", "0"], "minutes: expected a positive number"),
         (["--updates", "0"], "updates: expected an integer of at least 1"),
         (["--memory-gib", "-1"], "memory_gib: expected a number of at least 0"),
-        (["--device", "cpu", "--mixed"], "mixed: expected a GPU"),
+        (["--device", "cpu", "--mixed", "--updates", "1"], "mixed: expected a GPU"),
         (["--frames-per-step", "3", "--frame-dt", "0.001"], "expected frames 0.003 s apart"),
         (["--unroll", "40"], "expected at least 40 steps of 0.01 s, got 25"),
         (["--dimension", "3"], "expected a 3D trajectory"),

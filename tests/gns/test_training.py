@@ -10,19 +10,19 @@ import torch
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.training.samples import load_flows
-from gns.model import checkpoint, interaction
+from gns.model import interaction
 from gns.model.interaction import message_sum
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.training.objective import Curriculum, statistics
-from gns.training.update import Run, TrainingSettings
+from gns.training.update import Run, TrainingSettings, read
 from tests.gns.conftest import NORMALISATION
 
 
 @pytest.fixture
 def curriculum(dataset: Path, settings: ModelSettings) -> Curriculum:
     """The flows with a formula."""
-    return Curriculum([load_flows(dataset, "train", step=settings.step, dimension=2)], settings)
+    return Curriculum([load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)], settings)
 
 
 def begin(settings: ModelSettings, **flags: float) -> Run:
@@ -33,7 +33,7 @@ def begin(settings: ModelSettings, **flags: float) -> Run:
 
 def test_the_loss_falls(dataset: Path, settings: ModelSettings, curriculum: Curriculum) -> None:
     torch.manual_seed(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2)
+    flows = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
     run = Run(Simulator(settings, statistics([flows])), TrainingSettings(warmup=5), seed=0)
     losses = [run.update(curriculum, steps=2, rate=1e-2) for _ in range(60)]
     assert np.mean(losses[-10:]) < 0.5 * np.mean(losses[:5])
@@ -57,9 +57,11 @@ def test_a_run_goes_on_to_the_bit(settings: ModelSettings, curriculum: Curriculu
     for part in ("simulator", "average"):
         states = [getattr(run, part).state_dict() for run in (unbroken, broken)]
         assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-    moments = [run.optimiser.state_dict()["state"] for run in (unbroken, broken)]
-    for name in ("exp_avg", "exp_avg_sq", "step"):
-        assert all(torch.equal(moments[0][key][name], moments[1][key][name]) for key in moments[0])
+    moments = [run.optimiser.state_dict() for run in (unbroken, broken)]
+    for part, names in (("Muon", ("momentum_buffer",)), ("Adam", ("exp_avg", "exp_avg_sq", "step"))):
+        first, second = (each[part]["state"] for each in moments)
+        assert first
+        assert all(torch.equal(first[key][name], second[key][name]) for key in first for name in names)
 
 
 def test_the_rate_rises_and_falls(settings: ModelSettings) -> None:
@@ -108,7 +110,7 @@ def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, 
         begin(dataclasses.replace(settings, width=8)).resume(tmp_path / "last.pt")
     with pytest.raises(InputError, match="seed: expected the seed of the run, 0"):
         Run(Simulator(settings, NORMALISATION), TrainingSettings(), seed=1).resume(tmp_path / "last.pt")
-    content = checkpoint.read(tmp_path / "last.pt")
+    content = read(tmp_path / "last.pt")
     for key in ("seed", "position", "average"):
         torch.save({name: value for name, value in content.items() if name != key}, tmp_path / "part.pt")
         with pytest.raises(InputError, match=f"expected a whole run, '{key}'"):

@@ -17,9 +17,7 @@ STEPS = 6
 @pytest.fixture
 def problem(lively: Simulator, cloud: Cloud) -> tuple[Simulator, State, Conditions]:
     """A frozen model in double precision and a block at the left wall."""
-    state, conditions = cloud(lower=(0.0, 0.0))
-    state = State(positions=state.positions.double(), displacements=state.displacements.double())
-    conditions = dataclasses.replace(conditions, volume=conditions.volume.double())
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.0, 0.0)))
     return lively.double().requires_grad_(False), state, conditions
 
 
@@ -45,7 +43,6 @@ def test_the_gradient_of_the_front_is_that_of_central_differences(
 
 def test_the_gradient_of_the_front_with_respect_to_velocities(problem: tuple[Simulator, State, Conditions]) -> None:
     simulator, state, conditions = problem
-    conditions = dataclasses.replace(conditions, friction=conditions.friction.double())
 
     def last(speed: Tensor) -> Tensor:
         velocities = torch.stack((speed, 0 * speed)).expand_as(state.positions)

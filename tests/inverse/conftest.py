@@ -1,23 +1,25 @@
-"""A tiny random model and small flows against baffles, in 2D and 3D."""
+"""A tiny random model, small flows against baffles in 2D and 3D, and one over terrain."""
 
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
-from gns.initial import Start
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 from inverse.parameters import kind
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, Parameter, TargetSettings
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
-FLOWS = {
+ROUGH: dict[str, Any] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
+FLOWS: dict[int | str, Scene] = {
     2: Scene(
         domain=Domain(size=(0.4, 0.2), cell=0.01),
         material=SAND,
@@ -30,8 +32,12 @@ FLOWS = {
                 material=dataclasses.replace(SAND, cohesion=300.0),
             ),
         ),
-        baffles=(Baffle(lower=(0.123, 0.0), size=(0.029, 0.018)),),
+        baffles=(
+            Baffle(lower=(0.123, 0.0), size=(0.029, 0.018)),
+            Baffle(lower=(0.16, 0.0), size=(0.02, 0.03), friction=0.6),
+        ),
         duration=0.08,
+        **ROUGH,
     ),
     3: Scene(
         domain=Domain(size=(0.5, 0.25, 0.25), cell=0.03125),
@@ -42,14 +48,32 @@ FLOWS = {
             Baffle(lower=(0.2, 0.0, 0.15), size=(0.05, 0.1, 0.08)),
         ),
         duration=0.08,
+        **ROUGH,
+    ),
+    "terrain": Scene(
+        domain=Domain(size=(0.4, 0.2), cell=0.01),
+        material=SAND,
+        masses=(Mass(lower=(0.02, 0.072), size=(0.06, 0.04), velocity=(1.4, -0.5)),),
+        solids=(
+            Solid(kind="terrain", points=((0.0, 0.08), (0.16, 0.0), (0.2, -0.05), (0.4, -0.05)), friction=0.5),
+            # A bump on the slope, with the floor beyond it.
+            Solid(
+                kind="terrain",
+                points=((0.0, -0.05), (0.08, -0.05), (0.11, 0.04), (0.16, -0.05), (0.4, -0.05)),
+                friction=0.2,
+            ),
+        ),
+        slope_deg=10.0,
+        duration=0.08,
+        **ROUGH,
     ),
 }
-WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005}
+WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}
 """Half of the range between a parameter's bounds, by its unit."""
 
 
-def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
-    """A model that takes milliseconds and whose output matters, in double precision."""
+def simulator(dimension: int) -> Simulator:
+    """A model that takes milliseconds and whose output matters, in double precision; its units are not a flow's."""
     torch.manual_seed(0)
     cell = 0.01 if dimension == 2 else 0.03125
     settings = ModelSettings(
@@ -58,7 +82,7 @@ def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
         particles_per_cell=1 if dimension == 2 else 2,
         radius=2.5 * cell,
         grid_cell=2.0 * cell,
-        baffles=baffles,
+        body_length=0.1 if dimension == 2 else 0.25,
         width=16,
         layers=2,
         rounds=1,
@@ -72,9 +96,9 @@ def simulator(dimension: int, *, baffles: bool = True) -> Simulator:
     return made.double().requires_grad_(False)
 
 
-def problem_of(dimension: int, *names: str, observed: str = "deposit", start: Start | None = None) -> Problem:
+def problem_of(flow: int | str, *names: str, observed: str = "deposit") -> Problem:
     """The small flow with these parameters, each between bounds around the scene's own value."""
-    scene = FLOWS[dimension]
+    scene = FLOWS[flow]
     parameters = []
     for name in names:
         value, half = kind(name).read(scene), WIDE[kind(name).unit]
@@ -87,7 +111,6 @@ def problem_of(dimension: int, *names: str, observed: str = "deposit", start: St
         parameters=tuple(parameters),
         observation=ObservationSettings(kind=observed, line=line, spacing=0.02),
         target=TargetSettings(twin=True),
-        optimiser=OptimiserSettings(start=start),
     )
 
 

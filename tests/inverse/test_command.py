@@ -68,12 +68,12 @@ def test_an_inversion(
     observed: tuple[str, str],
     records: int,
 ) -> None:
-    checkpoint.save(tmp_path / "tiny.pt", make_simulator(2).float(), {})
+    checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
     text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]).replace("METHOD", method)
     (tmp_path / "problem.toml").write_text(text)
     out = tmp_path / "out"
-    arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.pt")]
+    arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.safetensors")]
     assert run(main, "inverse", [*arguments, "--gradient", gradient]) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
@@ -87,7 +87,7 @@ def test_an_inversion(
 
 def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
     """The call is the command: the same answer, whether the problem was written down or built."""
-    checkpoint.save(tmp_path / "tiny.pt", make_simulator(2).float(), {})
+    checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
     text = PROBLEM.replace("KIND", TOE[0]).replace("TARGET", TOE[1]).replace("METHOD", "lbfgs-b")
     (tmp_path / "problem.toml").write_text(text)
@@ -103,6 +103,6 @@ def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
         target=TargetSettings(values=(0.12, 0.01)),
         optimiser=read.optimiser,
     )
-    results = [invert(each, model=tmp_path / "tiny.pt") for each in (read, built)]
+    results = [invert(each, model=tmp_path / "tiny.safetensors") for each in (read, built)]
     assert results[0].unknowns == results[1].unknowns
     assert results[0].unknowns != dict(zip(read.names, read.initial, strict=True))

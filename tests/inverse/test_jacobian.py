@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from gns.initial import Start
 from inverse.forward.gns import GnsForward
 from inverse.observations import KINDS, DepositObservation, build
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings
 
-NAMES = {
+NAMES: dict[int | str, tuple[str, ...]] = {
     2: (
         "friction_deg",
         "cohesion",
@@ -24,6 +23,10 @@ NAMES = {
         "baffles[0].x",
         "baffles[0].length",
         "baffles[0].height",
+        "floor_friction",
+        "wall_friction",
+        "baffle_friction",
+        "damping",
     ),
     3: (
         "friction_deg",
@@ -35,9 +38,20 @@ NAMES = {
         "baffles[0].length",
         "baffles[1].width",
         "baffles[0].height",
+        "baffle_friction",
+    ),
+    "terrain": (
+        "friction_deg",
+        "cohesion",
+        "masses[0].velocity_x",
+        "floor_friction",
+        "wall_friction",
+        "damping",
+        "solids[0].friction",
+        "solids[1].friction",
     ),
 }
-STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7}
+STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-4, "damping": 1e-4}
 """Short, because a profile has a kink wherever a point passes a station."""
 
 
@@ -59,20 +73,21 @@ class Rollouts:
     behind: list[torch.Tensor]
 
 
-@pytest.fixture(scope="module", params=[2, 3])
+@pytest.fixture(scope="module", params=list(NAMES))
 def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
     problem = make_problem(request.param, *NAMES[request.param])
-    assert problem.start is Start.FROM_REST
     observation = build(problem.observation, problem.scene)
-    forward = GnsForward(make_simulator(request.param), None, problem, observation)
+    forward = GnsForward(make_simulator(problem.scene.dimension), problem, observation)
     assert forward.kept_steps == forward.steps
+    assert forward.initial.conditions.units.length != 1.0
+    assert forward.initial.times[-1] == pytest.approx(problem.scene.duration)
     point = torch.tensor(problem.initial, requires_grad=True)
     steps = np.array([step_of(name) for name in problem.names])
     return Rollouts(
         problem=problem,
         volumes=forward.initial.conditions.volume,
         point=point,
-        deposit=forward.predict(point).view(-1, request.param),
+        deposit=forward.predict(point).view(-1, problem.scene.dimension),
         steps=steps,
         ahead=[torch.from_numpy(forward.deposit(problem.initial + move)) for move in np.diag(steps)],
         behind=[torch.from_numpy(forward.deposit(problem.initial - move)) for move in np.diag(steps)],

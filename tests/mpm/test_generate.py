@@ -17,12 +17,15 @@ import pytest
 
 from datasets.command_line import WorkFailed, run
 from datasets.definitions import read_definition
-from datasets.definitions.definition import Definition, Split
+from datasets.definitions.definition import Definition, Split, Storage
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
+from datasets.material import Material
+from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
+from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
-from mpm.generate import command, generate
+from mpm.generate import command, generate, thinned
 
 ROOT = Path(__file__).parents[2]
 
@@ -108,6 +111,54 @@ def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> N
     assert contents(tmp_path) == contents(dataset)
 
 
+STORAGE = Storage(cell=0.05, kept=1)
+
+
+def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, tmp_path: Path) -> None:
+    definition = replace(TINY, storage=STORAGE)
+    for jobs in (1, 2):
+        generate(definition, tmp_path / str(jobs), seed=7, count=None, jobs=jobs)
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+    for entry in definition.entries(seed=7):
+        name = f"{entry.split.value}/{entry.name}.npz"
+        stored, expected = Trajectory.load(tmp_path / "1" / name), thinned(Trajectory.load(dataset / name), STORAGE)
+        assert 0 < stored.positions.shape[1] < 64
+        for key in ("positions", "velocity0", "friction", "volume", "mass"):
+            np.testing.assert_array_equal(getattr(stored, key), getattr(expected, key))
+
+
+def test_what_is_stored_has_the_volume_of_all_and_the_cohesion_of_its_mass() -> None:
+    soils = [Material(friction_deg=angle, cohesion=cohesion) for angle, cohesion in ((30.0, 0.0), (20.0, 500.0))]
+    masses = (
+        Mass(lower=(0.1, 0.0), size=(0.203, 0.1), material=soils[0]),
+        Mass(lower=(0.1, 0.1), size=(0.1, 0.12), material=soils[1]),
+    )
+    scene = Scene(domain=Domain(size=(1.0, 0.5), cell=0.01), material=soils[0], masses=masses, duration=0.005)
+    start = initial_particles(scene)
+    positions = np.stack([start.positions, start.positions + 0.01, start.positions + 0.02]).astype(np.float32)
+    whole = Trajectory(
+        positions=positions,
+        time=np.array([0.0, 0.0025, 0.005]),
+        velocity0=start.velocities.astype(np.float32),
+        friction=start.friction,
+        scene=scene,
+    )
+    some = thinned(whole, STORAGE)
+    count = some.positions.shape[1]
+    assert some.volume is not None
+    assert some.mass is not None
+    # Of every cell that has any, 5 x 2 below and 2 x 3 above.
+    assert count == 16
+    assert some.volumes.sum() == pytest.approx(0.203 * 0.1 + 0.1 * 0.12, rel=1e-6)
+    lower = some.positions[0, :, 1] < 0.1
+    np.testing.assert_array_equal(some.mass, np.where(lower, 0, 1))
+    np.testing.assert_allclose(some.friction, np.tan(np.radians(np.where(lower, 30.0, 20.0))), rtol=1e-6)
+    np.testing.assert_array_equal(particle_cohesion(scene, count, some.mass), np.where(lower, 0.0, 500.0))
+    # The same particles in every frame, and always the same choice.
+    np.testing.assert_allclose(some.positions[2], some.positions[0] + 0.02, atol=1e-6)
+    np.testing.assert_array_equal(thinned(whole, STORAGE).positions, some.positions)
+
+
 def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
     """The workers of a cluster on this machine, processes of their own that share the folder."""
     distributed = pytest.importorskip("distributed")
@@ -134,7 +185,9 @@ def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             yield executor, jobs
 
     monkeypatch.setattr("mpm.generate.pool", thread)
-    monkeypatch.setattr("mpm.generate.simulate_one", lambda scene, path: Trajectory.load(files[scene]).save(path))
+    monkeypatch.setattr(
+        "mpm.generate.simulate_one", lambda scene, path, storage: Trajectory.load(files[scene]).save(path)
+    )
 
 
 @pytest.mark.usefixtures("at_once")
@@ -188,7 +241,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["flow3d"], "one of flow2d, releases2d, layers2d, obstacle3d, channel3d"),
+        (["flow3d"], "one of flows2d, flow2d, flows3d, obstacle3d"),
         (["absent.toml"], "absent.toml: expected a TOML file"),
         (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
         (["obstacle3d", "--count", "1001"], "1 to 1000"),

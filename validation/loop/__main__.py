@@ -61,8 +61,6 @@ def main(
 
 def print_outcome(result: Result, out: Path) -> None:
     """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
-    if result.without_surrogate is not None:
-        print(f"the MPM runs without the surrogate: {result.without_surrogate}", file=sys.stderr)
     print(report.summary(result))
     if result.verdict is not Verdict.CONFIRMED:
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")

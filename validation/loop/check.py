@@ -19,7 +19,7 @@ from inverse.result import Minimum, Round
 from mpm import ALL, LAST, Recording, simulate_many
 from validation.runs import RunStore
 
-ENSEMBLE, FRAMES, DIFFERENCES, TWIN = "ensemble-", "start-", "slope-", "target-"
+ENSEMBLE, DIFFERENCES, TWIN = "ensemble-", "slope-", "target-"
 """What the files of runs that are no checks begin with."""
 
 

@@ -122,7 +122,7 @@ class Corrected:
 
 
 def corrected(task: Task, history: History) -> Corrected:
-    """The surrogate, started by the nearest check and corrected by it and the checks around it."""
+    """The surrogate with the jitter of the nearest check, corrected by it and the checks around it."""
     anchor, ranges = history.nearest, task.bounds.range
     model = Corrected(task.source.start(anchor.trajectory), anchor.parameters, anchor.observation)
 

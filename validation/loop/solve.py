@@ -1,5 +1,6 @@
 """The loop: the surrogate proposes, the MPM checks and corrects it, and gives the verdict on the answer."""
 
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -14,7 +15,7 @@ from inverse.problem import Problem, read_problem
 from inverse.result import Purpose, Verdict
 from mpm import ALL, LAST, simulate_many
 from validation.loop import propose
-from validation.loop.check import DIFFERENCES, FRAMES, TWIN, History, Task
+from validation.loop.check import DIFFERENCES, TWIN, History, Task
 from validation.loop.result import Result, record
 from validation.loop.source import choose
 from validation.loop.verdict import judge, refine
@@ -68,6 +69,8 @@ def _solve(problem: Problem | str, out: Path, model: Path | None, memory_gib: fl
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     differences = RunStore(folder, simulate, label=DIFFERENCES)
     source, reason = choose(asked, target, differences, model=model, memory_gib=memory_gib)
+    if reason is not None:
+        print(f"the MPM runs without the surrogate: {reason}", file=sys.stderr)
     task = Task(problem=asked, target=target, source=source, folder=folder, simulate=simulate)
     return run(task, without_surrogate=reason)
 
@@ -76,9 +79,7 @@ def run(task: Task, *, without_surrogate: str | None = None) -> Result:
     """Propose, check, correct, and judge; without_surrogate: the reason why the source is no learned surrogate."""
     began = time.perf_counter()
     problem, target = task.problem, task.target
-    frames = task.source.first_frames(problem.scene_at(problem.initial))
-    beginning = None if frames is None else task.store(FRAMES)([frames])[0]
-    proposal, history = propose.first(task, task.source.start(beginning))
+    proposal, history = propose.first(task, task.source.start(None))
     history = (improve if problem.target.minimise else search)(task, history, proposal)
     answer, uncertainty, history = refine(task, history)
     verdict = judge(task, history, answer, uncertainty)

@@ -1,11 +1,12 @@
 """The forward model that proposes: the learned surrogate where it was trained for the flow, else the linearised MPM."""
 
+import sys
 from functools import partial
 from pathlib import Path
 
 from datasets.errors import InputError
 from gns import card
-from gns.inference import shipped
+from gns.inference import model_path, shipped
 from gns.initial import check
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsSource
@@ -33,7 +34,7 @@ def choose(
         return by_mpm, f"{', '.join(without)} is no input of it"
     if not observation.differentiable:
         return by_mpm, f"it does not predict {observation.label}"
-    weights = model or shipped(problem.scene.dimension)
+    weights = model_path(model or shipped(problem.scene.dimension))
     simulator = checkpoint.load(weights).simulator
     scene = problem.scene_at(problem.initial)
     known = card.read(weights)
@@ -44,4 +45,6 @@ def choose(
         outside = outside or [str(error)]
     if outside:
         return by_mpm, f"{weights.name} was not trained on such a flow: {'; '.join(outside)}"
+    if warning := card.warning(weights, scene):
+        print(warning, file=sys.stderr)
     return GnsSource(simulator, problem, observation, memory_gib), None

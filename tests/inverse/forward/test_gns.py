@@ -1,4 +1,4 @@
-"""The surrogate as a forward: from the MPM's first frames, differentiable in the angle, whatever memory it may use."""
+"""The surrogate as a forward: a flow of any size, differentiable in the angle, whatever memory it may use."""
 
 import dataclasses
 
@@ -9,12 +9,14 @@ import torch
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.initial import MPM_SECONDS
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
+from gns.unroll import unroll
 from inverse.forward.gns import GnsForward, GnsSource
 from inverse.jacobian import automatic, by_differences
-from inverse.observations import build
+from inverse.observations import Rollout, build
+from inverse.observations.front import FrontOverTime
+from inverse.observations.gauges import Gauges
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 
@@ -31,47 +33,83 @@ def problem() -> Problem:
     return dataclasses.replace(shipped, scene=scene, target=TargetSettings(value=0.1))
 
 
-@pytest.fixture(scope="module")
-def beginning(problem: Problem) -> Trajectory:
-    """Frames of a free fall, longer than a surrogate needs."""
-    scene = problem.scene.with_friction_deg(30.0)
+def source(problem: Problem, kind: str = "front", memory_gib: float = 1.0) -> GnsSource:
+    torch.manual_seed(0)
+    settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
+    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    observation = build(ObservationSettings(kind=kind), problem.scene)
+    return GnsSource(Simulator(settings, scales), problem, observation, memory_gib)
+
+
+def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:
+    """The same flow ten times as large: the same model's deposit, ten times as large."""
+    large = dataclasses.replace(problem, scene=scaled(problem.scene, 10.0))
+    small = source(problem).start(None)
+    other = source(large).start(None)
+    assert (small.steps, len(small.indices)) == (other.steps, len(other.indices))
+    assert small.initial.times[-1] == pytest.approx(problem.scene.duration)
+    assert other.initial.times[-1] == pytest.approx(large.scene.duration)
+    angle = np.array([30.0])
+    np.testing.assert_allclose(other.deposit(angle), 10.0 * small.deposit(angle), rtol=1e-3, atol=1e-3)
+    assert np.abs(small.deposit(angle) - small.initial.known[0]).max() > 0.01
+
+
+def scaled(scene: Scene, factor: float) -> Scene:
+    """A scene without cohesion and velocities, `factor` times as large."""
+    (mass,) = scene.masses
+    lower, size, box = (
+        tuple(factor * length for length in lengths) for lengths in (mass.lower, mass.size, scene.domain.size)
+    )
+    time = np.sqrt(factor)
+    return dataclasses.replace(
+        scene,
+        domain=Domain(size=box, cell=factor * scene.domain.cell),
+        masses=(dataclasses.replace(mass, lower=lower, size=size),),
+        duration=time * scene.duration,
+        frame_dt=time * scene.frame_dt,
+    )
+
+
+def test_the_jitter_is_that_of_the_run_beside_it(problem: Problem) -> None:
+    angle, maker = np.array([30.0]), source(problem)
+    other = maker.start(at_rest(dataclasses.replace(problem.scene, seed=5)))
+    assert np.abs(other.deposit(angle)[:20] - maker.start(None).deposit(angle)[:20]).max() > 1e-4
+    again = maker.start(at_rest(problem.scene))
+    np.testing.assert_array_equal(again.deposit(angle), maker.start(None).deposit(angle))
+
+
+def at_rest(scene: Scene) -> Trajectory:
+    """A run of `scene` in which nothing moves."""
     points = initial_particles(scene)
-    time = np.arange(scene.frames) * scene.frame_dt
-    positions = np.broadcast_to(points.positions, (len(time), *points.positions.shape)).copy()
-    positions[:, :, 0] *= 1.0 + time[:, None]
     return Trajectory(
-        positions=positions.astype(np.float32),
-        time=time,
+        positions=points.positions[None].astype(np.float32),
+        time=np.zeros(1),
         velocity0=points.velocities.astype(np.float32),
         friction=points.friction,
         scene=scene,
     )
 
 
-def source(problem: Problem, kind: str = "front", memory_gib: float = 1.0) -> GnsSource:
-    torch.manual_seed(0)
-    settings = ModelSettings(width=16, layers=2, rounds=1, grid_channels=8)
-    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
-    observation = build(ObservationSettings(kind=kind), problem.scene)
-    return GnsSource(Simulator(settings, scales), problem, observation, memory_gib)
-
-
-def test_it_goes_on_from_a_twentieth_of_a_second_to_the_end(problem: Problem, beginning: Trajectory) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.37, 1.0])
+def test_between_two_steps_particles_move_straight(problem: Problem, share: float) -> None:
+    """Times are those of the scene, whatever the model's step."""
     maker = source(problem)
-    frames = maker.first_frames(problem.scene)
-    assert frames is not None
-    assert frames.duration == MPM_SECONDS
-    forward = maker.start(beginning)
-    step = maker.simulator.settings.step
-    assert forward.steps == round((problem.scene.duration - MPM_SECONDS) / step)
-    # What comes after the first frames is not looked at.
-    short = dataclasses.replace(beginning, positions=beginning.positions[:21], time=beginning.time[:21])
-    np.testing.assert_array_equal(maker.start(short).deposit(np.array([30.0])), forward.deposit(np.array([30.0])))
+    steps = maker.start(None).initial.times
+    time = (1.0 - share) * steps[3] + share * steps[4]
+    gauges = Gauges(problem.scene, np.array([0.03, 0.06]), spacing=0.02, times=np.full(2, time))
+    for observation in (FrontOverTime(np.array([time, steps[1]])), gauges):
+        forward = GnsForward(maker.simulator, problem, observation)
+        seen = forward.predict(torch.tensor([30.0], dtype=torch.float64))
+        initial = forward.entered(torch.tensor([30.0], dtype=torch.float64))
+        path = unroll(maker.simulator, initial.state, initial.conditions, 4)
+        between = (1.0 - share) * path[3] + share * path[4]
+        alone = Rollout(positions=between[None], times=np.array([time]), volumes=initial.conditions.volume)
+        torch.testing.assert_close(seen[0], observation.predict(alone)[0], rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe"])
-def test_the_gradient_agrees_with_differences(problem: Problem, beginning: Trajectory, kind: str) -> None:
-    forward = source(problem, kind).start(beginning)
+def test_the_gradient_agrees_with_differences(problem: Problem, kind: str) -> None:
+    forward = source(problem, kind).start(None)
     point = np.array([33.0])
     observed = forward.observe([point])[0]
     evaluation = automatic(forward, observed - 0.01 * np.arange(1, len(observed) + 1))(point)
@@ -82,11 +120,11 @@ def test_the_gradient_agrees_with_differences(problem: Problem, beginning: Traje
     assert evaluation.gradient[0] == pytest.approx(expected, rel=0.1)
 
 
-def test_memory_changes_nothing_but_memory(problem: Problem, beginning: Trajectory) -> None:
+def test_memory_changes_nothing_but_memory(problem: Problem) -> None:
     evaluations = []
     kept = []
     for memory_gib in (0.0, 0.0005, 1.0):
-        forward = source(problem, memory_gib=memory_gib).start(beginning)
+        forward = source(problem, memory_gib=memory_gib).start(None)
         kept.append(forward.kept_steps)
         evaluations.append(automatic(forward, np.array([0.1]))(np.array([33.0])))
     assert kept[0] == 0 < kept[1] < kept[2] == forward.steps
@@ -95,10 +133,10 @@ def test_memory_changes_nothing_but_memory(problem: Problem, beginning: Trajecto
         np.testing.assert_allclose(evaluation.gradient, evaluations[0].gradient, rtol=1e-3)
 
 
-def test_the_scenes_own_angle_does_not_matter(problem: Problem, beginning: Trajectory) -> None:
+def test_the_scenes_own_angle_does_not_matter(problem: Problem) -> None:
     """The angle of the scene that holds the answer must not enter the prediction."""
-    honest = source(problem).start(beginning)
+    honest = source(problem).start(None)
     another = dataclasses.replace(problem, scene=problem.scene.with_friction_deg(15.0))
-    other: GnsForward = source(another).start(beginning)
+    other: GnsForward = source(another).start(None)
     np.testing.assert_array_equal(honest.observe([np.array([33.0])]), other.observe([np.array([33.0])]))
     assert honest.observe([np.array([33.0])]) != honest.observe([np.array([20.0])])

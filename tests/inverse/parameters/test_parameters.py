@@ -1,6 +1,7 @@
 """Parameters: into a scene and out again, into the surrogate's initial state, and never into an impossible scene."""
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -8,18 +9,19 @@ import pytest
 import torch
 
 from datasets.errors import InputError
+from datasets.geometry.planar import turned
 from datasets.material import Material
 from datasets.particles import initial_particles
+from datasets.scene import Baffle
 from datasets.training.samples import corners
-from gns.initial import Start
 from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
 from inverse.parameters import kind, with_parameters
-from inverse.parameters.baffles import clear_of_start, swept
+from inverse.parameters.baffles import swept
 from inverse.settings import Parameter
 
-NAMES = {
+NAMES: dict[int | str, tuple[str, ...]] = {
     2: (
         "friction_deg",
         "cohesion",
@@ -27,47 +29,54 @@ NAMES = {
         "masses[1].velocity_y",
         "baffles[0].x",
         "baffles[0].height",
+        "wall_friction",
+        "baffle_friction",
     ),
     3: ("masses[0].velocity_z", "baffles[1].z", "baffles[1].width", "baffles[0].x", "baffles[0].length"),
+    "terrain": ("floor_friction", "damping", "solids[0].friction", "solids[1].friction"),
 }
-MOVES = {"deg": 3.0, "Pa": 40.0, "m/s": 0.25, "m": 0.004}
+MOVES = {"deg": 3.0, "Pa": 40.0, "m/s": 0.25, "m": 0.004, "-": 0.05}
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_what_is_written_is_read(make_problem: Any, dimension: int) -> None:
-    scene = make_problem(dimension, *NAMES[dimension]).scene
-    for name in NAMES[dimension]:
+@pytest.mark.parametrize("flow", list(NAMES))
+def test_what_is_written_is_read(make_problem: Any, flow: int | str) -> None:
+    scene = make_problem(flow, *NAMES[flow]).scene
+    for name in NAMES[flow]:
         value = kind(name).read(scene) + MOVES[kind(name).unit]
         changed = with_parameters(scene, [name], [value])
         assert kind(name).read(changed) == pytest.approx(value)
-        others = [other for other in NAMES[dimension] if other != name]
+        others = [other for other in NAMES[flow] if other != name]
         np.testing.assert_allclose(*([kind(other).read(each) for other in others] for each in (changed, scene)))
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("flow", list(NAMES))
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_initial_state_is_that_of_the_scene(
-    make_problem: Any, make_simulator: Any, dimension: int, turned: bool
+    make_problem: Any, make_simulator: Any, flow: int | str, turned: bool
 ) -> None:
     """The initial state with parameters is that of the scene with these parameters, in whatever order they stand."""
-    names = NAMES[dimension][::-1] if turned else NAMES[dimension]
-    problem = make_problem(dimension, *names)
-    simulator = make_simulator(dimension)
+    names = NAMES[flow][::-1] if turned else NAMES[flow]
+    problem = make_problem(flow, *names)
+    simulator = make_simulator(problem.scene.dimension)
     observation = build(problem.observation, problem.scene)
     values = np.array([kind(name).read(problem.scene) + MOVES[kind(name).unit] for name in names])
     scene = with_parameters(problem.scene, names, values)
-    direct = GnsForward(simulator, None, dataclasses.replace(problem, scene=scene), observation).initial
-    entered = GnsForward(simulator, None, problem, observation).entered(torch.from_numpy(values))
-    for part in ("friction", "cohesion", "baffles"):
-        got, required = getattr(entered.conditions, part), getattr(direct.conditions, part)
-        torch.testing.assert_close(got, required, rtol=1e-6, atol=1e-7)
+    direct = GnsForward(simulator, dataclasses.replace(problem, scene=scene), observation).initial
+    entered = GnsForward(simulator, problem, observation).entered(torch.from_numpy(values))
+    for got, required in (
+        (entered.conditions, direct.conditions),
+        (entered.conditions.ground, direct.conditions.ground),
+    ):
+        for field in dataclasses.fields(required) if required is not None else ():
+            if isinstance(part := getattr(required, field.name), torch.Tensor):
+                torch.testing.assert_close(getattr(got, field.name), part, rtol=1e-6, atol=1e-7, msg=field.name)
     torch.testing.assert_close(entered.state.displacements, direct.state.displacements, rtol=1e-6, atol=1e-9)
 
 
 def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: Any) -> None:
-    problem = make_problem(2, "friction_deg", start=Start.FROM_REST)
+    problem = make_problem(2, "friction_deg")
     observation = build(problem.observation, problem.scene)
-    forward = GnsForward(make_simulator(2), None, problem, observation)
+    forward = GnsForward(make_simulator(2), problem, observation)
     changed = forward.entered(torch.tensor([20.0], dtype=torch.float64)).conditions.friction
     own = forward.initial.of_mass(1)
     assert 0 < own.sum() < len(own)
@@ -150,16 +159,52 @@ def test_a_baffle_sweeps_the_bounds_of_its_parameters(make_problem: Any) -> None
     assert box.lower[1:] == scene.baffles[0].lower[1:]
 
 
-def test_frames_are_used_where_they_do_not_depend_on_the_parameter(make_problem: Any) -> None:
-    assert make_problem(2, "friction_deg").start is Start.FROM_MPM_FRAMES
-    assert make_problem(2, "masses[0].velocity_x").start is Start.FROM_REST
-    # The flow runs into it within the first frames.
-    assert make_problem(2, "baffles[0].x").start is Start.FROM_REST
-    problem = make_problem(2, "friction_deg")
-    slow = dataclasses.replace(problem.scene, masses=(dataclasses.replace(problem.scene.masses[0], velocity=None),))
-    far = [dataclasses.replace(problem.scene.baffles[0], lower=(0.2, 0.0))]
-    assert clear_of_start(slow, far)
-    assert not clear_of_start(slow, slow.baffles)
-    assert make_problem(2, "friction_deg", start=Start.FROM_REST).start is Start.FROM_REST
-    with pytest.raises(InputError, match=r"optimiser\.start"):
-        make_problem(2, "masses[0].velocity_x", start=Start.FROM_MPM_FRAMES)
+def own_axes(points: np.ndarray, baffle: Baffle, sign: float) -> np.ndarray:
+    """Points turned about the middle of a baffle by its turn."""
+    plane = [0, len(baffle.size) - 1]
+    middle = np.array(baffle.lower) + 0.5 * np.array(baffle.size)
+    points = points.copy()
+    points[:, plane] = turned(points[:, plane], middle[plane], sign * baffle.turned_deg)
+    return points
+
+
+@pytest.mark.parametrize("flow", [2, 3])
+@pytest.mark.parametrize("turned_deg", [0.0, 8.0, -30.0, 60.0, 90.0])
+@pytest.mark.parametrize("names", [("baffles[0].x",), ("baffles[0].x", "baffles[0].length"), ("baffles[0].height",)])
+def test_what_a_turned_baffle_sweeps_is_within_a_tight_box(
+    make_problem: Any, flow: int, turned_deg: float, names: tuple[str, ...]
+) -> None:
+    scene = make_problem(flow, "friction_deg").scene
+    # In 2D clear of the floor, which its corners would turn into.
+    lower = (0.2, 0.08) if flow == 2 else scene.baffles[0].lower
+    scene = dataclasses.replace(
+        scene, baffles=(dataclasses.replace(scene.baffles[0], lower=lower, turned_deg=turned_deg),)
+    )
+    values = [np.array([0.98, 1.05, 1.1]) * kind(name).read(scene) for name in names]
+    box = swept(scene, [kind(name) for name in names], [(each[0], each[-1]) for each in values])[0]
+    unit = np.array(list(itertools.product((0.0, 1.0), repeat=flow)))
+    points = np.concatenate(
+        [
+            own_axes(np.array(each.lower) + unit * np.array(each.size), each, 1.0)
+            for each in (with_parameters(scene, names, some).baffles[0] for some in itertools.product(*values))
+        ]
+    )
+    inside = (own_axes(points, box, -1.0) - np.array(box.lower)) / np.array(box.size)
+    np.testing.assert_allclose(inside.min(axis=0), 0.0, atol=1e-6)
+    np.testing.assert_allclose(inside.max(axis=0), 1.0, atol=1e-6)
+
+
+def test_bounds_that_only_together_turn_a_baffle_into_a_mass_are_refused(make_problem: Any) -> None:
+    scene = make_problem(3, "friction_deg").scene
+    straight, across = (
+        dataclasses.replace(scene, baffles=(dataclasses.replace(scene.baffles[0], turned_deg=turned_deg),))
+        for turned_deg in (0.0, 90.0)
+    )
+    # The mass ends at x = 0.15 m: turned, the baffle is as long along x as it is wide before.
+    unknowns = [
+        Parameter(name="baffles[0].x", initial=0.225, lower=0.18, upper=0.23),
+        Parameter(name="baffles[0].width", initial=0.05, lower=0.03, upper=0.08),
+    ]
+    check_parameters(straight, unknowns)
+    with pytest.raises(InputError, match=r"over all of them .*overlap"):
+        check_parameters(across, unknowns)

@@ -1,241 +1,433 @@
-"""`python -m validation.bench surrogate` on flows with a formula: scenes, comparisons, tables, the page."""
+"""`python -m validation.bench surrogate` on flows with a formula: scores, prices, gradients, bands, the page."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from datasets.definitions.releases2d import held_out
+from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import InputError
-from datasets.library import read_scene
 from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.particles import initial_particles, mass_counts
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.initial import Start, first_frames
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
-from validation.bench.speed.networks import RolloutCost
-from validation.bench.surrogate import bench, comparison, scenes
-from validation.bench.surrogate.comparison import Comparison, MpmRuns, compare, compare_all
-from validation.bench.surrogate.long_rollouts import bounds
-from validation.bench.surrogate.page import Measured, page
-from validation.bench.surrogate.rollouts import Rollout, ShippedModel, load, roll_out
-from validation.bench.surrogate.scenes import HeldOutColumn
-from validation.bench.surrogate.speed import ModelRun, MpmRun, WholeSecond
-from validation.bench.surrogate.speed_page import speed_said
+from inverse.forward.gns import GnsForward
+from inverse.observations import build
+from mpm.output.request import ALL, Recording
+from validation.bench.efficiency.gradients import blocks_problem
+from validation.bench.surrogate import accuracy, bench, calibration, friction, held_out, pictures, price, velocities
+from validation.bench.surrogate.accuracy import Accuracy
+from validation.bench.surrogate.calibration import Band, Coverage, Warnings
+from validation.bench.surrogate.friction import Strengths
+from validation.bench.surrogate.held_out import Family, HeldOut, References
+from validation.bench.surrogate.models import Model, RolloutTask, load
+from validation.bench.surrogate.outside import out_of_range
+from validation.bench.surrogate.page import Found, page
+from validation.bench.surrogate.price import Point, Prices, mpm_error, mpm_seconds, said
+from validation.bench.surrogate.records import Records
+from validation.bench.surrogate.rest import LongRollout, Rest, longer, second_half, settled
+from validation.bench.surrogate.scores import Deposit, Score, compare
+from validation.bench.surrogate.velocities import Compared, Gradients, Slope
 from validation.report import plots
-from validation.report.timing import spread
+from validation.runs import SHARE
 
-STEP = 0.01
 BLOCK = Scene(
     domain=Domain(size=(1.0, 0.4), cell=0.01),
     material=Material(friction_deg=30.0),
     masses=(Mass(lower=(0.1, 0.0), size=(0.1, 0.1)),),
     duration=0.2,
-    frame_dt=0.005,
+    frame_dt=0.01,
 )
 
 
-def sliding(scene: Scene, speed: float) -> Trajectory:
-    """The masses of `scene` slide along x at `speed` [m/s], as one."""
+def sliding(scene: Scene, speed: float, *, every: int = 1, share: float = 1.0) -> Trajectory:
+    """The masses of `scene` slide along x at `speed` [m/s] as one; one of `every` particles is there."""
     particles = initial_particles(scene)
     time = np.arange(scene.frames, dtype=np.float64) * scene.frame_dt
     along = np.eye(scene.dimension)[0]
-    moved = particles.positions + along * speed * time[:, None, None]
+    moved = particles.positions[::every] + along * speed * time[:, None, None]
+    volume = np.broadcast_to(particles.volume, len(particles.friction))[::every] * every
+    mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))[::every]
     return Trajectory(
         positions=moved.astype(np.float32),
         time=time,
-        velocity0=np.full(particles.positions.shape, speed * along, np.float32),
-        friction=particles.friction,
+        velocity0=np.full(moved.shape[1:], speed * along, np.float32),
+        friction=particles.friction[::every],
+        volume=volume.astype(np.float32),
+        mass=mass.astype(np.int32),
         scene=scene,
+        summary={"wall_s": 0.5, SHARE: share, "rest_time": None if speed else 0.1},
     )
 
 
-def rolled(flow: Trajectory, every: int = 1) -> Rollout:
-    """The rollout of a perfect surrogate that keeps one of `every` particles."""
-    indices = np.arange(0, flow.positions.shape[1], every)
-    return Rollout(
-        positions=flow.positions[:: round(STEP / flow.scene.frame_dt), indices],
-        step=STEP,
-        velocity0=flow.velocity0[indices],
-        volume=np.full(len(indices), every * flow.scene.particle_volume, np.float32),
-        indices=indices,
-        seconds=1.0,
+def test_held_out_scenes_are_of_every_kind_and_no_variants(tmp_path: Path) -> None:
+    def draw(stream: np.random.Generator, index: int) -> Scene:
+        return BLOCK.with_friction_deg(float(stream.uniform(20.0, 40.0)))
+
+    # Of six scenes the last three are variants of the first three.
+    definition = Definition(
+        name="toys",
+        size=10,
+        connectivity_radius=0.02,
+        split=lambda _: Split.TRAIN,
+        draw=draw,
+        stream=lambda index: index // 6 * 3 + index % 3,
     )
+    family = Family(definition=definition, kinds=("a", "b", "a"), storage=Storage(cell=0.01, kept=1), cell=0.01)
+    found = held_out.draw(family, 3, tmp_path)
+    assert sorted(each.name for each in found) == ["a 1", "a 2", "a 3", "b 1", "b 2", "b 3"]
+    angles = [each.scene.material.friction_deg for each in found]
+    assert len(set(angles)) == 6
+    assert held_out.draw(family, 3, tmp_path) == found
+    training = [entry.scene.material.friction_deg for entry in definition.entries(seed=0)]
+    assert not set(training) & set(angles)
+    with pytest.raises(InputError, match="--scenes"):
+        held_out.draw(family, 0, tmp_path)
 
 
-def compared(
-    rollout: Rollout, flow: Trajectory, fronts: Sequence[float] = (1.0, 1.0), start: Start = Start.FROM_REST
-) -> Comparison:
-    return compare("model", start, rollout, MpmRuns(flow=flow, fronts=tuple(fronts), mse=1e-5))
+def test_shipped_scenes_on_the_cells_of_the_references() -> None:
+    for dimension, count in ((2, 4), (3, 2)):
+        source = held_out.family(dimension)
+        assert source is not None
+        found = bench.shipped_scenes(source, dimension)
+        assert len(found) == count
+        assert all(0.8 < each.scene.domain.cell / source.cell <= 1.0 + 1e-9 for each in found)
+        assert {each.scene.frame_dt for each in found} == {0.02}
+        assert not {each.kind for each in found} & set(source.kinds)
 
 
-def test_no_held_out_scene_is_near_the_training_data() -> None:
-    columns = scenes.columns()
-    for column in columns:
-        (mass,) = column.scene.masses
-        assert held_out(*mass.size)
-        assert mass.size[0] * mass.size[1] == pytest.approx(scenes.AREA, rel=1e-2)
-    papers = scenes.paper_columns()
-    assert len(papers) == 4
-    assert all(column in columns and column.scene == read_scene(f"column-{name}") for name, column in papers.items())
-    falling, rising, random = scenes.layers().values()
-    speeds = [mass.velocity[0] for mass in falling.masses if mass.velocity]
-    assert [mass.velocity[0] for mass in rising.masses if mass.velocity] == speeds[::-1]
-    drawn = [mass.velocity[0] for mass in random.masses if mass.velocity]
-    assert len(set(drawn)) == 10
-    assert 0.0 <= min(drawn) <= max(drawn) <= 1.5
-    tall = read_scene("column-tall-42")
-    assert scenes.on_cells(tall, 200).domain.cell == 0.005
-    twice = scenes.scaled(tall, 2.0)
-    assert (twice.domain.size, twice.masses[0].size, twice.domain.cell) == ((2.0, 2.0), (0.4, 0.8), 0.01)
+def test_references_are_thinned_and_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Scene] = []
+
+    def simulate(scenes: Sequence[Scene], *, record: Recording, precision: str) -> list[Trajectory]:
+        assert record.until_rest
+        made.extend(scenes)
+        return [dataclasses.replace(sliding(each, 1.0), volume=None, mass=None) for each in scenes]
+
+    monkeypatch.setattr(held_out, "simulate_many", simulate)
+    references = References(tmp_path, Storage(cell=0.02, kept=1))
+    (flow,) = references([BLOCK])
+    (again,) = references([BLOCK])
+    # 10 x 10 cells of 4 particles each; one of 16 stays.
+    assert made == [BLOCK]
+    assert again.positions.shape == flow.positions.shape == (21, 25, 2)
+    assert flow.volumes.sum() == pytest.approx(0.01)
+    finer, others = accuracy.reference_errors([HeldOut(kind="block", number=1, scene=BLOCK)], references)
+    assert made[1].domain.cell == 0.005
+    assert made[2].seed != BLOCK.seed
+    assert 0.0 <= finer[0].error < 0.1
+    assert 0.0 < others[0].error < 0.1
 
 
 def test_errors_are_zero_for_a_perfect_surrogate_and_exact_for_a_slow_one() -> None:
-    flow = sliding(BLOCK, 2.0)
-    each = compared(rolled(flow), flow)
-    errors = (each.front_error, each.runout_error, each.profile_error, each.kinetic_error, each.potential_error)
-    assert (*errors, each.mse, each.scatter) == pytest.approx([0.0] * 7)
-    # v^2 / 2 beside g h / 2 of a block 0.1 m high.
-    kinetic = 2.0 / (2.0 + 9.81 * 0.05)
-    np.testing.assert_allclose(each.mpm.kinetic, kinetic, rtol=2e-3)
-    np.testing.assert_allclose(each.mpm.potential, 1.0 - kinetic, rtol=1e-2)
-    thinned = compared(rolled(flow, every=7), flow)
-    assert thinned.same_front_error == pytest.approx(0.0)
-    assert 0.0 < abs(thinned.front_error) < 0.02
-    # 0.2 s at 0.5 m/s less.
-    flow = sliding(BLOCK, 1.0)
-    each = compared(rolled(sliding(BLOCK, 0.5)), flow, fronts=(0.39, 0.41))
-    assert each.front_error == pytest.approx(-0.1 / each.front, rel=1e-4)
-    assert each.rmse == pytest.approx((0.025, 0.05, 0.1), rel=1e-4)
-    assert each.scatter == pytest.approx(0.02 / 2**0.5 / each.front)
-    assert each.kinetic_error > 0.1
+    truth = sliding(BLOCK, 2.0)
+    score = compare(truth, truth, 0.005)
+    assert score.deposit == Deposit(front=0.0, transport=0.0)
+    assert (score.kinetic, score.potential, score.runout, score.depth) == (0.0, 0.0, 0.0, None)
+    assert (score.rightwards, score.at_wall, score.seconds) == (True, False, 0.5)
+    # 0.2 s at 0.5 m/s less; kinetic energies v^2 / 2 beside g h / 2 of a block 0.1 m high.
+    slow = compare(sliding(BLOCK, 0.5), sliding(BLOCK, 1.0), 0.005)
+    assert slow.extent == pytest.approx(0.1, abs=0.004)
+    assert slow.deposit.front * slow.extent == pytest.approx(-0.1, rel=1e-4)
+    assert slow.deposit.transport * slow.extent == pytest.approx(0.1, rel=1e-4)
+    assert slow.runout * slow.extent == pytest.approx(-0.1, abs=0.01)
+    assert slow.kinetic == pytest.approx(0.375 / (0.5 + 9.81 * 0.05), rel=0.02)
+    assert slow.potential == pytest.approx(0.0, abs=1e-6)
+    assert compare(sliding(BLOCK, 1.0, every=3), sliding(BLOCK, 1.0), 0.02).deposit.error < 0.1
+
+
+def test_the_front_is_the_end_that_moved_and_says_nothing_at_a_wall() -> None:
+    left = dataclasses.replace(BLOCK, masses=(Mass(lower=(0.8, 0.0), size=(0.1, 0.1)),))
+    score = compare(sliding(left, -1.0), sliding(left, -2.0), 0.005)
+    assert not score.rightwards
+    assert not score.at_wall
+    assert score.deposit.front * score.extent == pytest.approx(-0.2, rel=1e-4)
+    stopped = sliding(left, 0.0)
+    there = np.minimum(stopped.positions + np.float32([0.1, 0.0]) * stopped.time[:, None, None] / 0.2, 1.0)
+    assert compare(stopped, dataclasses.replace(stopped, positions=there.astype(np.float32)), 0.005).at_wall
+
+
+def test_on_a_slope_the_potential_energy_falls_along_x() -> None:
+    slope = dataclasses.replace(BLOCK, slope_deg=30.0)
+    score = compare(sliding(slope, 0.0), sliding(slope, 1.0), 0.005)
+    # g sin 30 over 0.2 m, beside the energies above the lowest corner: 0.25 m down the slope and 0.05 m above it.
+    low = 9.81 * (0.5 * 0.25 + math.cos(math.radians(30.0)) * 0.05)
+    assert score.potential == pytest.approx(9.81 * 0.5 * 0.2 / (0.5 + low), rel=0.03)
+
+
+def test_depths_before_baffles() -> None:
+    scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.4, 0.0), size=(0.1, 0.1)),))
+    assert compare(sliding(scene, 1.0), sliding(scene, 1.0), 0.005).depth == 0.0
+    never = compare(sliding(scene, 0.0), sliding(scene, 1.0), 0.005).depth
+    assert never is not None
+    assert 0.1 < never < 1.0
+    assert compare(sliding(scene, 0.0), sliding(scene, 0.0), 0.005).depth is None
+
+
+def test_records_are_found_again_and_broken_ones_named(tmp_path: Path) -> None:
+    path = tmp_path / "slopes.json"
+    slope = Slope(seconds=1.0, values=(1.0, 2.0))
+    assert Records(path, Slope).made("key", lambda: slope) == slope
+    assert Records(path, Slope).made("key", lambda: pytest.fail("it is there")) == slope
+    path.write_text("{")
+    with pytest.raises(InputError, match=r"slopes\.json"):
+        Records(path, Slope)
+
+
+def prices(seconds: float, error: float) -> Prices:
+    """An MPM whose error falls from 8 to 1 % as it costs ten times as much three times, beside a model."""
+    mpm = {
+        cells: Point(seconds=0.01 * 10.0**index, error=0.08 / 2.0**index) for index, cells in enumerate((7, 14, 28, 56))
+    }
+    return Prices(scenes=3, mpm=mpm, models={"tiny": Point(seconds=seconds, error=error)})
+
+
+def test_where_a_model_lies_beside_the_curve_of_the_mpm() -> None:
+    found = prices(0.1, 0.015)
+    assert mpm_error(found, 0.1) == pytest.approx(0.04)
+    assert mpm_error(found, 10.0**-1.5) == pytest.approx(0.04 * 2**0.5)
+    assert mpm_seconds(found, 0.01) == pytest.approx(10.0)
+    assert mpm_seconds(found, 0.02 / 2**0.5) == pytest.approx(10.0**0.5)
+    assert mpm_seconds(found, 0.005) is None
+    assert mpm_error(found, 0.001) is None
+    assert "has 1.5% for 0.1 s, where the MPM has 4.0%; so small an error has the MPM only from 2.6 s on" in said(
+        "tiny", found
+    )
+    above = said("tiny", prices(1.0, 0.04))
+    assert "above the MPM's curve, which has 2.0% at that price and the same error for 0.1 s" in above
+    assert "no run of the MPM" in said("tiny", prices(1.0, 0.001))
+    assert "below the price of any run of the MPM (8.0% for 0.01 s)" in said("tiny", prices(0.001, 0.1))
+    # A dearer run that is no better does not raise the curve.
+    worse = dataclasses.replace(found, mpm={**found.mpm, 100: Point(seconds=100.0, error=0.05)})
+    assert mpm_error(worse, 100.0) == pytest.approx(0.01)
+
+
+def test_gradients_beside_the_mean_over_seeds() -> None:
+    slopes = [np.array([1.0, 0.1]), np.array([1.0, -0.1])]
+    rows = {
+        "tiny": Slope(seconds=0.3, values=(2.0, 0.0)),
+        "MPM, 5 cells across": Slope(seconds=0.1, values=(1.0, 1.0)),
+    }
+    found = velocities.gradients(2, slopes, rows, ["tiny"], 56)
+    (own,), (coarse,) = found.models, found.mpm
+    assert (own.cosine, own.length) == pytest.approx((1.0, 2.0))
+    assert (coarse.cosine, coarse.length) == pytest.approx((0.5**0.5, 2.0**0.5))
+    assert found.own == pytest.approx(0.99 / 1.01)
+
+
+def test_problems_of_one_flow_on_other_cells() -> None:
+    fine, coarse = velocities.problem_on(1, 10, 28, pair=1), velocities.problem_on(1, 10, 7)
+    assert (fine.scene.domain.cell, coarse.scene.domain.cell) == pytest.approx((0.01, 0.04))
+    assert (fine.scene.seed, fine.target.seed, coarse.scene.seed, coarse.target.seed) == (2, 3, 0, 1)
+    assert fine.scene.masses == coarse.scene.masses
+    assert len(fine.parameters) == 10
+
+
+def spreading(scenes: Sequence[Scene], *, record: Recording = ALL) -> list[Trajectory]:
+    """A block that is stretched along x by 2 less tan(phi)."""
+    flows = []
+    for scene in scenes:
+        flow = sliding(scene, 0.0)
+        factor = np.float32([2.0 - math.tan(math.radians(scene.material.friction_deg)), 1.0])
+        flows.append(dataclasses.replace(flow, positions=flow.positions[-1:] * factor, time=flow.time[-1:]))
+    return flows
 
 
 @pytest.fixture
-def tiny(tmp_path: Path) -> ShippedModel:
-    """An untrained model on disk."""
+def tiny(tmp_path: Path) -> Model:
+    """A model on disk whose output is small noise."""
     torch.manual_seed(0)
     settings = ModelSettings(
-        width=8, layers=2, rounds=1, grid_channels=4, grid_layers=1, frames_per_step=2, frame_dt=0.005
+        width=8, layers=2, rounds=1, grid_channels=4, grid_layers=1, frames_per_step=1, frame_dt=0.02, rest_speed=0.0
     )
     normalisation = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
-    path = tmp_path / "tiny.pt"
+    simulator = Simulator(settings, normalisation)
+    with torch.no_grad():
+        simulator.network.decoder.mlp[-1].weight.normal_(std=0.3)
+    path = tmp_path / "tiny.safetensors"
     provenance = {"log": {"updates": 3000}, "seed": 7, "datasets": ["none: 0"]}
-    checkpoint.save(path, Simulator(settings, normalisation), provenance)
+    checkpoint.save(path, simulator, provenance)
     (model,) = load([path])
     return model
 
 
-def test_a_rollout_from_rest_and_from_first_frames(tiny: ShippedModel) -> None:
-    flow = sliding(BLOCK, 1.0)
-    rest = roll_out(tiny.simulator, BLOCK)
-    frames = roll_out(tiny.simulator, BLOCK, first_frames(flow))
-    assert rest.positions.shape == frames.positions.shape == (21, 100, 2)
-    np.testing.assert_array_equal(rest.indices, frames.indices)
-    np.testing.assert_array_equal(frames.positions[:6], flow.positions[:11:2, frames.indices])
+def test_strength_of_the_answer_to_friction(tiny: Model) -> None:
+    column = HeldOut(kind="column", number=1, scene=BLOCK)
+    problem = friction.problem_of(column, "front")
+    slope = friction.answer(problem, spreading, seeds=2)
+    front = sliding(BLOCK, 0.0).positions[-1, :, 0].max()
+    assert slope[0] == pytest.approx(-front * math.radians(1.0) / math.cos(math.radians(30.0)) ** 2, rel=0.02)
+    profile = friction.problem_of(column, "profile")
+    reference = friction.answer(profile, spreading)
+    assert len(reference) == 21
+    # The model's strength is its derivative along the reference, here also by differences.
+    own = friction.model_strength(profile, tiny, reference)
+    double = dataclasses.replace(tiny, simulator=tiny.simulator.double())
+    forward = GnsForward(double.simulator, profile, build(profile.observation, BLOCK))
+    ahead, behind = forward.observe([profile.initial + 0.01, profile.initial - 0.01])
+    assert own == pytest.approx((ahead - behind) / 0.02 @ reference / (reference @ reference), rel=0.02)
+    assert friction.within([Strengths(front=1.05, profile=1.2, seconds=1.0)], "front") == 1
+    assert friction.within([Strengths(front=1.05, profile=1.2, seconds=1.0)], "profile") == 0
 
 
-def test_every_scene_by_every_model_from_both_starts(tiny: ShippedModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(comparison, "simulate_many", lambda them: [sliding(each, 0.1 * each.seed) for each in them])
-    found = compare_all({"block": BLOCK}, [tiny], 3, map, "test")
-    assert [each.start for each in found["block"]] == [Start.FROM_REST, Start.FROM_MPM_FRAMES]
-    # The other seeds end 20 and 40 mm further.
-    assert found["block"][0].scatter == pytest.approx(0.02 / found["block"][0].front, rel=0.1)
-    assert found["block"][0].mpm_mse == pytest.approx((0.02**2 + 0.04**2) / 2, rel=0.1)
+def test_a_creeping_deposit_and_one_in_a_baffle() -> None:
+    still = second_half(sliding(longer(BLOCK), 0.0))
+    assert still == LongRollout(creep=0.0, transport=0.0, contained=True)
+    creeping = second_half(sliding(longer(BLOCK), -0.003))
+    assert creeping.creep == pytest.approx(-3.0, rel=1e-2)
+    assert creeping.transport == pytest.approx(3.0, rel=1e-2)
+    assert creeping.contained
+    blocked = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.25, 0.0), size=(0.1, 0.1)),))
+    assert not second_half(sliding(blocked, 0.6)).contained
 
 
-def test_models_have_names_of_their_own(tiny: ShippedModel) -> None:
-    with pytest.raises(InputError, match="--models"):
-        load([tiny.path, tiny.path])
+def with_front(error: float, number: int, *, at_wall: bool = False) -> tuple[HeldOut, Score]:
+    """A scene and its score."""
+    score = compare(sliding(BLOCK, 1.0), sliding(BLOCK, 1.0), 0.005)
+    changed = dataclasses.replace(score, deposit=Deposit(front=error, transport=0.01), at_wall=at_wall)
+    return HeldOut(kind="column", number=number, scene=dataclasses.replace(BLOCK, seed=number)), changed
 
 
-def with_front_error(error: float, angle: float, start: Start = Start.FROM_REST) -> Comparison:
-    """A comparison whose front, of all particles, has this error."""
-    flow = sliding(BLOCK.with_friction_deg(angle), 1.0)
-    each = compared(rolled(flow), flow, start=start)
-    return dataclasses.replace(each, front=float(each.surrogate.front[-1] / (1.0 + error)))
+def accurate(*pairs: tuple[HeldOut, Score]) -> Accuracy:
+    """Scores of a model called tiny."""
+    return Accuracy(
+        scenes=[scene for scene, _ in pairs],
+        scores={"tiny": [score for _, score in pairs]},
+        finer=[Deposit(front=-0.004, transport=0.003)],
+        jitter=[Deposit(front=0.002, transport=0.001)],
+    )
 
 
-def test_a_deposit_at_rest_is_bounded_and_a_creeping_one_or_one_outside_is_not() -> None:
-    scene = dataclasses.replace(BLOCK, duration=1.0)
-    flow = sliding(scene, 0.0)
-    flow.summary["energy"] = {"kinetic": [0.0, 1.0, *[0.0] * 30]}
-    falls = flow.positions.copy()
-    falls[:50, :, 1] += np.linspace(0.1, 0.0, 50, dtype=np.float32)[:, None]
-    assert bounds("block", scene, "model", rolled(dataclasses.replace(flow, positions=falls)), flow).bounded
-    creeping = falls + (0.003 * flow.time[:, None, None] * [1.0, 0.0]).astype(np.float32)
-    crept = bounds("block", scene, "model", rolled(dataclasses.replace(flow, positions=creeping)), flow)
-    assert crept.creep[0] == pytest.approx(3.0, rel=1e-3)
-    assert crept.contained
-    assert not crept.bounded
-    scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
-    flow = sliding(scene, 0.6)
-    flow.summary["energy"] = {"kinetic": [1.0, 0.0]}
-    inside = bounds("block", scene, "model", rolled(flow), flow)
-    assert inside.inside > 1.0
-    assert not inside.contained
-    outside = bounds("block", scene, "model", rolled(sliding(scene, -1.0)), flow)
-    assert outside.outside == pytest.approx(10.0, abs=0.5)
-    assert not outside.contained
+def test_every_scene_by_every_model_once(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(held_out, "simulate_many", lambda them, **_: [sliding(each, 0.5) for each in them])
+    references = References(tmp_path, Storage(cell=0.01, kept=1))
+    scenes = [HeldOut(kind="block", number=seed, scene=dataclasses.replace(BLOCK, seed=seed)) for seed in (1, 2)]
+    tasks: list[RolloutTask] = []
+
+    def rolled(_: object, some: Sequence[RolloutTask]) -> list[Trajectory]:
+        tasks.extend(some)
+        return [sliding(task.scene, 0.5) for task in some]
+
+    found = accuracy.measure(scenes, [tiny], references, tmp_path, rolled)
+    again = accuracy.measure(scenes, [tiny], references, tmp_path, rolled)
+    assert [task.scene for task in tasks] == [each.scene for each in scenes]
+    assert again == found
+    assert [score.deposit.error < 0.05 for score in found["tiny"]] == [True, True]
+    assert accuracy.spread_over_kinds(scenes, 1) == scenes[:1]
+    assert settled(scenes, references, 2) == []
 
 
-def mpm_series(seconds: float) -> list[MpmRun]:
-    """The MPM on three grids, the finest at 0.5 m, beside a model that takes `seconds` and has an error of 4 %."""
-    models = {"tiny": ModelRun(nodes=800, seconds=seconds, front=0.52)}
-    return [
-        MpmRun(series="column", particles=particles, cell=cell, seconds=own, front=front, models=models)
-        for particles, cell, own, front in ((1000, 0.02, 0.1, 0.51), (4000, 0.01, 1.0, 0.505), (16000, 0.005, 8.0, 0.5))
-    ]
+def test_bands_hold_a_share_of_the_free_fronts(tiny: Model, tmp_path: Path) -> None:
+    found = accurate(with_front(0.0, 1), with_front(0.0, 2), with_front(0.0, 3, at_wall=True))
+    front = found.scores["tiny"][0].front
+    bands = {1: Band(low=front - 0.01, high=front + 0.01), 2: Band(low=front + 0.01, high=front + 0.03)}
+    held = calibration.coverages(found, [tiny], tmp_path, lambda scene, _: bands[scene.seed])["tiny"]
+    assert isinstance(held, Coverage)
+    assert (held.fronts, held.inside, held.share) == (2, 1, 0.5)
+    assert held.width == pytest.approx(0.01 / found.scores["tiny"][0].extent)
+
+    def unknown(scene: Scene, _: Path) -> Band:
+        raise InputError("no members")
+
+    assert calibration.coverages(found, [tiny], tmp_path / "other", unknown) == {"tiny": "no members"}
+    assert calibration.coverages(found, [tiny], tmp_path, None) == {}
 
 
-def test_where_the_surrogate_is_faster_and_where_not() -> None:
-    (fast,) = speed_said(mpm_series(0.05))
-    assert "faster than the MPM from 1,000 particles on (front +2.0 % off that run's)." in fast
-    (slow,) = speed_said(mpm_series(10.0))
-    assert "slower than the MPM throughout" in slow
-    (between,) = speed_said(mpm_series(2.0))
-    assert "faster than the MPM from 16,000 particles on (front +4.0 % off that run's)" in between
-    assert "but the MPM on cells of 20 mm takes 0.10 s" in between
+def test_scenes_out_of_range_are_twenty_and_warnings_are_counted(tiny: Model) -> None:
+    scenes = out_of_range(tiny.settings)
+    assert len({each.to_json() for each in scenes.values()}) == 20
+    inside = [HeldOut(kind="column", number=number, scene=BLOCK) for number in range(50)]
+    # Without a card a model warns of everything.
+    found = calibration.warnings(tiny, inside)
+    assert (found.missed, len(found.outside)) == ([], 20)
+    assert len(found.false) == len(found.inside) == calibration.IN_RANGE
+    quiet = Warnings(outside={"a": True, "b": False}, inside={"c": None})
+    assert (quiet.missed, quiet.false) == (["b"], [])
 
 
 def test_the_page_has_its_conclusion_from_the_numbers(
-    tiny: ShippedModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    errors = {21.0: 0.006, 33.0: -0.05, 48.0: 0.055}
-    paper = HeldOutColumn(aspect=2.0, friction_deg=21.0)
-    forward, gradient = spread([0.5]), spread([3.5])
-    cost = RolloutCost(name="tiny", nodes=100, steps=50, run=True, forward=forward, gradient=gradient)
-    second = WholeSecond(cost=cost, mpm=spread([1.0]))
-    found = Measured(
+    scores = accurate(with_front(0.005, 1), with_front(-0.06, 2), with_front(0.0, 3, at_wall=True))
+    column = scores.scenes[0]
+    row = Compared(method="tiny", seconds=0.3, cosine=0.95, length=0.9)
+    found = Found(
         models=[tiny],
-        seeds=2,
-        columns={
-            HeldOutColumn(aspect=1.0, friction_deg=angle): [with_front_error(error, angle)]
-            for angle, error in errors.items()
-        }
-        | {paper: [with_front_error(0.006, 21.0)]},
-        layers={"falling": [with_front_error(0.04, 30.0, Start.FROM_MPM_FRAMES)]},
-        baffles={},
-        long=(),
-        seconds=[second],
-        runs=mpm_series(2.0),
+        accuracy={2: scores},
+        prices={2: prices(0.1, 0.015)},
+        gradients=[Gradients(unknowns=10, compared=10, cells=56, own=0.999, models=[row], mpm=[])],
+        friction={"tiny": [Strengths(front=0.95, profile=0.8, seconds=0.5)]},
+        rest={
+            2: Rest(scenes=[column], rollouts={"tiny": [LongRollout(creep=-0.2, transport=0.1, contained=True)]}),
+        },
+        coverages={"tiny": Coverage(fronts=100, inside=96, width=0.02)},
+        warnings={"tiny": Warnings(outside={"steep": False, "soft": True}, inside={"column 1": None})},
     )
-    monkeypatch.setattr(plots, "DPI", 30)
-    bench.draw(tmp_path, found)
-    assert {path.name for path in tmp_path.glob("*.png")} == {"gns-front.png", "gns-profiles.png", "gns-energy.png"}
     text = str(page(found, quick=False))
-    assert "`model` from rest: front error of held-out columns at trained angles 2.1% on average, worst -5.0 %;" in text
-    assert "3 of 4 at all angles meet their criterion." in text
-    assert "a rollout takes 0.5 times the MPM's seconds, its gradient 3.5 times (`tiny`)" in text
-    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
-    assert ["trained", "2 of 3", "`model`", "rest", "2.1 % (**-5.0 %**)"] in [row[:5] for row in cells]
-    assert ["33°", "**-5.0 %**", "0.0 %"] in cells
-    assert ["falling", "0.00", "0.10", "`model`", "frames"] in [row[:5] for row in cells]
-    assert ["updates", "3,000"] in cells
-    assert next(row for row in cells if row[0] == "`tiny`")[-1] == "3"
+    sentences = [line for line in text.splitlines() if line.startswith("- ")][:5]
+    assert "`tiny` 3.2% on average, worst -6.0 % of 2, profile 1.0%." in sentences[0]
+    assert "the MPM only from 2.6 s on" in sentences[1]
+    assert "cosine 0.950 in 10 velocities (`tiny`, 0.3 s)" in sentences[2]
+    assert "within 10% in 1 and 0 of 1 columns (`tiny`)" in sentences[2]
+    assert "-0.2 mm/s (`tiny`)" in sentences[3]
+    assert "hold 96% of 100 fronts" in sentences[4]
+    assert "warns of 1 of 2 scenes out of range and of 0 of 1 in range" in sentences[4]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    assert ["column", "3", "1", "**3.2 %** (**-6.0 %**)", "1.0 % (+1.0 %)"] in [each[:5] for each in rows]
+    assert ["`tiny`", "0.3", "**0.950**", "0.90"] in rows
+    assert ["`tiny`", "0.200", "**-0.200**", "0 of 1", "0.100", "1 of 1"] in rows
+    assert "(not of: steep)" in text
+    monkeypatch.setattr(plots, "DPI", 30)
+    flow = sliding(BLOCK, 0.5)
+    pictures.draw_errors(tmp_path / "errors.png", 2, scores)
+    pictures.draw_deposits(tmp_path / "deposits.png", [pictures.Pictured(name="a", truth=flow, rollouts={"m": flow})])
+    pictures.draw_prices(tmp_path / "prices.png", found.prices)
+    pictures.draw_gradients(tmp_path / "gradients.png", found.gradients)
+    assert len(list(tmp_path.glob("*.png"))) == 4
+
+
+def test_models_have_names_of_their_own(tiny: Model) -> None:
+    assert (tiny.name, tiny.updates) == ("tiny", 3000)
+    with pytest.raises(InputError, match="--model"):
+        load([tiny.path, tiny.path])
+
+
+@pytest.mark.slow
+def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(stream: np.random.Generator, index: int) -> Scene:
+        thrown = dataclasses.replace(BLOCK.masses[0], velocity=(0.5, 0.0))
+        return dataclasses.replace(BLOCK, masses=(thrown,), duration=0.1, seed=int(stream.integers(100)))
+
+    storage = Storage(cell=0.01, kept=1)
+    definition = Definition(
+        name="toys", size=4, connectivity_radius=0.02, split=lambda _: Split.TRAIN, draw=draw, storage=storage
+    )
+    family = Family(definition=definition, kinds=("column",), storage=storage, cell=0.01)
+    monkeypatch.setattr(held_out, "family", lambda dimension: family if dimension == 2 else None)
+    monkeypatch.setattr(bench, "pool", lambda jobs: nullcontext((SimpleNamespace(map=map), jobs)))
+    monkeypatch.setattr(velocities, "blocks_problem", lambda *cut, duration: blocks_problem(*cut, duration=0.05))
+    monkeypatch.setattr(calibration, "shipped_bands", lambda: lambda scene, _: Band(low=0.0, high=1.0))
+    monkeypatch.setattr(plots, "DPI", 30)
+    said = bench.bench(tmp_path / "out", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
+    assert said.count("\n- ") == 3
+    for part in ("Fronts of held-out scenes", "Error over seconds", "Gradients beside", "hold 100% of 1 fronts"):
+        assert part in said
+    text = (tmp_path / "out" / "gns.md").read_text()
+    for name in ("gns-held-out-2d.png", "gns-deposits-2d.png", "gns-price.png", "gns-gradients.png"):
+        assert name in text
+        assert (tmp_path / "out" / name).is_file()
+    # What was measured is not measured again.
+    monkeypatch.setattr(held_out, "simulate_many", lambda *_, **__: pytest.fail("it is there"))
+    monkeypatch.setattr(price, "all_runs", lambda *_: pytest.fail("it is there"))
+    bench.bench(tmp_path / "again", quick=True, keep=tmp_path / "keep", model=(tiny.path,))
+    figures = [line for line in text.splitlines() if line.startswith("|")]
+    assert [line for line in (tmp_path / "again" / "gns.md").read_text().splitlines() if line[:1] == "|"] == figures

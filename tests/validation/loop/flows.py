@@ -146,9 +146,6 @@ class FakeSurrogate:
         x = self.x(torch.from_numpy(parameters)).numpy()
         return np.stack([x, 0.1 * np.ones(len(x))], axis=1)
 
-    def first_frames(self, scene: Scene) -> Scene | None:
-        return None
-
     def start(self, beginning: Trajectory | None) -> "FakeSurrogate":
         return self
 
@@ -166,9 +163,6 @@ class WrongWedge(FakeSurrogate):
     def x(self, parameters: Tensor) -> Tensor:
         middle = length(30.0)
         return (self.offset * middle + self.steepness * (length(parameters[0]) - middle)) * torch.from_numpy(SHAPE)
-
-    def first_frames(self, scene: Scene) -> Scene | None:
-        return dataclasses.replace(scene, duration=0.05)
 
 
 @dataclass(kw_only=True)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,12 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
+from datasets.geometry.solid import Solid
 from datasets.scene import Domain, Mass, Scene
+from gns import card
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsSource
 from inverse.forward.linearised import MpmSource
 from inverse.observations.reading import read_target
@@ -128,22 +134,71 @@ def test_what_fits_without_being_constrained_is_not_identifiable(tmp_path: Path)
     assert "**Identifiable**: `masses[0].friction_deg` and `masses[1].friction_deg` up or down together" in report
 
 
-def test_the_source_follows_from_the_problem() -> None:
+@dataclass(frozen=True)
+class Level:
+    """A card in place of a model's own: trained on level floors."""
+
+    def outside(self, scene: Scene) -> list[str]:
+        return [f"slope_deg {scene.slope_deg:g}"] if scene.slope_deg else []
+
+
+@pytest.fixture
+def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of a tiny model with a card."""
+    settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
+    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
+    monkeypatch.setattr(card, "read", lambda path: Level())
+    monkeypatch.setattr(card, "warning", lambda path, scene: None)
+    return tmp_path / "tiny.safetensors"
+
+
+PARAMETERS = {
+    name: Parameter(name=name, initial=initial, lower=0.5 * initial, upper=1.5 * initial)
+    for name, initial in (("floor_friction", 0.4), ("solids[0].friction", 0.4), ("young", 1e6), ("damping", 0.1))
+}
+GROUND = Solid(kind="terrain", points=((0.0, 0.0), (1.0, 0.0)), friction=0.4)
+WALL = Solid(lower=(0.8, 0.0), size=(0.05, 0.1), friction=0.4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "unknown", "expected"),
+    [
+        ({}, None, None),
+        ({}, "floor_friction", None),
+        ({}, "damping", None),
+        ({"solids": (GROUND,)}, "solids[0].friction", None),
+        ({}, "young", "young is no input of it"),
+        ({"slope_deg": 20.0}, None, "tiny.safetensors was not trained on such a flow: slope_deg 20"),
+        ({"solids": (WALL,)}, "solids[0].friction", "expected terrain"),
+        ({"open_sides": ("x+",)}, None, "expected a closed box"),
+    ],
+)
+def test_the_source_follows_from_the_problem(
+    model: Path, changes: dict[str, Any], unknown: str | None, expected: str | None
+) -> None:
     shipped = read_problem("friction-tall-42")
-    floor = Parameter(name="floor_friction", initial=0.4, lower=0.1, upper=0.8)
-    undamped, tilted = (
-        dataclasses.replace(shipped.scene, **change) for change in ({"damping": 0.0}, {"slope_deg": 20.0})
+    problem = dataclasses.replace(
+        shipped,
+        scene=dataclasses.replace(shipped.scene, **changes),
+        parameters=shipped.parameters if unknown is None else (PARAMETERS[unknown],),
+        target=TargetSettings(value=0.5),
     )
-    cases: list[tuple[dict[str, Any], str | None]] = [
-        ({}, None),
-        ({"surrogate": Surrogate.NONE}, "the problem asks for none"),
-        ({"parameters": (floor,)}, "floor_friction is no input of it"),
-        ({"scene": undamped}, "flow2d.pt was not trained on such a flow: damping 0"),
-        ({"scene": tilted}, "slope_deg 20"),
+    target = read_target(problem, FakeMpm().run)
+    source, reason = choose(problem, target, FakeMpm(), model=model, memory_gib=0.1)
+    assert isinstance(source, GnsSource if expected is None else MpmSource)
+    assert (reason is None) == (expected is None)
+    assert (expected or "") in (reason or "")
+    asked = dataclasses.replace(problem, surrogate=Surrogate.NONE)
+    assert choose(asked, target, FakeMpm(), model=model)[1] == "the problem asks for none"
+
+
+def test_a_flow_outside_of_the_card_is_one_line(tmp_path: Path, model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    case = wedge(tmp_path, truth=24.0)
+    steep = dataclasses.replace(case.problem, scene=dataclasses.replace(case.problem.scene, slope_deg=20.0))
+    result = solve(steep, tmp_path / "out", model=model, simulate=case.mpm)
+    assert result.verdict is Verdict.CONFIRMED
+    lines = [line for line in capfd.readouterr().err.splitlines() if "surrogate" in line]
+    assert lines == [
+        "the MPM runs without the surrogate: tiny.safetensors was not trained on such a flow: slope_deg 20"
     ]
-    target = read_target(shipped, FakeMpm().run)
-    for changes, expected in cases:
-        source, reason = choose(dataclasses.replace(shipped, **changes), target, FakeMpm(), memory_gib=0.1)
-        assert isinstance(source, GnsSource if expected is None else MpmSource)
-        assert (reason is None) == (expected is None)
-        assert (expected or "") in (reason or "")

@@ -14,14 +14,13 @@ from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from gns.inference import SHIPPED
-from gns.initial import Start
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic
 from inverse.observations import build
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, Parameter, TargetSettings
 from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import AD, AD_LONG, FD_GNS, FD_MPM, LONG_STEPS, Cost, Origin, OverParticles
@@ -108,7 +107,7 @@ def column(scale: float) -> Scene:
 
 
 def friction_problem(scene: Scene) -> Problem:
-    """The angle of friction from the front, the rollout from rest."""
+    """The angle of friction from the front."""
     return Problem(
         name="column",
         folder=Path(),
@@ -116,7 +115,6 @@ def friction_problem(scene: Scene) -> Problem:
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observation=ObservationSettings(kind="front"),
         target=TargetSettings(value=0.5),
-        optimiser=OptimiserSettings(start=Start.FROM_REST),
     )
 
 
@@ -140,13 +138,15 @@ def usage(task: Task, model: Path = SHIPPED) -> Usage:
         forward, rest = middle - began, time.perf_counter() - middle
     else:
         simulator = checkpoint.load(model).simulator.requires_grad_(False)
+        # A model scales every scene to the body of its training data; as it is, a larger one has more nodes.
+        simulator.settings = dataclasses.replace(simulator.settings, body_length=None)
         if task.work is Work.LONG:
             long = dataclasses.replace(scene, duration=LONG_STEPS * simulator.settings.step)
             problem = dataclasses.replace(problem, scene=long)
         target = start * 0.0
-        automatic(GnsForward(simulator, None, short, observation), target)(start)
+        automatic(GnsForward(simulator, short, observation), target)(start)
         kept_gib = 0.0 if task.work is Work.LONG else MEMORY_GIB
-        gns = GnsForward(simulator, None, problem, observation, kept_gib)
+        gns = GnsForward(simulator, problem, observation, kept_gib)
         nodes = len(gns.indices)
         reset_peak()
         before, began = resident() or peak(), time.perf_counter()

@@ -43,8 +43,6 @@ class Models:
     gns: Differentiable
     gns_target: Values
     """The part of the target that the surrogate predicts."""
-    gns_start_s: float
-    """Seconds for the MPM's first frames, where the surrogate starts from them."""
     mpm: Forward
     check: Forward
     """The MPM with a jitter of its own."""
@@ -56,12 +54,7 @@ class Models:
         observation = target.observation
         short = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=WARM_UP_S))
         for each in (short, problem):
-            source = GnsSource(simulator, each, observation)
-            frames = source.first_frames(each.scene_at(problem.initial))
-            began = time.perf_counter()
-            beginning = None if frames is None else simulate(frames)
-            start_s = 0.0 if beginning is None else time.perf_counter() - began
-            gns = source.start(beginning)
+            gns = GnsSource(simulator, each, observation).start(None)
             gns_target = gns.select(target.values)
             if each is short:
                 automatic(gns, gns_target, components=observation.components)(problem.initial)
@@ -71,7 +64,6 @@ class Models:
             components=observation.components,
             gns=gns,
             gns_target=gns_target,
-            gns_start_s=start_s,
             mpm=MpmForward(problem, observation, simulate_many),
             check=MpmForward(other, observation, simulate_many),
         )
@@ -110,14 +102,12 @@ class Stopwatch:
 
     limit: float
     """[s]."""
-    spent: float = 0.0
-    """Before the search [s]."""
     clock: Clock = time.perf_counter
     iterates: list[Iterate] = field(default_factory=list)
     longest: float = 0.0
 
     def __post_init__(self) -> None:
-        self.began = self.clock() - self.spent
+        self.began = self.clock()
 
     @property
     def elapsed(self) -> float:
@@ -192,7 +182,7 @@ def search(
 ) -> MethodResult:
     """One search, and what the MPM shows at its iterates."""
     gns, problem = method.model is ForwardModel.GNS, method.problem
-    stopwatch = Stopwatch(limit=limit, spent=models.gns_start_s if gns else 0.0, clock=clock)
+    stopwatch = Stopwatch(limit=limit, clock=clock)
     ended = _minimise(method, models, stopwatch)
     seconds, count = stopwatch.elapsed, len(stopwatch.iterates)
     runs_each = 1 + 2 * len(problem.parameters) if method.gradient is GradientBy.DIFFERENCES else 1

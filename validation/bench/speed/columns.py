@@ -6,6 +6,7 @@ import torch
 
 from gns.model.settings import ModelSettings
 from gns.model.state import Conditions, State
+from gns.units import GRAVITY
 
 ACROSS = {2: 40, 3: 16}
 """Nodes along the height, in 3D along the width too; 40 of them 10 mm apart are the paper's tall column."""
@@ -18,6 +19,7 @@ JITTER = 0.6
 FRICTION = math.tan(math.radians(30.0))
 COHESION = 100.0
 """[Pa]."""
+WALL_FRICTION = 0.385
 
 
 def column(settings: ModelSettings, nodes: int, *, samples: int = 1, seed: int = 0) -> tuple[State, Conditions]:
@@ -35,12 +37,17 @@ def column(settings: ModelSettings, nodes: int, *, samples: int = 1, seed: int =
     positions = spacing * (lattice + 0.5 + jitter)
     height, count = across * spacing, nodes * samples
     state = State.moving(positions, torch.zeros_like(positions), step=settings.step, history=settings.history)
+    size = slices * spacing + FREE * height, ABOVE * height, *[height] * (dimension - 2)
+    friction = torch.full((samples,), WALL_FRICTION)
     conditions = Conditions(
         friction=torch.full((count,), FRICTION),
         cohesion=torch.full((count,), COHESION),
         volume=torch.full((count,), settings.particle_volume),
-        size=(slices * spacing + FREE * height, ABOVE * height, *[height] * (dimension - 2)),
+        size=torch.tensor([size] * samples),
+        gravity=torch.tensor([(0.0, -GRAVITY, 0.0)[:dimension]] * samples),
+        floor_friction=friction,
+        wall_friction=friction,
+        damping=torch.zeros(samples),
         batch=None if samples == 1 else torch.arange(samples).repeat_interleave(nodes),
-        samples=samples,
     )
     return state, conditions

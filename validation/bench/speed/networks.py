@@ -16,7 +16,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from datasets.library import read_scene
-from gns.inference import WEIGHTS
+from gns.inference import WEIGHTS, models
 from gns.initial import InitialState, initial_state
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
@@ -141,7 +141,7 @@ def family(name: str, simulator: Simulator) -> Family:
 def families(folder: Path = WEIGHTS) -> list[Family]:
     """Every model in `folder`; with the paper's network only where resolution and history are new."""
     found, known = [], set()
-    for path in sorted(folder.glob("*.pt"), key=lambda path: path.stem):
+    for path in models(folder):
         each = family(path.stem, checkpoint.load(path).simulator)
         key = (each.settings.dimension, each.settings.radius, each.settings.particle_volume, each.settings.history)
         networks = {kind: net for kind, net in each.networks.items() if kind is not Kind.PAPER or key not in known}
@@ -313,8 +313,9 @@ def extrapolated_cost(name: str, network: nn.Module, settings: ModelSettings) ->
     backward pass.
     """
     start = initial(settings)
-    forward = step(network, start.state, start.conditions, Measure.FORWARD)
-    gradient = step(network, start.state, start.conditions, Measure.GRADIENT)
+    state, conditions = start.state.over(start.conditions.units.length), start.conditions.in_model_units()
+    forward = step(network, state, conditions, Measure.FORWARD)
+    gradient = step(network, state, conditions, Measure.GRADIENT)
     forward()
     one = mean_seconds(forward)
     gradient()

@@ -65,7 +65,7 @@ class Textbook(nn.Module):
         senders, receivers = neighbours(positions, self.radius, conditions.batch)
         offset = (positions[senders] - positions[receivers]) / self.radius
         distance = (offset.square().sum(dim=1, keepdim=True) + 1.0e-12).sqrt()
-        walls = torch.cat((positions, positions.new_tensor(conditions.size) - positions), dim=1) / self.radius
+        walls = torch.cat((positions, conditions.of_particles(conditions.size) - positions), dim=1) / self.radius
         motion = state.displacements.movedim(0, 1).flatten(1) / self.radius
         x = self.encode_nodes(torch.cat((motion, walls.clamp(max=1.0), conditions.friction.unsqueeze(1)), dim=1))
         e = self.encode_edges(torch.cat((offset, distance), dim=1))

@@ -1,136 +1,127 @@
 """`gns.md`: sections and tables, and the conclusion made of them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import inf
 
 import numpy as np
 
-from datasets.measures import UPSTREAM
-from gns.initial import Start
-from validation.bench.columns.paper import read_paper
-from validation.bench.surrogate.comparison import Comparison, by_variant
-from validation.bench.surrogate.long_rollouts import CREEP, MOTION, LongRollout
-from validation.bench.surrogate.rollouts import ShippedModel
-from validation.bench.surrogate.scenes import ANGLES, AREA, ASPECTS, TRAINED, HeldOutColumn, paper_columns
-from validation.bench.surrogate.speed import MpmRun, WholeSecond
-from validation.bench.surrogate.speed_page import speed_said, speed_section
+from validation.bench.surrogate import rest
+from validation.bench.surrogate.accuracy import Accuracy
+from validation.bench.surrogate.calibration import COVERAGE, LEVEL, Coverage, Warnings
+from validation.bench.surrogate.friction import OBSERVED, STEP_DEG, WITHIN, Strengths, within
+from validation.bench.surrogate.held_out import SEED
+from validation.bench.surrogate.models import Model
+from validation.bench.surrogate.price import Prices, said
+from validation.bench.surrogate.rest import Rest
+from validation.bench.surrogate.scores import Deposit, Score, mean, rms, worst
+from validation.bench.surrogate.velocities import CRITERIA, Gradients
 from validation.report.machine import GNS, MPM
 from validation.report.page import Page, Row, signed
 
-COLUMN_CRITERIA = {True: 0.03, False: 0.06}
-"""Front error [-] inside and outside the training range of angles."""
-ENERGY_CRITERION = 0.05
-BAFFLES_CRITERION = 0.03
-"""Of runout and front [-]."""
-PAPER_RUNOUT = {"short-21": 0.7154, "short-42": 0.6067, "tall-21": 0.8783, "tall-42": 0.5942}
-"""Largest x [m] of the paper's surrogate (its table of friction problems)."""
-PAPER_BAFFLES = {"baffles-5": 0.0087}
-"""Runout error [-] of the paper's surrogate (its appendix)."""
-PAPER_MSE = {"surrogate": 3.41e-4, "mpm": 8.70e-4}
-"""The paper's losses [m^2] at the velocities that it found: its surrogate's, and its MPM's run again with them."""
-Columns = Mapping[HeldOutColumn, Sequence[Comparison]]
-Scenes = Mapping[str, Sequence[Comparison]]
-COMMAND = "python -m validation.bench surrogate"
+COMMAND = "python -m validation.bench surrogate --out docs"
+FRONT = {2: (0.01, 0.04), 3: (0.02, inf)}
+"""Criteria of the front by dimension: mean and worst over the extent [-]."""
+TRANSPORT, ENERGY, RUNOUT, DEPTH = 0.02, 0.05, 0.03, 0.06
+"""Other criteria: mean profile, largest difference of an energy, largest x, depth upstream of baffles [-]."""
+ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
-    """All that is on the page."""
+class Found:
+    """All that was measured; what was not is empty. By dimension where there can be two."""
 
-    models: Sequence[ShippedModel]
-    seeds: int
-    columns: Columns
-    layers: Scenes
-    baffles: Scenes
-    long: Sequence[LongRollout]
-    seconds: Sequence[WholeSecond]
-    runs: Sequence[MpmRun]
+    models: Sequence[Model]
+    accuracy: Mapping[int, Accuracy] = field(default_factory=dict)
+    prices: Mapping[int, Prices] = field(default_factory=dict)
+    gradients: Sequence[Gradients] = ()
+    friction: Mapping[str, Sequence[Strengths]] = field(default_factory=dict)
+    rest: Mapping[int, Rest] = field(default_factory=dict)
+    coverages: Mapping[str, Coverage | str] = field(default_factory=dict)
+    warnings: Mapping[str, Warnings] = field(default_factory=dict)
 
 
-def page(found: Measured, *, quick: bool) -> Page:
+def page(found: Found, *, quick: bool) -> Page:
     """The page; sections without measurements are left out."""
     text = Page(
         "The surrogate beside the MPM", command=COMMAND, conclusion=conclusion(found), packages=GNS | MPM, quick=quick
     )
-    text.text("""
-        The models on scenes that are in no training set, against the MPM that made the training sets. A rollout begins
-        **from rest**, with positions and velocities alone, or **from first frames**, with the MPM's first 0.05 s. What
-        exceeds its criterion is bold.
+    text.text(f"""
+        The models against the MPM on fine cells, on scenes that are in no training data: drawn by the definition that
+        draws the training data with seed {SEED}, computed and stored in the same way. A rollout begins with positions
+        and velocities alone. What exceeds its criterion is bold.
     """)
     models_section(text, found.models)
-    if found.columns:
-        columns_section(text, found.columns, found.seeds)
-    if found.layers:
-        layers_section(text, found.layers)
-    if found.baffles:
-        baffles_section(text, found.baffles)
-    if found.long:
-        long_section(text, found.long)
-    speed_section(text, found.seconds, found.runs)
+    for dimension, accuracy in found.accuracy.items():
+        accuracy_section(text, dimension, accuracy)
+    if found.prices:
+        prices_section(text, found.prices)
+    if found.gradients:
+        gradients_section(text, found.gradients)
+    if found.friction:
+        friction_section(text, found.friction)
+    if found.rest:
+        rest_section(text, found.rest)
+    if found.coverages or found.warnings:
+        calibration_section(text, found.coverages, found.warnings)
     return text
 
 
-def conclusion(found: Measured) -> list[str]:
-    """At most five sentences."""
-    sentences: list[str] = []
-    for name, group in by_variant(joined(found.columns.values())).items():
-        if name[1] is Start.FROM_REST and len(sentences) < 2:
-            sentences.append(columns_said(name[0], group))
-    if found.baffles:
-        fronts = [
-            f"{signed(each.front_error)} ({scene})"
-            for scene, group in found.baffles.items()
-            for each in group
-            if each.start is Start.FROM_REST
+def conclusion(found: Found) -> list[str]:
+    """At most five sentences, each over all models."""
+    sentences = []
+    if found.accuracy:
+        parts = [
+            f"`{model}` {fronts_said(accuracy.of_kind(model, None))}"
+            for accuracy in found.accuracy.values()
+            for model in accuracy.scores
         ]
-        sentences.append(f"Front error against baffles in 3D: {', '.join(fronts)}.")
-    if found.long:
-        bounded = sum(each.bounded for each in found.long)
-        creep = max((each.creep[0] for each in found.long), key=abs)
-        sentences.append(
-            f"{bounded} of {len(found.long)} long rollouts are bounded; their fronts creep by up to {creep:+.2g} mm/s."
-        )
-    if found.seconds:
-        ratios = [
-            f"{each.cost.forward.median / each.mpm.median:.1f} times the MPM's seconds, its gradient"
-            f" {each.cost.gradient.median / each.mpm.median:.1f} times (`{each.cost.name}`)"
-            for each in found.seconds
+        sentences.append(f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(parts)}.")
+    if found.prices:
+        parts = [said(name, prices) for prices in found.prices.values() for name in prices.models]
+        sentences.append(f"Error over seconds: {'; '.join(parts)}.")
+    if found.gradients or found.friction:
+        parts = [
+            f"cosine {each.cosine:.3f} in {gradient.unknowns} velocities (`{each.method}`, {each.seconds:.2g} s)"
+            for gradient in found.gradients
+            for each in gradient.models
         ]
-        sentences.append(f"On the cells of its data a rollout takes {'; '.join(ratios)}.")
-    elif found.runs:
-        sentences.append(" ".join(speed_said(found.runs)[:1]))
-    return sentences
+        parts += [
+            f"front and profile answer to friction within {WITHIN:.0%} in {within(some, 'front')} and"
+            f" {within(some, 'profile')} of {len(some)} columns (`{name}`)"
+            for name, some in found.friction.items()
+            if name in {model.name for model in found.models}
+        ]
+        sentences.append(f"Gradients beside the MPM's differences: {'; '.join(parts)}.")
+    if any(each.scenes for each in found.rest.values()):
+        parts = [
+            f"{worst([each.creep for each in some]):+.2g} mm/s (`{name}`)"
+            for still in found.rest.values()
+            for name, some in still.rollouts.items()
+        ]
+        sentences.append(f"Deposits at rest creep by at most {', '.join(parts)}.")
+    parts = [
+        f"its {LEVEL:.0%} bands hold {each.share:.0%} of {each.fronts} fronts (`{name}`)"
+        for name, each in found.coverages.items()
+        if isinstance(each, Coverage)
+    ]
+    parts += [
+        f"its card warns of {sum(each.outside.values())} of {len(each.outside)} scenes out of range and of"
+        f" {len(each.false)} of {len(each.inside)} in range (`{name}`)"
+        for name, each in found.warnings.items()
+    ]
+    if parts:
+        sentences.append(f"What it knows of itself: {'; '.join(parts)}.")
+    return sentences or ["Nothing was measured."]
 
 
-def columns_said(model: str, group: Sequence[Comparison]) -> str:
-    """How many columns meet their criterion, and the mean and worst error inside the training range."""
-    within = sum(abs(each.front_error) <= criterion(each) for each in group)
-    errors = [each.front_error for each in group if criterion(each) == COLUMN_CRITERIA[True]]
-    return (
-        f"`{model}` from rest: front error of held-out columns at trained angles {mean(errors):.1%} on average, worst"
-        f" {signed(worst(errors))}; {within} of {len(group)} at all angles meet their criterion."
-    )
-
-
-def criterion(each: Comparison) -> float:
-    """Of the front error of a column."""
-    return COLUMN_CRITERIA[TRAINED[0] <= each.scene.material.friction_deg <= TRAINED[1]]
-
-
-def joined(groups: Iterable[Sequence[Comparison]]) -> list[Comparison]:
-    """All comparisons."""
-    return [each for group in groups for each in group]
-
-
-def mean(errors: Sequence[float]) -> float:
-    """Mean of the absolute values."""
-    return float(np.mean(np.abs(errors)))
-
-
-def worst(errors: Sequence[float]) -> float:
-    """The error of the largest amount, with its sign."""
-    return max(errors, key=abs)
+def fronts_said(scores: Sequence[Score]) -> str:
+    """Mean and worst front error of the scenes whose front is free."""
+    free = [each.deposit.front for each in scores if not each.at_wall]
+    profile = mean([each.deposit.transport for each in scores])
+    if not free:
+        return f"none is free, profile {profile:.1%}"
+    return f"{mean(free):.1%} on average, worst {signed(worst(free))} of {len(free)}, profile {profile:.1%}"
 
 
 def bold(text: str, whether: bool) -> str:
@@ -138,213 +129,246 @@ def bold(text: str, whether: bool) -> str:
     return f"**{text}**" if whether else text
 
 
-def percent(fraction: float, limit: float = inf) -> str:
+def percent(value: float, limit: float = inf) -> str:
     """0.0213 as 2.1 %, bold beyond `limit`; nan as -."""
-    return "-" if np.isnan(fraction) else bold(f"{100.0 * fraction:.1f} %", abs(fraction) > limit)
+    return "-" if np.isnan(value) else bold(f"{100.0 * value:.1f} %", abs(value) > limit)
 
 
-def both(errors: Sequence[float], limit: float = inf) -> str:
-    """Mean, and in brackets the worst; of a single one its value with its sign."""
-    extreme = bold(signed(worst(errors)), abs(worst(errors)) > limit)
-    return f"{percent(mean(errors), limit)} ({extreme})" if len(errors) > 1 else extreme
+def both(values: Sequence[float], limit: float = inf, extreme: float = inf) -> str:
+    """Mean of the amounts and, in brackets, the worst with its sign; - of none."""
+    if not values:
+        return "-"
+    return f"{percent(mean(values), limit)} ({bold(signed(worst(values)), abs(worst(values)) > extreme)})"
 
 
-def metrics(group: Sequence[Comparison], limit: float) -> dict[str, str]:
-    """All errors of one comparison, or mean and worst of those of a model from one start."""
-    moments = np.mean([each.rmse for each in group], axis=0)
-    return {
-        "model": f"`{group[0].model}`",
-        "start": group[0].start.value,
-        "front": both([each.front_error for each in group], limit),
-        "front, same particles": both([each.same_front_error for each in group], limit),
-        "runout": both([each.runout_error for each in group]),
-        "MPM's scatter": percent(float(np.mean([each.scatter for each in group]))),
-        "profile": both([each.profile_error for each in group]),
-        "particles at 1/4, 1/2, end [mm]": " / ".join(f"{1000.0 * moment:.1f}" for moment in moments),
-        "kinetic energy": both([each.kinetic_error for each in group], ENERGY_CRITERION),
-        "potential energy": both([each.potential_error for each in group], ENERGY_CRITERION),
-    }
-
-
-METRICS = f"""
-    **Front**: the x that 99.5 % of the particles are behind, against all the MPM's particles or the same as the
-    surrogate's; **runout**: the largest x; **scatter**: standard deviation of the MPM's front over jitter seeds;
-    **profile**: area between the deposits' height profiles over that under the MPM's; root mean square distance of the
-    **particles**; **energy**: largest difference over time over all energy at the start, criterion
-    {100 * ENERGY_CRITERION:g} % (velocities are means over a step). All are relative to the MPM's value.
-"""
-
-
-def models_section(text: Page, models: Sequence[ShippedModel]) -> None:
+def models_section(text: Page, models: Sequence[Model]) -> None:
     """Sizes, resolution and training of the models, a column each."""
-    facts: dict[str, Callable[[ShippedModel], str]] = {
+    facts: dict[str, Callable[[Model], str]] = {
         "dimension": lambda each: f"{each.settings.dimension}D",
         "parameters": lambda each: f"{sum(weight.numel() for weight in each.simulator.parameters()):,}",
-        "file": lambda each: f"{each.path.stat().st_size / 1e6:.2f} MB",
         "cell": lambda each: f"{1000 * each.settings.cell:g} mm",
-        "nodes per cell": lambda each: str(each.settings.particles_per_cell),
         "step": lambda each: f"{1000 * each.settings.step:g} ms",
-        "radius": lambda each: f"{1000 * each.settings.radius:g} mm",
+        "cutoff radius": lambda each: f"{1000 * each.settings.radius:g} mm",
         "width x layers": lambda each: f"{each.settings.width} x {each.settings.layers}",
-        "past displacements": lambda each: str(each.settings.history),
+        "size of a body": lambda each: (
+            f"{1000 * each.settings.body_length:.0f} mm" if each.settings.body_length else "as it is"
+        ),
         "updates": lambda each: f"{each.updates:,}" if each.updates else "-",
         "data": lambda each: ", ".join(str(name) for name in each.provenance.get("datasets", ())) or "-",
-        "seed": lambda each: str(each.provenance.get("seed", "-")),
     }
     text.section("The models")
     text.table([{"": name} | {f"`{each.name}`": fact(each) for each in models} for name, fact in facts.items()])
     text.text("Their cards, with the commands that made them, are beside their weights in `gns/weights`.")
 
 
-def columns_section(text: Page, found: Columns, seeds: int) -> None:
-    """Errors over columns, by range, by angle and by aspect ratio."""
-    walls = [f"{each.aspect:g}, {each.friction_deg:g}°" for each, (first, *_) in found.items() if first.at_wall]
-    text.section("Columns in 2D")
+def accuracy_section(text: Page, dimension: int, found: Accuracy) -> None:
+    """Errors by kind of scene, and the reference's own."""
+    mean_front, worst_front = FRONT[dimension]
+    text.section(f"Held-out scenes in {dimension}D")
     text.text(f"""
-        Columns of {AREA:g} m² at the left wall, {listed(ASPECTS)} times as high as long, at angles of friction of
-        {listed(ANGLES)}°; the paper's four are among them. The training data keep a distance from them
-        (`datasets/definitions/releases2d.py`) and have angles of {TRAINED[0]:g} to {TRAINED[1]:g}°. Criterion of the
-        front: {100 * COLUMN_CRITERIA[True]:g} % inside that range, {100 * COLUMN_CRITERIA[False]:g} % outside. {seeds}
-        jitter seeds. Mean and, in brackets, worst.
+        **Front**: the end of the deposit that the flow has moved farther, which 99.5 % of the particles are behind,
+        without the scenes where the wall ahead holds it ("at the wall"), of which it says nothing; **profile**: rms
+        distance along x of equal shares of the two deposits, of all scenes. Both over the deposit's extent; criteria:
+        front {mean_front:.0%} on average{"" if worst_front == inf else f", {worst_front:.0%} at worst"}, profile
+        {TRANSPORT:.0%} on average. **Energies**: largest difference over time over all energy at the start, above the
+        lowest point of the flow; criterion {ENERGY:.0%} on average. Mean and, in brackets, worst. Seconds: of the
+        reference on one core, its share of the wall time beside others times the cores; of a rollout, beside others.
+        The worst profile's scene stands in the last column.
     """)
-    text.text(METRICS)
-    if walls:
-        text.text(f"At the far wall, which bounds the front (height / length, angle): {'; '.join(walls)}.")
-    text.picture("gns-front.png", "front error over the angle of friction")
-    text.table(
-        [
-            summary(group, trained)
-            for trained in COLUMN_CRITERIA
-            for group in by_variant(
-                joined(group for column, group in found.items() if column.trained is trained)
-            ).values()
-        ]
-    )
-    papers = {name: found[column] for name, column in paper_columns().items() if column in found}
-    if papers:
-        text.section("The paper's four", level=3)
-        text.text("Runout (the paper's measure) and front, all particles.")
-        text.table([paper_row(name, group) for name, group in papers.items()])
-        text.picture("gns-profiles.png", "height profiles of the paper's columns")
-    text.section("By angle", level=3)
-    text.table(front_rows(found, "angle", lambda column: f"{column.friction_deg:g}°"))
-    trained_ones = {column: group for column, group in found.items() if column.trained}
-    text.section("By aspect ratio, angles of the training range", level=3)
-    text.table(front_rows(trained_ones, "height / length", lambda column: f"{column.aspect:g}"))
+    kinds = list(dict.fromkeys(each.kind for each in found.scenes))
+    for model in found.scores:
+        text.table([kind_row(found, model, kind, dimension) for kind in [*kinds, *([ALL] if len(kinds) > 1 else [])]])
+    text.picture(f"gns-held-out-{dimension}d.png", "errors of fronts and profiles by kind of scene")
+    text.picture(f"gns-deposits-{dimension}d.png", "deposits of a scene of each kind")
+    if found.finer:
+        text.text(f"""
+            The reference itself, {len(found.finer)} scenes: on cells half as large its fronts are
+            {deposits_said(found.finer)}; with another jitter {deposits_said(found.jitter)}.
+        """)
+    if dimension == 3:
+        text.text("""
+            The impulse on baffles is not compared: a rollout has positions alone, and the momentum that it loses goes
+            to floor, walls and baffles in shares that it does not give.
+        """)
 
 
-def listed(values: Iterable[float]) -> str:
-    """Numbers with commas."""
-    return ", ".join(f"{value:g}" for value in values)
-
-
-def summary(group: Sequence[Comparison], trained: bool) -> Row:
-    """Errors of one model from one start over the columns of a range."""
-    limit = COLUMN_CRITERIA[trained]
-    within = sum(abs(each.front_error) <= limit for each in group)
-    return {"angles": "trained" if trained else "outside", "within": f"{within} of {len(group)}"} | metrics(
-        group, limit
-    )
-
-
-def paper_row(name: str, group: Sequence[Comparison]) -> Row:
-    """One of the paper's columns."""
-    stated = {scenario.name: scenario.runout for scenario in read_paper().scenarios}
-    return {"column": name, "the paper's surrogate: runout": signed(PAPER_RUNOUT[name] / stated[name] - 1.0)} | {
-        f"`{each.model}`, {each.start}": f"{signed(each.runout_error)}, {signed(each.front_error)}" for each in group
+def kind_row(found: Accuracy, model: str, kind: str, dimension: int) -> Row:
+    """The errors of a model on scenes of a kind."""
+    chosen = [
+        (scene, score)
+        for scene, score in zip(found.scenes, found.scores[model], strict=True)
+        if kind in (ALL, scene.kind)
+    ]
+    scores = [score for _, score in chosen]
+    free = [each.deposit.front for each in scores if not each.at_wall]
+    row: dict[str, object] = {
+        f"`{model}`": kind,
+        "scenes": len(scores),
+        "at the wall": len(scores) - len(free),
+        "front": both(free, *FRONT[dimension]),
+        "profile": both([each.deposit.transport for each in scores], TRANSPORT),
+        "kinetic energy": both([each.kinetic for each in scores], ENERGY),
+        "potential energy": both([each.potential for each in scores], ENERGY),
+    }
+    if dimension == 3:
+        depths = [each.depth for each in scores if each.depth is not None]
+        row |= {
+            "largest x": both([each.runout for each in scores if not each.at_wall], RUNOUT),
+            "depth before baffles": both(depths, DEPTH),
+        }
+    return row | {
+        "MPM [s]": f"{np.mean([each.mpm_seconds for each in scores]):.1f}",
+        "rollout [s]": f"{np.mean([each.seconds for each in scores]):.2f}",
+        "worst profile": max(chosen, key=lambda pair: pair[1].deposit.transport)[0].name,
     }
 
 
-def front_rows(found: Columns, title: str, label: Callable[[HeldOutColumn], str]) -> list[Row]:
-    """Front errors, all particles, of the columns that have the same label."""
-    rows: list[Row] = []
-    for name in dict.fromkeys(map(label, found)):
-        some = {column: group for column, group in found.items() if label(column) == name}
-        limit = max(COLUMN_CRITERIA[column.trained] for column in some)
-        comparisons = joined(some.values())
-        cells = {
-            f"`{model}`, {start}": both([each.front_error for each in group], limit)
-            for (model, start), group in by_variant(comparisons).items()
-        }
-        scatter = percent(float(np.mean([each.scatter for each in comparisons])))
-        rows.append({title: name, **cells, "MPM's scatter": scatter})
-    return rows
+def deposits_said(found: Sequence[Deposit]) -> str:
+    """How far deposits are apart."""
+    fronts, profiles = [each.front for each in found], [each.transport for each in found]
+    return (
+        f"{percent(rms(fronts))} off (rms, worst {signed(worst(fronts))}) and its profiles {percent(rms(profiles))}"
+        f" (worst {percent(worst(profiles))})"
+    )
 
 
-def layers_section(text: Page, found: Scenes) -> None:
-    """Layers of different velocities."""
-    text.section("Layers of different velocities")
+def prices_section(text: Page, found: Mapping[int, Prices]) -> None:
+    """Error over seconds."""
+    scenes = " and ".join(f"{each.scenes} in {dimension}D" for dimension, each in found.items())
+    text.section("Error over seconds")
     text.text(f"""
-        `layers-10`, ten layers of 28 mm, 30°, with the paper's velocities (1.5 m/s at the floor to 0.15 m/s at the
-        top), with the same from the top down, and with others drawn from 0 to 1.5 m/s. The MSE is that of the deposit's
-        particles from the MPM's at the velocities given; the paper's surrogate has {1e4 * PAPER_MSE["surrogate"]:.2f},
-        its MPM {1e4 * PAPER_MSE["mpm"]:.2f}, at the velocities that its inversion found. "MPM's own": between deposits
-        of the MPM that differ in the jitter.
+        Held-out scenes and the shipped ones: {scenes}. Each by the MPM on cells that are a fraction of the smallest
+        side of the body (single precision, step 0.9, until the deposit rests) and by the models, one after the other on
+        one thread, without compilation. Error: the larger of the front's and the profile's, rms over the scenes,
+        against the fine reference, whose own error bounds what can be seen at the right end.
+    """)
+    text.picture("gns-price.png", "error over seconds")
+    for dimension, each in found.items():
+        rows = [(f"MPM, {cells} cells across", point) for cells, point in each.mpm.items()]
+        rows += [(f"`{name}`", point) for name, point in each.models.items()]
+        text.table(
+            [
+                {f"{dimension}D": name, "seconds": f"{point.seconds:.3g}", "error": percent(point.error)}
+                for name, point in rows
+            ]
+        )
+        text.text("\n".join(f"- {said(name, each)}." for name in each.models))
+
+
+def gradients_section(text: Page, found: Sequence[Gradients]) -> None:
+    """Gradients in velocities."""
+    text.section("Gradients in velocities")
+    text.text(f"""
+        The paper's ten layers, whole and each cut into ten blocks, at half of their true velocities; the gradient of
+        the misfit of the whole deposit. Reference: central differences of the MPM on {found[0].cells} cells across the
+        column, the mean over pairs of jitter seeds of run and target. The models' by automatic differentiation, against
+        the MPM's target; beside it differences of one coarse run each. One thread.
+    """)
+    text.picture("gns-gradients.png", "cosine and length of gradients over seconds")
+    for each in found:
+        limit = CRITERIA.get(each.unknowns, -1.0)
+        some = "" if each.compared == each.unknowns else f", compared in {each.compared} of them"
+        text.text(
+            f"{each.unknowns} unknowns{some}; one pair of seeds has a cosine of {each.own:.3f} to the mean of the"
+            " others" + (f"; criterion {limit:g}." if limit > 0.0 else ".")
+        )
+        models = {model.method for model in each.models}
+        text.table(
+            [
+                {
+                    "gradient": f"`{one.method}`" if one.method in models else f"differences, {one.method}",
+                    "seconds": f"{one.seconds:.3g}",
+                    "cosine": bold(f"{one.cosine:.3f}", one.method in models and one.cosine < limit),
+                    "length": f"{one.length:.2f}",
+                }
+                for one in [*each.models, *each.mpm]
+            ]
+        )
+
+
+def friction_section(text: Page, found: Mapping[str, Sequence[Strengths]]) -> None:
+    """Slopes with the angle of friction."""
+    text.section("Slopes with the angle of friction")
+    text.text(f"""
+        Held-out columns of dry or weak sand. Strength: the derivative of front or profile with the angle along the
+        MPM's, over the MPM's, which is that of central differences of {STEP_DEG:g}° on fine cells averaged over jitter
+        seeds; criterion: 1 within {WITHIN:g}. The models' by automatic differentiation.
     """)
     text.table(
         [
-            {
-                "velocities, lowest layer first": name,
-                "MSE [1e-4 m²]": f"{1e4 * each.mse:.2f}",
-                "MPM's own": f"{1e4 * each.mpm_mse:.2f}",
-                **metrics([each], COLUMN_CRITERIA[True]),
+            {"method": name}
+            | {f"{what}: within": f"{within(some, what)} of {len(some)}" for what in OBSERVED}
+            | {
+                f"{what}: mean, least, most": "{:.2f}, {:.2f}, {:.2f}".format(
+                    *(float(take([getattr(each, what) for each in some])) for take in (np.mean, min, max))
+                )
+                for what in OBSERVED
             }
-            for name, group in found.items()
-            for each in group
+            | {"seconds": f"{np.mean([each.seconds for each in some]):.2g}"}
+            for name, some in found.items()
         ]
     )
-    text.picture("gns-energy.png", "energy over time")
 
 
-def baffles_section(text: Page, found: Scenes) -> None:
-    """Flows against baffles in 3D."""
-    wall = [name for name, (each, *_) in found.items() if each.at_wall]
-    text.section("Baffles in 3D")
-    text.text(f"""
-        The paper's two scenes, in boxes that the training data do not have; criterion of front and runout
-        {100 * BAFFLES_CRITERION:g} %. {f"In {', '.join(wall)} the far wall bounds the runout." if wall else ""}
-        Upstream depth: mean over strips {UPSTREAM:g} m long before each baffle of the first row; its error is the mean
-        over time (in brackets the largest) over the MPM's greatest depth. The profile is summed over z.
-    """)
-    text.table(
-        [
-            {
-                "scene": f"`{name}`",
-                "the paper's runout": percent(PAPER_BAFFLES.get(name, float("nan"))),
-                "upstream depth": f"{percent(each.depth_errors[0])} ({percent(each.depth_errors[1])})",
-                **metrics([each], BAFFLES_CRITERION),
-            }
-            for name, group in found.items()
-            for each in group
-        ]
-    )
-    text.picture("gns-baffles.png", "deposits from above")
-    text.picture("gns-baffles-time.png", "front, upstream depth and energy over time")
-
-
-def long_section(text: Page, found: Sequence[LongRollout]) -> None:
+def rest_section(text: Page, found: Mapping[int, Rest]) -> None:
     """Long rollouts."""
-    text.section("Long rollouts")
+    text.section("Rest")
     text.text(f"""
-        From rest, with the MPM beside. Bounded: all numbers finite, in every frame no particle outside the box or
-        inside a baffle (beyond rounding), motion left (kinetic energy over the last tenth of the time over its
-        greatest) at most {MOTION:g}, and in the second half of the time the front creeps by at most {CREEP:g} mm/s.
+        {" and ".join(f"{len(each.scenes)} scenes in {dimension}D" for dimension, each in found.items())} whose deposits
+        come to rest, rolled out {rest.TIMES} times as long. Creep: speed of
+        the faster end of the deposit over the second half; criterion {rest.CREEP:g} mm/s. Profile: rms distance that
+        equal shares move, over the same time. Contained: no particle outside the box or inside a baffle in any frame.
     """)
     text.table(
         [
             {
-                "scene": f"`{each.scene}`, {each.duration:g} s",
-                "model": f"`{each.model}`",
-                "verdict": bold("bounded" if each.bounded else "not bounded", not each.bounded),
-                "outside the box [cells]": each.outside,
-                "inside a baffle [cells]": each.inside,
-                "motion left (MPM)": f"{bold(f'{each.motion[0]:.1e}', each.motion[0] > MOTION)} ({each.motion[1]:.1e})",
-                "creep of the front [mm/s] (MPM)": f"{bold(f'{each.creep[0]:+.2f}', abs(each.creep[0]) > CREEP)}"
-                f" ({each.creep[1]:+.2f})",
-                "front [m] (MPM; error)": f"{each.front[0]:.4f} ({each.front[1]:.4f};"
-                f" {signed(each.front[0] / each.front[1] - 1.0)})",
+                "model": f"`{name}`",
+                "creep, mean [mm/s]": f"{mean([each.creep for each in some]):.3f}",
+                "worst [mm/s]": bold(
+                    f"{worst([each.creep for each in some]):+.3f}",
+                    abs(worst([each.creep for each in some])) > rest.CREEP,
+                ),
+                "within": f"{sum(abs(each.creep) <= rest.CREEP for each in some)} of {len(some)}",
+                "profile, worst [mm/s]": f"{worst([each.transport for each in some]):.3f}",
+                "contained": f"{sum(each.contained for each in some)} of {len(some)}",
             }
-            for each in found
-        ],
-        formats={"outside the box [cells]": ".1e", "inside a baffle [cells]": ".1e"},
+            for still in found.values()
+            for name, some in still.rollouts.items()
+            if some
+        ]
     )
+
+
+def calibration_section(text: Page, coverages: Mapping[str, Coverage | str], warnings: Mapping[str, Warnings]) -> None:
+    """Bands and warnings."""
+    text.section("What it knows of itself")
+    if coverages:
+        low, high = COVERAGE
+        text.text(f"""
+            Bands of {LEVEL:.0%} (`gns.uncertainty`) on held-out fronts at larger x that no wall holds; criterion: they
+            hold {low:.0%} to {high:.0%}.
+        """)
+        text.table([coverage_row(name, each) for name, each in coverages.items()])
+    for name, each in warnings.items():
+        text.text(
+            f"The card of `{name}` warns of {sum(each.outside.values())} of {len(each.outside)} scenes out of range"
+            f" (`validation/bench/surrogate/outside.py`){_listed(each.missed, 'not of')} and of {len(each.false)}"
+            f" of {len(each.inside)} held-out scenes, which are in range{_listed(each.false, 'of')}."
+        )
+
+
+def coverage_row(name: str, each: Coverage | str) -> Row:
+    """The coverage of a model, or why there is none."""
+    if isinstance(each, str):
+        return {"model": f"`{name}`", "fronts": "-", "inside": each, "half-width over the extent": "-"}
+    outside = not COVERAGE[0] <= each.share <= COVERAGE[1]
+    return {
+        "model": f"`{name}`",
+        "fronts": each.fronts,
+        "inside": bold(f"{each.inside} ({each.share:.0%})", outside),
+        "half-width over the extent": percent(each.width),
+    }
+
+
+def _listed(names: Sequence[str], how: str) -> str:
+    return f" ({how}: {'; '.join(names)})" if names else ""

@@ -1,156 +1,143 @@
-"""Pictures: front errors, profiles and energies of 2D flows; deposits from above and series over time in 3D."""
+"""Pictures: errors by kind, deposits, error and gradients over seconds."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
+from matplotlib.ticker import NullLocator
 
 from datasets import measures
-from datasets.scene import Scene
-from datasets.trajectory import Floats
-from gns.initial import Start
-from gns.score import SPACING
-from validation.bench.surrogate.comparison import Comparison, FlowSeries, Series, by_variant
-from validation.bench.surrogate.page import COLUMN_CRITERIA, Columns, Scenes, joined
-from validation.bench.surrogate.scenes import TRAINED
+from datasets.trajectory import Trajectory
+from validation.bench.surrogate.accuracy import Accuracy
+from validation.bench.surrogate.page import FRONT, TRANSPORT
+from validation.bench.surrogate.price import Prices
+from validation.bench.surrogate.velocities import CRITERIA, Gradients
 from validation.report.plots import BLUE, GREEN, GREY, INK, LIGHT_BLUE, ORANGE, figure, pane
 
 COLOURS = (ORANGE, GREEN, GREY)
 """By model."""
-STYLES = {Start.FROM_REST: "--", Start.FROM_MPM_FRAMES: "-"}
-PIXEL = 0.05
-"""Edge of a cell of the map of depths [m], so that a few nodes of the surrogate are in one."""
+STATIONS = 80
+"""Of a height profile along the box."""
+ACROSS = 4
+"""Panes in a row."""
+ERRORS = (0.3, 0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100)
+"""Ticks of errors [%]."""
 
 
-def colours(comparisons: Sequence[Comparison]) -> dict[str, str]:
-    """A colour per model."""
-    names = list(dict.fromkeys(each.model for each in comparisons))
-    return {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(names)}
+@dataclass(frozen=True, kw_only=True)
+class Pictured:
+    """A scene's deposit by the reference and by the models."""
+
+    name: str
+    truth: Trajectory
+    rollouts: Mapping[str, Trajectory]
 
 
-def draw_fronts(path: Path, found: Columns) -> None:
-    """Front error over the angle of friction, a panel per aspect ratio; the MPM's scatter as a band, the criteria."""
-    shades, aspects = colours(joined(found.values())), list(dict.fromkeys(column.aspect for column in found))
-    with figure(path, columns=len(aspects), size=(2.8, 3.4)) as axes:
-        for number, aspect in enumerate(aspects):
-            axis = pane(axes, 0, number)
-            columns = sorted((each for each in found if each.aspect == aspect), key=lambda each: each.friction_deg)
-            angles = [each.friction_deg for each in columns]
-            scatter = 100.0 * np.array([found[each][0].scatter for each in columns])
-            axis.fill_between(angles, -scatter, scatter, color=LIGHT_BLUE, linewidth=0, label="MPM's scatter")
-            for low, high, trained in ((10, TRAINED[0], False), (*TRAINED, True), (TRAINED[1], 50, False)):
-                for sign in (-1.0, 1.0):
-                    axis.plot([low, high], [100.0 * sign * COLUMN_CRITERIA[trained]] * 2, ":", color=INK, linewidth=0.9)
-            for index, (model, start) in enumerate(by_variant(found[columns[0]])):
-                errors = [100.0 * found[each][index].front_error for each in columns]
+def draw_errors(path: Path, dimension: int, found: Accuracy) -> None:
+    """Errors of fronts (with their signs) and profiles by kind, a point for each scene, with the criteria."""
+    kinds = list(dict.fromkeys(each.kind for each in found.scenes))
+    with figure(path, columns=2, size=(6.2, 3.6)) as axes:
+        for column, title in enumerate(("front, free of walls", "profile")):
+            axis = pane(axes, 0, column)
+            for number, model in enumerate(found.scores):
+                shift = 0.22 * (number - 0.5 * (len(found.scores) - 1))
+                for index, kind in enumerate(kinds):
+                    scores = [each for each in found.of_kind(model, kind) if column == 1 or not each.at_wall]
+                    values = [each.deposit.transport if column else each.deposit.front for each in scores]
+                    spread = np.linspace(-0.08, 0.08, len(values)) if len(values) > 1 else np.zeros(len(values))
+                    axis.plot(
+                        index + shift + spread,
+                        100.0 * np.array(values),
+                        ".",
+                        color=COLOURS[number % len(COLOURS)],
+                        markersize=3.5,
+                        label=model if index == 0 else None,
+                    )
+            limits = (TRANSPORT,) if column else [sign * limit for limit in FRONT[dimension] for sign in (-1.0, 1.0)]
+            for limit in limits:
+                if np.isfinite(limit):
+                    axis.axhline(100.0 * limit, color=INK, linestyle=":", linewidth=0.9)
+            axis.set_xticks(range(len(kinds)), kinds, rotation=30)
+            axis.set_title(f"{title}, {dimension}D")
+            axis.set_ylabel("error over the extent [%]")
+        pane(axes).legend()
+
+
+def draw_deposits(path: Path, scenes: Sequence[Pictured]) -> None:
+    """Height profiles of deposits, the reference's filled; in 3D means across the box."""
+    across = min(ACROSS, len(scenes))
+    with figure(path, rows=-(-len(scenes) // across), columns=across, size=(3.6, 2.2)) as axes:
+        for axis in axes.flat[len(scenes) :]:
+            axis.set_visible(False)
+        for axis, each in zip(axes.flat, scenes, strict=False):
+            draw_deposit(axis, each)
+        pane(axes).legend()
+
+
+def draw_deposit(axis: Axes, each: Pictured) -> None:
+    """One scene's."""
+    size = each.truth.scene.domain.size
+    stations = np.linspace(0.0, size[0], STATIONS + 1)
+
+    def heights(flow: Trajectory) -> np.ndarray:
+        width = size[2] if len(size) > 2 else 1.0
+        return 100.0 * measures.height_profile(flow.positions[-1], flow.volumes, stations) / width
+
+    axis.fill_between(stations, heights(each.truth), color=LIGHT_BLUE, linewidth=0, label="MPM, fine")
+    for number, (model, flow) in enumerate(each.rollouts.items()):
+        axis.plot(stations, heights(flow), color=COLOURS[number % len(COLOURS)], linewidth=1.0, label=model)
+    axis.set_title(each.name)
+    axis.set_xlabel("x [m]")
+    axis.set_ylabel("height [cm]")
+
+
+def draw_prices(path: Path, found: Mapping[int, Prices]) -> None:
+    """Error over seconds, a pane per dimension."""
+    with figure(path, columns=len(found), size=(5.6, 4.2)) as axes:
+        for column, (dimension, each) in enumerate(found.items()):
+            axis = pane(axes, 0, column)
+            points = list(each.mpm.items())
+            x, y = [point.seconds for _, point in points], [100.0 * point.error for _, point in points]
+            axis.loglog(x, y, "o-", color=BLUE, label="MPM")
+            for (cells, _), at in zip(points, zip(x, y, strict=True), strict=True):
+                axis.annotate(f"{cells} cells", at, xytext=(3, 4), textcoords="offset points", fontsize=7)
+            for number, (name, point) in enumerate(each.models.items()):
+                colour = COLOURS[number % len(COLOURS)]
+                axis.loglog(point.seconds, 100.0 * point.error, "*", ms=11, color=colour, label=name)
+            axis.set_title(f"{dimension}D, {each.scenes} scenes")
+            axis.set_xlabel("seconds on one thread")
+            axis.set_ylabel("error of the deposit over its extent")
+            shown = [tick for tick in ERRORS if 0.5 * axis.get_ylim()[0] <= tick <= 2.0 * axis.get_ylim()[1]]
+            axis.yaxis.set_minor_locator(NullLocator())
+            axis.set_yticks(shown, [f"{tick:g} %" for tick in shown])
+            axis.legend()
+
+
+def draw_gradients(path: Path, found: Sequence[Gradients]) -> None:
+    """1 - cosine (above) and length over seconds, a column of panes per number of unknowns."""
+    with figure(path, rows=2, columns=len(found), size=(5.0, 3.0)) as axes:
+        for column, each in enumerate(found):
+            ticks = pane(axes, 0, column), pane(axes, 1, column)
+            values = [
+                (one.seconds, max(1.0 - one.cosine, 1e-6), one.length, one.method) for one in (*each.mpm, *each.models)
+            ]
+            for index, axis in enumerate(ticks, start=1):
+                coarse = sorted(values[: len(each.mpm)])
                 axis.plot(
-                    angles, errors, STYLES[start] + "o", ms=3, color=shades[model], label=f"{model}, {start}", lw=1.1
+                    [v[0] for v in coarse], [v[index] for v in coarse], "o-", color=BLUE, label="differences, MPM"
                 )
-            axis.axhline(0.0, color=INK, linewidth=0.7)
-            axis.set_title(f"height / length {aspect:g}")
-            axis.set_xlabel("angle of friction [°]")
-        pane(axes).set_ylabel("front error, all particles [%]")
-        pane(axes, 0, len(aspects) - 1).legend(fontsize=6)
-
-
-def draw_profiles(path: Path, found: Scenes) -> None:
-    """Height profiles of deposits by name, the MPM's filled."""
-    shades, across = colours(joined(found.values())), min(2, len(found))
-    with figure(path, rows=-(-len(found) // across), columns=across, size=(5.0, 2.4)) as axes:
-        for axis, (name, group) in zip(axes.flat, found.items(), strict=False):
-            stations = measures.profile_stations(group[0].scene, SPACING)
-            axis.fill_between(stations, 100.0 * group[0].mpm.profile, color=LIGHT_BLUE, linewidth=0, label="MPM")
-            axis.axvline(group[0].front, color=BLUE, linewidth=0.8, label="MPM's front")
-            for each in group:
-                line(axis, stations, 100.0 * each.surrogate.profile, each, shades)
-            axis.set_title(name)
-            axis.set_xlabel("x [m]")
-            axis.set_ylabel("height [cm]")
+                for number, one in enumerate(values[len(each.mpm) :]):
+                    axis.plot(one[0], one[index], "*", ms=11, color=COLOURS[number % len(COLOURS)], label=one[3])
+                axis.set_xscale("log")
+                axis.set_xlabel("seconds on one thread")
+            above, below = ticks
+            above.set_yscale("log")
+            if each.unknowns in CRITERIA:
+                above.axhline(1.0 - CRITERIA[each.unknowns], color=INK, linestyle=":", linewidth=0.9)
+            below.axhline(1.0, color=INK, linewidth=0.7)
+            above.set_title(f"{each.unknowns} unknowns")
+            above.set_ylabel("1 - cosine")
+            below.set_ylabel("length over the reference's")
         pane(axes).legend()
-
-
-def draw_energies(path: Path, found: Scenes) -> None:
-    """Kinetic (above) and potential energy (below) over time, a column of panels per scene."""
-    with figure(path, rows=2, columns=len(found), size=(3.4, 2.3)) as axes:
-        for column, (name, group) in enumerate(found.items()):
-            draw_series(pane(axes, 0, column), group, f"{name}: kinetic energy [%]")
-            draw_series(pane(axes, 1, column), group, f"{name}: potential energy [%]")
-        pane(axes).legend()
-
-
-def draw_times(path: Path, found: Scenes) -> None:
-    """Front, upstream depth and both energies over time, a row per scene."""
-    with figure(path, rows=len(found), columns=len(SERIES), size=(3.2, 2.5)) as axes:
-        for row, (name, group) in enumerate(found.items()):
-            for column, what in enumerate(SERIES):
-                draw_series(pane(axes, row, column), group, f"{name}: {what}")
-        pane(axes).legend()
-
-
-SERIES: dict[str, Callable[[FlowSeries], Series]] = {
-    "front [m]": lambda flow: flow.front,
-    "upstream depth [cm]": lambda flow: 100.0 * flow.depth,
-    "kinetic energy [%]": lambda flow: 100.0 * flow.kinetic,
-    "potential energy [%]": lambda flow: 100.0 * flow.potential,
-}
-
-
-def draw_series(axis: Axes, group: Sequence[Comparison], title: str) -> None:
-    """One series of the rollouts and of the MPM, named at the end of the title."""
-    name = title.split(": ")[-1]
-    shades = colours(group)
-
-    def over_time(flow: FlowSeries, step: float) -> tuple[Series, Series]:
-        values = SERIES[name](flow)
-        # A mean over a step belongs to its middle.
-        times: Series = step * (np.arange(len(values), dtype=np.float64) + 0.5 * (len(values) < len(flow.front)))
-        return times, values
-
-    axis.plot(*over_time(group[0].mpm, group[0].step), color=BLUE, linewidth=2.2, alpha=0.5, label="MPM")
-    for each in group:
-        line(axis, *over_time(each.surrogate, each.step), each, shades)
-    axis.set_title(title)
-    axis.set_xlabel("time [s]")
-
-
-def line(axis: Axes, x: Series, y: Series, each: Comparison, shades: Mapping[str, str]) -> None:
-    """A line in the colour of the model and the style of the start."""
-    axis.plot(x, y, STYLES[each.start], color=shades[each.model], linewidth=1.0, label=f"{each.model}, {each.start}")
-
-
-def draw_maps(path: Path, found: Scenes) -> None:
-    """Depth of the deposits from above, the MPM's and each model's from rest, same particles; a row per scene."""
-    rest = {name: [each for each in group if each.start is Start.FROM_REST] for name, group in found.items()}
-    with figure(path, rows=len(rest), columns=1 + max(map(len, rest.values())), size=(4.2, 2.9)) as axes:
-        for row, (name, group) in enumerate(rest.items()):
-            flows = [(f"{name}, MPM", group[0], group[0].mpm)]
-            flows += [(f"{name}, {each.model}, {each.start}", each, each.surrogate) for each in group]
-            top = 100.0 * float(depth_map(group[0].mpm.deposit, group[0].volume, group[0].scene).max())
-            for column, (title, each, flow) in enumerate(flows):
-                axis = pane(axes, row, column)
-                length, _, width = each.scene.domain.size
-                depths = 100.0 * depth_map(flow.deposit, each.volume, each.scene).T
-                shown = np.ma.masked_equal(depths, 0.0)
-                box = (0.0, length, 0.0, width)
-                image = axis.imshow(shown, origin="lower", extent=box, vmin=0.0, vmax=top, cmap="viridis")
-                for baffle in each.scene.baffles:
-                    corner, size = (baffle.lower[0], baffle.lower[2]), (baffle.size[0], baffle.size[2])
-                    axis.add_patch(Rectangle(corner, *size, facecolor=GREY, edgecolor=INK, zorder=3))
-                axis.axvline(flow.front[-1], color=ORANGE, linewidth=1.0, label="front")
-                axis.set_title(title)
-                axis.set_xlabel("x [m]")
-                axis.set_ylabel("z [m]")
-                axis.grid(visible=False)
-            axis.figure.colorbar(image, ax=list(axes[row]), label="depth [cm]", shrink=0.8)
-
-
-def depth_map(positions: Floats, volume: Floats, scene: Scene) -> NDArray[np.float64]:
-    """Depth at the initial density over cells seen from above [m], shape [x, z]."""
-    length, _, width = scene.domain.size
-    counts = [round(length / PIXEL), round(width / PIXEL)]
-    edges = [(0.0, length), (0.0, width)]
-    sums, _, _ = np.histogram2d(positions[:, 0], positions[:, 2], counts, range=edges, weights=volume)
-    return np.asarray(sums * counts[0] * counts[1] / (length * width))

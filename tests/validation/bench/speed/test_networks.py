@@ -70,9 +70,7 @@ def test_a_message_travels_one_radius_per_layer() -> None:
     torch.manual_seed(0)
     positions = torch.stack((0.5 + 0.02 * torch.arange(6.0), torch.full((6,), 0.5)), dim=1)
     state = State(positions=positions, displacements=torch.zeros(3, 6, 2))
-    conditions = Conditions(
-        friction=torch.full((6,), 0.5), cohesion=torch.zeros(6), volume=torch.full((6,), 1e-4), size=(1.0, 1.0)
-    )
+    _, conditions = column(ModelSettings(), 6)
     model = Textbook(dimension=2, radius=RADIUS, history=3, width=8, layers=2, hidden_layers=1)
     changed = conditions.friction.clone()
     changed[0] = 0.7
@@ -92,12 +90,13 @@ def test_a_column_has_its_nodes_at_the_model_s_density(dimension: int, nodes: in
     assert float(state.positions[:, 1].max()) == pytest.approx(height, abs=settings.cell)
     length = float(state.positions[:, 0].max())
     assert length * height ** (dimension - 1) == pytest.approx(float(conditions.volume.sum()), rel=0.25)
-    assert conditions.size[0] - length == pytest.approx(FREE * height, abs=settings.cell)
+    assert float(conditions.size[0, 0]) - length == pytest.approx(FREE * height, abs=settings.cell)
     assert (state.positions > 0.0).all()
-    assert (state.positions < torch.tensor(conditions.size)).all()
+    assert (state.positions < conditions.size).all()
     state, conditions = column(settings, 100, samples=2)
     assert conditions.batch is not None
     assert torch.bincount(conditions.batch).tolist() == [100, 100]
+    assert conditions.samples == len(conditions.gravity) == len(conditions.damping) == 2
 
 
 def test_a_longer_column_has_as_many_neighbours_per_node() -> None:
@@ -107,8 +106,8 @@ def test_a_longer_column_has_as_many_neighbours_per_node() -> None:
 
 def test_shipped_models_are_found(tmp_path: Path) -> None:
     for name in ("flow-fast", "flow"):
-        checkpoint.save(tmp_path / f"{name}.pt", tiny(), {})
-    checkpoint.save(tmp_path / "hill.pt", tiny(dataclasses.replace(SETTINGS, dimension=3)), {})
+        checkpoint.save(tmp_path / f"{name}.safetensors", tiny(), {})
+    checkpoint.save(tmp_path / "hill.safetensors", tiny(dataclasses.replace(SETTINGS, dimension=3)), {})
     found = networks.families(tmp_path)
     assert [each.name for each in found] == ["flow", "flow-fast", "hill"]
     # The second model has the nodes and the radius of the first.

@@ -1,0 +1,126 @@
+"""Held-out shapes: which training scenes would be too close to one that ships.
+
+Two scenes are neighbours if, in units of the released body's own length and measured from its lower corner, every
+corner of every mass and baffle of the one lies within `MARGIN` of the same corner of the other, mirrored or not, and
+the masses are as close to the box's sides or not in contact with them either. Of a turned baffle the corners are those
+of the box around it. Angles, velocities and friction do not count: a neighbour is excluded at every material.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from functools import cache
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from datasets.library import SCENES, read_scene
+from datasets.particles import released_volume
+from datasets.scene import Baffle, Mass, Scene
+
+UP = 1
+"""The axis that points up."""
+MARGIN = 0.06
+"""Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
+GAPS = 0.06
+"""Share of a box that masses may leave empty to count as one [-]."""
+ASPECTS = (0.5, 0.8, 1.0, 2.0, 3.0)
+"""Height over length of columns at a wall that are kept for tests of generalisation, beside the scenes that ship."""
+ASPECT_MARGIN = 0.04
+"""Relative distance from these within which a column at a wall is their neighbour [-]."""
+
+
+def is_held_out(scene: Scene) -> bool:
+    """Whether `scene` is a neighbour of a scene that ships, or a column of a held-out aspect at a wall."""
+    scene = joined(scene)
+    return held_out_column(scene) or any(neighbours(scene, other) for other in shipped(scene.dimension))
+
+
+def joined(scene: Scene) -> Scene:
+    """The scene, its masses as one where they are boxes of one sand at rest that fill a box: layers in name only."""
+    masses = scene.masses
+    alike = len({scene.material_of(mass) for mass in masses}) == 1 and not any(mass.velocity for mass in masses)
+    if len(masses) == 1 or not alike or any(mass.kind != "box" for mass in masses):
+        return scene
+    corners = boxes(masses, scene.dimension)
+    lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    if released_volume(scene) < (1.0 - GAPS) * float(np.prod(upper - lower)):
+        return scene
+    whole = dataclasses.replace(masses[0], lower=tuple(lower.tolist()), size=tuple((upper - lower).tolist()))
+    return dataclasses.replace(scene, masses=(whole,))
+
+
+@cache
+def shipped(dimension: int) -> tuple[Scene, ...]:
+    """The scenes that ship, of a dimension."""
+    scenes = (read_scene(path.stem) for path in sorted(SCENES.glob("*.toml")))
+    return tuple(scene for scene in scenes if scene.dimension == dimension)
+
+
+def held_out_column(scene: Scene) -> bool:
+    """Whether a scene is a single box at a wall whose aspect is kept for tests."""
+    mass = scene.masses[0]
+    if len(scene.masses) > 1 or scene.dimension != 2 or mass.kind != "box" or not touches(scene, mass).any():
+        return False
+    aspect = mass.size[1] / mass.size[0]
+    return any(abs(aspect / other - 1.0) <= ASPECT_MARGIN for other in ASPECTS)
+
+
+def neighbours(scene: Scene, other: Scene) -> bool:
+    """Whether two scenes of one dimension are neighbours."""
+    if (len(scene.masses), len(scene.baffles)) != (len(other.masses), len(other.baffles)):
+        return False
+    theirs, walls = next(images(other))
+    return any(np.array_equal(touched, walls) and all(map(matched, mine, theirs)) for mine, touched in images(scene))
+
+
+def matched(mine: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
+    """Whether boxes [K, 2, D] can be paired with as many others such that all their corners are within `MARGIN`."""
+    near = np.asarray((np.abs(mine[:, None] - theirs) <= MARGIN).all(axis=(2, 3)))
+    return bool(near[linear_sum_assignment(near, maximize=True)].all())
+
+
+def images(scene: Scene) -> Iterator[tuple[list[NDArray[np.float64]], NDArray[np.bool_]]]:
+    """A scene and its mirror images along x and, in 3D, z and both.
+
+    Of each the boxes of its masses and of its baffles [-], shapes [K, 2, D], over the length of the body and from the
+    lower corner of its masses on; and which sides of the box masses touch [H, 2].
+    """
+    unit = released_volume(scene) ** (1.0 / scene.dimension)
+    level = [axis for axis in range(scene.dimension) if axis != UP]
+    contact = touches_all(scene)
+    for flips in product((False, True), repeat=len(level)):
+        groups = [boxes(group, scene.dimension) for group in (scene.masses, scene.baffles)]
+        touched = contact.copy()
+        for number, axis in enumerate(level):
+            if flips[number]:
+                touched[number] = touched[number, ::-1]
+                for corners in groups:
+                    corners[..., axis] = scene.domain.size[axis] - corners[:, ::-1, axis]
+        corner = groups[0][:, 0].min(axis=0)
+        yield [(corners - corner) / unit for corners in groups], touched
+
+
+def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> NDArray[np.float64]:
+    """Lower and upper corner of each [m], of a turned baffle those of the box around it; shape [K, 2, D]."""
+    lower, size = (np.array([getattr(each, key) for each in group]).reshape(-1, dimension) for key in ("lower", "size"))
+    turn = np.radians([getattr(each, "turned_deg", 0.0) for each in group])
+    plane = [0, dimension - 1]
+    cosine, sine = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
+    extent = size.astype(np.float64)
+    extent[:, plane] = cosine * size[:, plane] + sine * size[:, plane[::-1]]
+    middle = lower + 0.5 * size
+    return np.stack((middle - 0.5 * extent, middle + 0.5 * extent), axis=1)
+
+
+def touches(scene: Scene, mass: Mass) -> NDArray[np.bool_]:
+    """Whether a mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
+    slack = 0.5 * scene.domain.cell
+    lower, size, box = (np.delete(np.array(each), UP) for each in (mass.lower, mass.size, scene.domain.size))
+    return np.stack((lower <= slack, lower + size >= box - slack), axis=1)
+
+
+def touches_all(scene: Scene) -> NDArray[np.bool_]:
+    """Whether any mass leans on these sides of the box, shape [H, 2]."""
+    return np.asarray(np.any([touches(scene, mass) for mass in scene.masses], axis=0))

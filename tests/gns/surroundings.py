@@ -1,0 +1,81 @@
+"""Boxes and ground around a few particles, as conditions of a model."""
+
+import torch
+from torch import Tensor
+
+from gns.model.state import Conditions, Ground
+
+ROOM = {2: (1.0, 0.5), 3: (1.0, 0.5, 0.8)}
+PADDING = [[-10.0, -10.0, -10.0], [-10.0, -10.0, -10.0]]
+
+
+def boxes(*corners: list[list[float]], dimension: int = 2, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Baffles of one sample, given in 3D, without their z in 2D."""
+    return torch.tensor(corners, dtype=dtype)[None, :, :, :dimension].clone()
+
+
+def scattered(dimension: int) -> Tensor:
+    """Two samples: a free box and three that touch each other, floor and wall; a thin box, the free one and padding."""
+    free = [[0.3, 0.1, 0.3], [0.4, 0.3, 0.4]]
+    pair = [[[0.6, 0.0, 0.0], [0.7, 0.3, 0.12]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.12]]]
+    upon = [[0.6, 0.3, 0.0], [0.7, 0.4, 0.3]]
+    thin = [[0.0, 0.0, 0.5], [0.02, 0.35, 0.8]]
+    first = boxes(free, *pair, upon, dimension=dimension)
+    return torch.cat((first, boxes(thin, free, PADDING, PADDING, dimension=dimension)))
+
+
+def turned_boxes(dimension: int) -> tuple[Tensor, Tensor]:
+    """Two samples of boxes that are turned, clear of each other, the floor in 2D and the walls; and their turns."""
+    first = [[0.3, 0.15, 0.3], [0.4, 0.3, 0.36]], [[0.65, 0.12, 0.1], [0.7, 0.37, 0.35]]
+    second = [[0.1, 0.15, 0.5], [0.25, 0.2, 0.6]], [[0.6, 0.1, 0.3], [0.7, 0.2, 0.4]]
+    both = torch.cat((boxes(*first, dimension=dimension), boxes(*second, dimension=dimension)))
+    return both, torch.tensor([[0.5, -0.3], [-0.7, 0.0]], dtype=torch.float64)
+
+
+def conditions(
+    count: int,
+    baffles: Tensor | None = None,
+    *,
+    dimension: int = 2,
+    batch: Tensor | None = None,
+    turn: Tensor | None = None,
+    ground: Ground | None = None,
+    dtype: torch.dtype = torch.float64,
+    size: tuple[float, ...] | None = None,
+) -> Conditions:
+    """Those of `count` particles in the room of the samples of the baffles, or of the ground, or of one."""
+    samples = next((len(each) for each in (baffles, ground.elevation if ground else None) if each is not None), 1)
+    if baffles is not None:
+        dtype, dimension = baffles.dtype, baffles.shape[3]
+    own = torch.ones(count, dtype=dtype)
+    of_samples = torch.ones(samples, dtype=dtype)
+    friction = None if baffles is None else torch.linspace(0.2, 0.7, baffles.shape[1], dtype=dtype).expand(samples, -1)
+    return Conditions(
+        friction=own,
+        cohesion=own,
+        volume=own,
+        size=torch.tensor(size or ROOM[dimension], dtype=dtype).expand(samples, -1),
+        gravity=torch.zeros(samples, dimension, dtype=dtype),
+        floor_friction=of_samples,
+        wall_friction=of_samples,
+        damping=of_samples,
+        batch=batch,
+        baffles=baffles,
+        baffle_friction=friction,
+        baffle_turn=turn,
+        ground=ground,
+    )
+
+
+def plane(
+    dimension: int, *, rise: tuple[float, ...] = (0.3, -0.2), height: float = 0.1, spacing: float = 0.05
+) -> Ground:
+    """Ground that rises by so much along x (and z), `height` [m] high in the corner of the room."""
+    plan = [
+        spacing * torch.arange(round(ROOM[dimension][axis] / spacing) + 2).double() for axis in (0, 2)[: dimension - 1]
+    ]
+    grids = torch.meshgrid(*plan, indexing="ij")
+    elevation = height + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
+    assert isinstance(elevation, Tensor)
+    friction = 0.4 + 0.1 * grids[0]
+    return Ground(elevation=elevation[None], friction=friction[None], spacing=spacing)

@@ -1,0 +1,143 @@
+"""The gradient of a rollout in everything that may be an unknown is that of central differences."""
+
+import dataclasses
+
+import pytest
+import torch
+from torch import Tensor
+
+from gns.model.simulator import Simulator
+from gns.model.state import Conditions, Ground, State
+from gns.units import Units
+from gns.unroll import unroll
+from tests.gns.conftest import Cloud
+
+STEPS = 4
+UNITS = Units(length=1.21, time=1.1, stress=2.0)
+INPUTS = {
+    "friction": 1e-2,
+    "cohesion": 100.0,
+    "volume": 1e-5,
+    "gravity": 1.0,
+    "floor_friction": 1e-1,
+    "wall_friction": 1e-1,
+    "damping": 1e-1,
+    "baffles": 1e-2,
+    "baffle_friction": 1e-1,
+    "ground.elevation": 1e-2,
+    "ground.friction": 1.0,
+}
+"""What may be an unknown, and a typical change of it; of a raster's friction more, because changes cancel."""
+
+
+@pytest.fixture
+def problem(lively: Simulator, cloud: Cloud) -> tuple[Simulator, State, Conditions]:
+    """A frozen model in double precision, in units of a scene, and a block thrown at rough ground and a baffle."""
+    with torch.no_grad():
+        for name, weight in lively.named_parameters():
+            if "film" in name:
+                weight.normal_(std=0.2)
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.1003, 0.0951), velocity=(1.5, -0.6)))
+    x = 0.01 * torch.arange(101, dtype=torch.float64)
+    ground = Ground(
+        elevation=(0.08 + 0.01 * torch.sin(20.0 * x)).unsqueeze(0),
+        friction=(0.4 + 0.1 * torch.cos(9.0 * x)).unsqueeze(0),
+        spacing=0.01,
+    )
+    conditions = dataclasses.replace(
+        conditions,
+        baffles=torch.tensor([[[[0.2402, 0.05], [0.2801, 0.1603]]]], dtype=torch.float64),
+        baffle_friction=torch.tensor([[0.3]], dtype=torch.float64),
+        ground=ground,
+        units=UNITS,
+    )
+    return lively.double().requires_grad_(False), state, conditions
+
+
+def changed(conditions: Conditions, name: str, change: Tensor) -> Conditions:
+    """The conditions with a value of them changed."""
+    if name.startswith("ground."):
+        assert conditions.ground is not None
+        field = name.removeprefix("ground.")
+        value = getattr(conditions.ground, field) + change
+        return dataclasses.replace(conditions, ground=dataclasses.replace(conditions.ground, **{field: value}))
+    return dataclasses.replace(conditions, **{name: getattr(conditions, name) + change})
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_the_gradient_is_that_of_central_differences(problem: tuple[Simulator, State, Conditions], name: str) -> None:
+    simulator, state, conditions = problem
+    value = getattr(conditions.ground, name.removeprefix("ground.")) if "." in name else getattr(conditions, name)
+    direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    direction = INPUTS[name] * direction
+
+    def end(length: Tensor) -> Tensor:
+        """A number that depends on where each particle ends, along the direction."""
+        last = unroll(simulator, state, changed(conditions, name, length * direction), STEPS)[-1]
+        return (last * torch.linspace(0.5, 1.5, last.numel(), dtype=torch.float64).view_as(last)).sum()
+
+    length = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(end(length), length)
+    # Small: the slope of the ground jumps from one elevation to the next, and a particle may cross there.
+    step = torch.tensor(1.0e-5, dtype=torch.float64)
+    with torch.no_grad():
+        difference = (end(step) - end(-step)) / (2.0 * step)
+    assert abs(difference) > 1e-5
+    torch.testing.assert_close(slope, difference, rtol=1e-4, atol=0.0)
+
+
+def test_both_solids_stop_particles(problem: tuple[Simulator, State, Conditions]) -> None:
+    simulator, state, conditions = problem
+    with torch.no_grad():
+        end = unroll(simulator, state, conditions, STEPS)[-1]
+        bare = dataclasses.replace(conditions, baffles=None, baffle_friction=None)
+        beyond = unroll(simulator, state, bare, STEPS)[-1]
+        free = unroll(simulator, state, dataclasses.replace(conditions, ground=None), STEPS)[-1]
+    assert (end - beyond).abs().max() > 1e-3
+    assert (end - free).abs().max() > 1e-3
+
+
+def test_the_gradient_in_the_conditions_of_a_3d_flow() -> None:
+    from tests.gns.test_simulator import NORMALISATION, SMALL_3D, cloud_3d
+
+    torch.manual_seed(0)
+    simulator = Simulator(SMALL_3D, NORMALISATION).double()
+    with torch.no_grad():
+        for name, weight in simulator.named_parameters():
+            if "film" in name or "decoder.mlp.2" in name:
+                weight.normal_(std=0.2)
+    simulator.requires_grad_(False)
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud_3d(velocity=(2.0, -1.5, 0.0)))
+    plan = 0.1 * torch.arange(11, dtype=torch.float64)
+    elevation = 0.22 + 0.05 * torch.sin(9.0 * plan).unsqueeze(1) * torch.cos(7.0 * plan)
+    whole = dataclasses.replace(
+        conditions,
+        baffles=torch.tensor([[[[0.652, 0.0, 0.303], [0.8, 0.6, 0.6]]]], dtype=torch.float64),
+        baffle_friction=torch.tensor([[0.3]], dtype=torch.float64),
+        ground=Ground(elevation=elevation.unsqueeze(0), friction=0.5 + 0.0 * elevation.unsqueeze(0), spacing=0.1),
+    )
+
+    def end(shift: Tensor) -> Tensor:
+        """A number that depends on where each particle ends; shift: of the conditions below, [6]."""
+        zero = torch.zeros((), dtype=torch.float64)
+        given = whole
+        for name, change in (
+            ("baffles", torch.stack((shift[0], zero, shift[1]))),
+            ("friction", shift[2]),
+            ("cohesion", 1000.0 * shift[3]),
+            ("ground.elevation", shift[4] * torch.cos(5.0 * plan)),
+            ("gravity", torch.stack((10.0 * shift[5], zero, -10.0 * shift[5]))),
+        ):
+            given = changed(given, name, change)
+        last = unroll(simulator, state, given, 8)[-1]
+        return (last * torch.linspace(0.5, 1.5, last.numel(), dtype=torch.float64).view_as(last)).sum()
+
+    shift = torch.full((6,), 1.0e-3, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(end(shift), shift)
+    step = 1.0e-6
+    with torch.no_grad():
+        differences = torch.stack(
+            [(end(shift + step * unit) - end(shift - step * unit)) / (2.0 * step) for unit in torch.eye(6).double()]
+        )
+    assert differences.abs().min() > 1e-4
+    torch.testing.assert_close(slope, differences, rtol=1e-4, atol=0.0)

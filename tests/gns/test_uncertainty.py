@@ -1,0 +1,175 @@
+"""How far a rollout may be from the MPM: spread of an ensemble, calibrated bands, and the command that finds them."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import gns
+from datasets import command_line, measures
+from datasets.errors import InputError
+from gns import card
+from gns.calibrate import calibrate
+from gns.inference import member_path
+from gns.initial import initial_state
+from gns.model import checkpoint
+from gns.model.settings import ModelSettings
+from gns.model.simulator import Simulator
+from gns.uncertainty import LEVELS, Ensemble, calibrated, covered, half_width, predict, standard_deviation, uncertain
+from tests.gns.conftest import NORMALISATION, spreading
+
+FLOWS = 20
+
+
+def drawn(rng: np.random.Generator, count: int, *, heavy: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors of twice sqrt(s^2 + (0.03 L)^2), Gaussian or with heavy tails, with spreads s and extents L [m]."""
+    spreads, extents = 0.01 * np.exp(rng.normal(0.0, 1.0, count)), rng.uniform(0.3, 2.0, count)
+    chance = rng.standard_t(3, count) if heavy else rng.normal(size=count)
+    return 2.0 * chance * np.hypot(spreads, 0.03 * extents), spreads, extents
+
+
+def test_bands_are_conformal_quantiles() -> None:
+    # Without any spread u = b L: the bands are quantiles of the errors themselves, of the rank ceil((n + 1) level).
+    errors, count = 0.01 * np.arange(1.0, 20.0) * (-1.0) ** np.arange(19), np.ones(19)
+    found = calibrated(errors, 0.0 * count, count)
+    widths = [float(half_width(found, 0.0, 1.0, level)) for level in LEVELS]
+    assert widths == pytest.approx([0.10, 0.16, 0.19])
+    assert float(half_width(found, 0.0, 3.0, 0.8)) == pytest.approx(0.48)
+    with pytest.raises(InputError, match="expected at least 19 flows for a band of 95%, got 18"):
+        calibrated(errors[1:], 0.0 * count[1:], count[1:])
+    with pytest.raises(InputError, match=r"level: expected one of 0\.5, 0\.8, 0\.95, got 0\.9"):
+        half_width(found, 0.0, 1.0, 0.9)
+
+
+def test_the_floor_and_the_deviation_are_those_of_the_errors() -> None:
+    found = calibrated(*drawn(np.random.default_rng(0), 4000))
+    assert found.floor == pytest.approx(0.03, rel=0.2)
+    assert found.deviation == pytest.approx(2.0, rel=0.1)
+    assert found.quantiles["0.95"] / found.deviation == pytest.approx(1.96, rel=0.06)
+
+
+@pytest.mark.parametrize("heavy", [False, True])
+def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool) -> None:
+    rng = np.random.default_rng(1)
+    shares = []
+    for _ in range(60):
+        found = calibrated(*drawn(rng, 60, heavy=heavy))
+        fresh = drawn(rng, 200, heavy=heavy)
+        shares.append([covered(found, *fresh, level) for level in LEVELS])
+    # Split conformal prediction: level to level + 1 / 61, less what the one fitted number costs.
+    assert np.mean(shares, axis=0) == pytest.approx(LEVELS, abs=0.025)
+    # A band of one width for all does so on the whole, but not where members disagree.
+    errors, spreads, extents = drawn(rng, 4000, heavy=heavy)
+    found = calibrated(errors, spreads, extents)
+    apart = spreads > np.quantile(spreads, 0.9)
+    same = np.quantile(np.abs(errors), 0.8)
+    assert covered(found, errors[apart], spreads[apart], extents[apart], 0.8) == pytest.approx(0.8, abs=0.06)
+    assert np.mean(np.abs(errors[apart]) <= same) < 0.7
+
+
+def test_the_standard_deviation_of_an_observation_is_calibrated() -> None:
+    found = calibrated(*drawn(np.random.default_rng(0), 500))
+    values = np.array([[0.1, 0.5, 0.9], [0.1, 0.52, 1.0], [0.1, 0.54, 0.8]])
+    expected = found.deviation * np.sqrt(np.array([0.0, 0.02, 0.1]) ** 2 + (found.floor * 1.2) ** 2)
+    np.testing.assert_allclose(standard_deviation(found, values, 1.2), expected)
+    assert uncertain(3.0, 4.0, 1.0) == pytest.approx(5.0)
+
+
+@pytest.fixture
+def model(settings: ModelSettings, tmp_path: Path) -> Path:
+    """A tiny model that hardly pushes, its two members, and its card."""
+    path = tmp_path / "model.safetensors"
+    for number, strength in ((0, 0.02), (1, 0.05), (2, 0.08)):
+        torch.manual_seed(number)
+        simulator = Simulator(settings, NORMALISATION)
+        with torch.no_grad():
+            simulator.network.decoder.mlp[-1].weight.normal_(std=strength)
+        checkpoint.save(member_path(path, number) if number else path, simulator, {})
+    scenes = [spreading(angle, duration=0.1).scene for angle in (20.0, 40.0)]
+    card.write(path, card.describe(checkpoint.load(path).simulator, {}, {"columns": scenes}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def flows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Short flows of columns, to calibrate on and to check."""
+    folder = tmp_path_factory.mktemp("columns")
+    for index in range(FLOWS):
+        flow = spreading(20.0 + index, length=0.06, height=0.05 + 0.002 * index, duration=0.05, seed=index)
+        for split in ("valid", "test"):
+            flow.save(folder / split / f"{index:04d}.npz")
+    return folder
+
+
+def call(*arguments: str | Path) -> int:
+    return command_line.run(calibrate, "python -m gns.calibrate", [str(each) for each in arguments])
+
+
+def test_a_calibrated_model_predicts_a_band(model: Path, flows: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
+    with pytest.raises(InputError, match=r"model\.json: calibration: expected a calibration"):
+        predict(scene, model=model)
+    assert call(model, flows) == 0
+    said = capsys.readouterr().out
+    known = card.read(model)
+    assert known is not None
+    assert known.calibration is not None
+    assert set(known.calibration) == {"front", "transport"}
+    assert all(each.flows == FLOWS for each in known.calibration.values())
+    assert all("gns.calibrate" in each.command for each in known.calibration.values())
+    # The band of 95 % of twenty flows ends at the largest ratio: all of them are within.
+    assert [line.split("|")[3].strip() for line in said.splitlines() if "95%" in line] == ["100%", "100%"]
+    # The same flows in another split: the bands that were stored hold, and nothing is written.
+    before = card.card_path(model).read_bytes()
+    assert call(model, flows, "--split", "test", "--check") == 0
+    assert capsys.readouterr().out == said
+    assert card.card_path(model).read_bytes() == before
+
+    found = predict(scene, model=model, level=0.8)
+    deposits = [
+        gns.simulate(scene, model=path).positions[-1] for path in (model, member_path(model, 1), member_path(model, 2))
+    ]
+    fronts = [measures.front(deposit) for deposit in deposits]
+    calibration = known.calibration["front"]
+    spread = float(np.std(fronts[1:], ddof=1))
+    assert spread > 0.0
+    assert found.front == pytest.approx(fronts[0])
+    assert found.outcome.spreads["front"] == pytest.approx(spread, rel=1e-4)
+    extent = fronts[0] - gns.simulate(scene, model=model).positions[0, :, 0].min()
+    expected = calibration.quantiles["0.8"] * np.hypot(spread, calibration.floor * extent)
+    assert found.half_width == pytest.approx(expected, rel=1e-4)
+    assert found.transport > 0.0
+    assert found.warning is None
+    # Any other observation: the mean place of the particles over time, by each member.
+    ensemble = Ensemble.load(model)
+    start = initial_state(scene, ensemble.model.settings)
+    values = ensemble.values(
+        start.state, start.conditions, start.steps, lambda positions: positions[:, :, 0].mean(dim=1)
+    )
+    assert values.shape == (2, start.steps + 1)
+    assert values[1, -1] == pytest.approx(float(deposits[2][:, 0].mean()))
+    assert standard_deviation(calibration, values, extent)[-1] > calibration.deviation * calibration.floor * extent
+    steep = dataclasses.replace(scene, slope_deg=20.0)
+    assert "slope_deg 20" in (predict(steep, model=model).warning or "")
+
+
+def test_what_cannot_be_calibrated_is_an_input_error(
+    model: Path, flows: Path, settings: ModelSettings, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(*arguments: str | Path) -> str:
+        assert call(*arguments) == 2
+        return capsys.readouterr().err.splitlines()[-1]
+
+    assert "expected at least one dataset" in said(model)
+    assert "calibration: expected a calibration on the model's card" in said(model, flows, "--check")
+    wider = Simulator(dataclasses.replace(settings, width=24), NORMALISATION)
+    checkpoint.save(member_path(model, 2), wider, {})
+    assert "model-2.safetensors: settings: expected the settings of model.safetensors" in said(model, flows)
+    member_path(model, 2).unlink()
+    assert "expected at least two members, such as model-1.safetensors, got 1" in said(model, flows)
+    with pytest.raises(InputError, match="at least two members"):
+        Ensemble.load(model)
+    card.card_path(model).unlink()
+    assert "expected the model's card" in said(model, flows)
