@@ -27,6 +27,9 @@ from gns.model.grid import UP
 from gns.model.state import Conditions
 from gns.units import GRAVITY
 
+ROUNDED = 0.1
+"""Change of the motion over `slow` below which its amount is rounded [-]: a sharp kink has no useful derivative."""
+
 
 def count(dimension: int) -> int:
     """Number of `traction_features`."""
@@ -80,10 +83,11 @@ def sliding(displacements: Tensor, conditions: Conditions, *, step: float, slow:
     normal = -gravity[:, UP].clamp(max=0.0)
     rough = torch.minimum(conditions.of_particles(conditions.floor_friction), conditions.friction)
     most = (rough * normal).unsqueeze(1)
-    least = 1.0e-3 * slow
-    basal = -most * trial / (trial.square().sum(dim=1, keepdim=True) + most.square() + least**2).sqrt()
+    # On a smooth floor too the root has a slope at zero.
+    rounded = 1.0e-3 * slow
+    basal = -most * trial / (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
     change = velocity - displacements[-2] if len(displacements) > 1 else torch.zeros_like(velocity)
-    size = (change.square().sum(dim=1, keepdim=True) + least**2).sqrt()
+    size = (change.square().sum(dim=1, keepdim=True) + (ROUNDED * slow) ** 2).sqrt()
     damping = conditions.of_particles(conditions.damping).unsqueeze(1)
     return basal / unit_force, -damping * size * unit(velocity, slow) / unit_force
 
