@@ -22,7 +22,7 @@ from validation.bench.surrogate.models import Model
 from validation.bench.surrogate.records import Records, digest
 from validation.bench.surrogate.scores import Deposit, deposit, rms
 
-CELLS = {2: (7, 10, 14, 20, 28, 40), 3: (5, 7, 10, 14)}
+CELLS = {2: (7, 10, 14, 20, 28, 40), 3: (3, 5, 7)}
 """Across the smallest side of the body, by dimension."""
 STEP_FRACTION = 0.9
 
