@@ -92,6 +92,10 @@ def bench(
         Jitter seeds of the MPM's gradients.
     """
     models = load(model)
+    flags = "".join(f" --model {path}" for path in model) + (
+        f" --scenes {scenes} --scenes-3d {scenes_3d} --finer {finer} --finer-3d {finer_3d}"
+        f" --timed {timed} --long {long} --columns {columns} --seeds {seeds}"
+    )
     counts = Counts(
         scenes={2: scenes, 3: scenes_3d},
         finer={2: finer, 3: finer_3d},
@@ -110,7 +114,7 @@ def bench(
             found = with_dimension(found, dimension, some, source, counts, out, keep, quick=quick)
     if found.prices:
         pictures.draw_prices(out / "gns-price.png", found.prices)
-    return page(found, quick=quick).write(out / "gns.md")
+    return page(found, quick=quick, flags="" if quick else flags).write(out / "gns.md")
 
 
 def with_dimension(

@@ -41,10 +41,14 @@ class Found:
     warnings: Mapping[str, Warnings] = field(default_factory=dict)
 
 
-def page(found: Found, *, quick: bool) -> Page:
-    """The page; sections without measurements are left out."""
+def page(found: Found, *, quick: bool, flags: str = "") -> Page:
+    """The page; sections without measurements are left out. flags: of the command that measured."""
     text = Page(
-        "The surrogate beside the MPM", command=COMMAND, conclusion=conclusion(found), packages=GNS | MPM, quick=quick
+        "The surrogate beside the MPM",
+        command=f"{COMMAND}{flags}",
+        conclusion=conclusion(found),
+        packages=GNS | MPM,
+        quick=quick,
     )
     text.text(f"""
         The models against the MPM on fine cells, on scenes that are in no training data: drawn by the definition that
