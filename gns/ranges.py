@@ -20,7 +20,7 @@ from datasets.scene import Baffle, Mass, Scene, heights_above_ground
 from gns.model.settings import ModelSettings
 
 MARGIN = 0.1
-"""Admitted extrapolation beyond a range, as a fraction of its width."""
+"""Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""
 GROUND_SPACING = 0.05
 """Distance between two elevations of which the steepness of terrain is taken, over l [-]."""
 
@@ -83,8 +83,18 @@ class Quantity:
     values: Values
     """Its values in a scene; none where the scene has no such thing."""
     bound: Bound = Bound.BOTH
-    ratio: bool = False
-    """Whether the width of its range is a ratio, not a difference."""
+    scale: Callable[[float], float] = float
+    """Increasing function of a value, of which the width of its range is taken."""
+
+
+def logarithm(value: float) -> float:
+    """ln x, the scale of what varies by factors; -inf at zero."""
+    return math.log(value) if value > 0.0 else -math.inf
+
+
+def logarithm_of_tangent(degrees: float) -> float:
+    """ln tan(phi): sand of 5 degrees is to that of 8 what a friction of 0.09 is to one of 0.14."""
+    return logarithm(math.tan(math.radians(degrees)))
 
 
 def material(number: Callable[[Material, Body], float | None]) -> Values:
@@ -228,7 +238,9 @@ def steepest(elevation: Floats, _: Floats, spacing: float) -> list[float]:
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "friction_deg": Quantity(unit="deg", values=material(lambda sand, _: sand.friction_deg)),
+    "friction_deg": Quantity(
+        unit="deg", values=material(lambda sand, _: sand.friction_deg), scale=logarithm_of_tangent
+    ),
     "cohesion": Quantity(unit="rho g l", values=cohesions),
     "tension_cutoff": Quantity(
         unit="of the cohesion",
@@ -266,10 +278,10 @@ QUANTITIES: dict[str, Quantity] = {
     "slope_deg": Quantity(unit="deg", values=lambda scene, _: [abs(scene.slope_deg)]),
     "slope_length": Quantity(unit="l", values=slope_length, bound=Bound.UPPER),
     "masses": Quantity(unit="", values=lambda scene, _: [float(len(scene.masses))]),
-    "mass_aspect": Quantity(unit="", values=aspect, ratio=True),
-    "mass_length": Quantity(unit="l", values=extent(0), ratio=True),
-    "mass_height": Quantity(unit="l", values=extent(1), ratio=True),
-    "mass_width": Quantity(unit="l", values=extent(2), ratio=True),
+    "mass_aspect": Quantity(unit="", values=aspect, scale=logarithm),
+    "mass_length": Quantity(unit="l", values=extent(0), scale=logarithm),
+    "mass_height": Quantity(unit="l", values=extent(1), scale=logarithm),
+    "mass_width": Quantity(unit="l", values=extent(2), scale=logarithm),
     "drop": Quantity(
         unit="l", values=lambda scene, body: [float(heights_above_ground(scene).max()) / body.length], bound=Bound.UPPER
     ),
@@ -317,14 +329,10 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
     return {name: (round(min(values), 9), round(max(values), 9)) for name, values in found.items() if values}
 
 
-def admitted(low: float, high: float, *, ratio: bool) -> Range:
-    """A range with `MARGIN` of its width on either side, and rounding."""
-    rounding = 1.0e-6 * max(abs(low), abs(high))
-    if ratio:
-        slack = (high / low) ** MARGIN
-        return low / slack - rounding, high * slack + rounding
-    slack = MARGIN * (high - low)
-    return low - slack - rounding, high + slack + rounding
+def admitted(low: float, high: float) -> Range:
+    """A range with `MARGIN` of its width on either side, and rounding; all on the quantity's scale."""
+    slack = MARGIN * (high - low) + 1.0e-6 * max(abs(low), abs(high))
+    return low - slack, high + slack
 
 
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
@@ -343,9 +351,9 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
             found.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")
             continue
         low, high = ranges[name]
-        lowest, highest = admitted(low, high, ratio=quantity.ratio)
-        below = quantity.bound is not Bound.UPPER and min(values) < lowest
-        above = quantity.bound is not Bound.LOWER and max(values) > highest
+        lowest, highest = admitted(quantity.scale(low), quantity.scale(high))
+        below = quantity.bound is not Bound.UPPER and quantity.scale(min(values)) < lowest
+        above = quantity.bound is not Bound.LOWER and quantity.scale(max(values)) > highest
         if not (below or above):
             continue
         trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"

@@ -90,18 +90,23 @@ class Decoder(nn.Module):
         self.norm = nn.LayerNorm(settings.width)
         self.mlp = mlp(settings.width, settings.dimension + known, settings)
         # An untrained model is free flight.
-        last = self.mlp[-1]
-        assert isinstance(last, nn.Linear)
-        nn.init.normal_(last.weight, std=1.0e-3)
-        nn.init.zeros_(last.bias)
+        nn.init.normal_(self.last.weight, std=1.0e-3)
+        nn.init.zeros_(self.last.bias)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """[N, C] to [N, D + K]."""
-        return torch.as_tensor(self.mlp(self.norm(x)))
+    @property
+    def last(self) -> nn.Linear:
+        """The last layer, in which the accelerations are linear."""
+        layer = self.mlp[-1]
+        assert isinstance(layer, nn.Linear)
+        return layer
+
+    def hidden(self, x: Tensor) -> Tensor:
+        """Latents [N, C] to the inputs of the last layer [N, H]."""
+        return torch.as_tensor(self.mlp[:-1](self.norm(x)))
 
 
 class Network(nn.Module):
-    """Features of the nodes to a normalised acceleration of each, and to shares of K known ones."""
+    """Features of the nodes to the inputs of the decoder's last layer, and these to accelerations and shares."""
 
     def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
         super().__init__()
@@ -109,13 +114,17 @@ class Network(nn.Module):
         self.processor = Processor(settings, constant)
         self.decoder = Decoder(known, settings)
 
-    def forward(
+    def hidden(
         self, features: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
     ) -> Tensor:
-        """Features [N, F] to accelerations in units of their standard deviation, then the shares [N, D + K].
+        """Features [N, F] to the inputs of the decoder's last layer [N, H].
 
         constant: [N, M]; stencil, fraction, nodes: see `gns.model.context.GridContext`.
         """
         x = self.encoder(features)
         x = self.processor(x, constant, graph, stencil, fraction, nodes)
-        return torch.as_tensor(self.decoder(x))
+        return self.decoder.hidden(x)
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        """The last layer: [N, H] to accelerations in units of their standard deviation, then the shares [N, D + K]."""
+        return torch.as_tensor(self.decoder.last(hidden))

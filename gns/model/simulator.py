@@ -15,7 +15,7 @@ from gns.model.rheology import internal_forces
 from gns.model.settings import ModelSettings
 from gns.model.solids import feature_count, keep_out, solid_features
 from gns.model.state import Conditions, State
-from gns.model.traction import traction_features
+from gns.model.traction import basal_friction, damped_motion, traction_features
 from gns.units import GRAVITY
 
 SLOW = 0.1
@@ -63,7 +63,7 @@ class Simulator(nn.Module):
 
     | symbol | variable                                | unit             |
     | A, c   | `Network`                               | -                |
-    | F      | `_forces`: basal friction, traction, damping, shear and pressure on the grid, over the weight | - |
+    | F      | `_features`: basal friction, traction, damping, shear and pressure on the grid, over the weight | - |
     | s      | `acceleration_scale`                    | m per step^2     |
     | v, v'  | `State.displacements[-1]`, before, after | m per step       |
 
@@ -97,6 +97,10 @@ class Simulator(nn.Module):
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
+        return self.moved(state, conditions, self.contact(*self.hidden(state, conditions)))
+
+    def hidden(self, state: State, conditions: Conditions) -> tuple[Tensor, Tensor]:
+        """Inputs h of the network's last layer [N, H], and the known forces F over the weight [N, K, D]."""
         settings, positions = self.settings, state.positions
         graph = radius_graph(positions, settings.radius, conditions.batch)
         stencil = stencil_of(positions, conditions.size, settings.grid_cell, conditions.batch)
@@ -105,13 +109,23 @@ class Simulator(nn.Module):
         fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
         constant = self._constant(conditions)
         features, forces = self._features(state, conditions, constant, stencil, nodes)
-        found = self.network(features, constant, graph, stencil, fraction, nodes)
-        own, shares = found.split((settings.dimension, FORCES), dim=1)
+        return self.network.hidden(features, constant, graph, stencil, fraction, nodes), forces
+
+    def contact(self, hidden: Tensor, forces: Tensor) -> Tensor:
+        """Acceleration by contacts, s A + g dt^2 sum_k c_k F_k [m per step^2], shape [N, D]."""
+        own, shares = self.network(hidden).split((self.settings.dimension, FORCES), dim=1)
         known = (shares.unsqueeze(1) @ forces).squeeze(1)
-        contact = self.acceleration_scale * own + GRAVITY * settings.step**2 * known
-        fall = conditions.of_particles(conditions.gravity) * settings.step**2
-        moved = positions + state.displacements[-1] + contact + fall
-        stopped = keep_out(moved, positions, conditions)
+        return torch.as_tensor(self.acceleration_scale * own + GRAVITY * self.settings.step**2 * known)
+
+    def flown(self, state: State, conditions: Conditions, contact: Tensor) -> Tensor:
+        """x + v': where particles of these accelerations would be without solids [m], shape [N, D]."""
+        fall = conditions.of_particles(conditions.gravity) * self.settings.step**2
+        return state.positions + state.displacements[-1] + contact + fall
+
+    def moved(self, state: State, conditions: Conditions, contact: Tensor) -> State:
+        """The state after a step under these accelerations, outside of all solids."""
+        settings, positions = self.settings, state.positions
+        stopped = keep_out(self.flown(state, conditions, contact), positions, conditions)
         if settings.rest_speed > 0.0:
             stopped = positions + settled(stopped - positions, settings.rest_speed * settings.step)
             if conditions.baffles is not None or conditions.ground is not None:
@@ -167,7 +181,9 @@ class Simulator(nn.Module):
             conditions.size,
             slow,
         )
-        basal, damped = traction.sliding(state.displacements, conditions, step=settings.step, slow=slow)
+        axes = settings.dimension
+        basal = basal_friction(state.displacements[-1], conditions, step=settings.step, slow=slow)
+        damped = damped_motion(tractions[:, axes:], state.displacements, step=settings.step, slow=slow)
         features = torch.cat(
             (
                 motion.movedim(0, 1).flatten(1),
@@ -183,7 +199,6 @@ class Simulator(nn.Module):
             ),
             dim=1,
         )
-        axes = settings.dimension
         forces = (basal, tractions[:, :axes], damped, internal[:, :axes], internal[:, axes:])
         return features, torch.stack(forces, dim=1)
 

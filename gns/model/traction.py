@@ -37,7 +37,7 @@ def count(dimension: int) -> int:
 
 
 def sliding_count(dimension: int) -> int:
-    """Numbers of `sliding`."""
+    """Numbers of `basal_friction` and `damped_motion`."""
     return 2 * dimension
 
 
@@ -70,12 +70,11 @@ def traction_features(
     return torch.cat((traction, -damping * unit(velocity, slow)), dim=1)
 
 
-def sliding(displacements: Tensor, conditions: Conditions, *, step: float, slow: Tensor) -> tuple[Tensor, Tensor]:
-    """Basal friction and damped motion of each particle [-], each of shape [N, D].
+def basal_friction(velocity: Tensor, conditions: Conditions, *, step: float, slow: Tensor) -> Tensor:
+    """Basal friction of each particle over its weight [-], shape [N, D].
 
-    displacements: past ones [m per step], shape [H, N, D]; step: [s]; slow: v0 [m per step].
+    velocity: newest displacements [m per step], shape [N, D]; step: [s]; slow: v0 [m per step].
     """
-    velocity, unit_force = displacements[-1], GRAVITY * step**2
     gravity = conditions.of_particles(conditions.gravity) * step**2
     level = torch.ones_like(velocity[:1])
     level[:, UP] = 0.0
@@ -85,11 +84,20 @@ def sliding(displacements: Tensor, conditions: Conditions, *, step: float, slow:
     most = (rough * normal).unsqueeze(1)
     # On a smooth floor too the root has a slope at zero.
     rounded = 1.0e-3 * slow
-    basal = -most * trial / (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
+    size = (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
+    return -most * trial / size / (GRAVITY * step**2)
+
+
+def damped_motion(damping: Tensor, displacements: Tensor, *, step: float, slow: Tensor) -> Tensor:
+    """Local damping of each particle over its weight [-], shape [N, D].
+
+    damping: that of `traction_features` [-], shape [N, D]; displacements: past ones [m per step], shape [H, N, D];
+    step: [s]; slow: v0 [m per step].
+    """
+    velocity = displacements[-1]
     change = velocity - displacements[-2] if len(displacements) > 1 else torch.zeros_like(velocity)
     size = (change.square().sum(dim=1, keepdim=True) + (ROUNDED * slow) ** 2).sqrt()
-    damping = conditions.of_particles(conditions.damping).unsqueeze(1)
-    return basal / unit_force, -damping * size * unit(velocity, slow) / unit_force
+    return damping * size / (GRAVITY * step**2)
 
 
 def unit(vectors: Tensor, slow: Tensor) -> Tensor:
