@@ -21,6 +21,8 @@ from gns.model.settings import ModelSettings
 
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""
+SMALLEST = 1.0e-3
+"""Tangent of an angle, or length over l, below which logarithms do not fall further [-]."""
 GROUND_SPACING = 0.05
 """Distance between two elevations of which the steepness of terrain is taken, over l [-]."""
 
@@ -88,8 +90,8 @@ class Quantity:
 
 
 def logarithm(value: float) -> float:
-    """ln x, the scale of what varies by factors; -inf at zero."""
-    return math.log(value) if value > 0.0 else -math.inf
+    """ln x, the scale of what varies by factors; that of `SMALLEST` for all that is smaller."""
+    return math.log(max(value, SMALLEST))
 
 
 def logarithm_of_tangent(degrees: float) -> float:

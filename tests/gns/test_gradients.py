@@ -12,7 +12,7 @@ from gns.units import Units
 from gns.unroll import unroll
 from tests.gns.conftest import Cloud
 
-STEPS = 4
+STEPS = 6
 UNITS = Units(length=1.21, time=1.1, stress=2.0)
 INPUTS = {
     "friction": 1e-2,

@@ -18,6 +18,7 @@ from gns.inference import model_path, models
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training.convergence import total_updates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +47,7 @@ class Model:
     @property
     def updates(self) -> int:
         """Updates of its training and of the models that it began with."""
-        count, at = 0, self.provenance
-        while at:
-            count += at.get("log", {}).get("updates", 0)
-            at = at.get("begin") or {}
-        return count
+        return total_updates(self.provenance)
 
 
 def load(names: Sequence[Path]) -> list[Model]:
