@@ -29,7 +29,7 @@ class ModelSettings(Record):
     (`gns.units`); None for scenes that are run as they are."""
     density: float = 1800.0
     """Density in the training data [kg/m^3]."""
-    rest_speed: float = 0.01
+    rest_speed: float = 0.03
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
     width: int = 64
     """Width of every latent vector."""
