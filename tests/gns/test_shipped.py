@@ -18,7 +18,7 @@ STEPS = 6
 # Mean x [m] after the steps above and its derivative with respect to tan(phi) [m]: other libraries round otherwise,
 # other weights or features give other numbers.
 STORED = [
-    ("flow2d", "column-tall-42", 0.1324852, -0.02527327),
+    ("flow2d", "column-tall-42", 0.1349695, -0.02537950),
     ("obstacle3d", "baffles-2", 0.6024368, -0.03279620),
 ]
 
