@@ -88,6 +88,7 @@ def simulator(dimension: int) -> Simulator:
         rounds=1,
         grid_channels=8,
         grid_layers=2,
+        rest_speed=0.01,
     )
     scales = Normalisation(displacement=0.005, acceleration=0.001, friction_mean=0.6, friction_std=0.2)
     made = Simulator(settings, scales)
