@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.training.samples import Flow, cut, load_flows
+from datasets.training.samples import Flow
 from gns import card
 from gns.inference import model_path
 from gns.training.batch import batched
+from gns.training.flows import flows_of, stretch
 from gns.uncertainty import LEVELS, Ensemble, Floats, calibrated, calibrations, covered, half_width
 
 
@@ -39,15 +40,7 @@ def compare(ensemble: Ensemble, flows: Sequence[Flow], *, seed: int, progress: b
     rows: dict[str, list[tuple[float, float, float]]] = {"front": [], "transport": []}
     for flow in tqdm(flows, desc="rollouts", unit="flow", disable=not progress):
         steps = len(flow.positions) - 1
-        sample = cut(
-            flow,
-            now=0,
-            steps=steps,
-            history=settings.history,
-            cell=settings.cell,
-            kept=settings.particles_per_cell,
-            rng=rng,
-        )
+        sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         batch = batched([sample], step=settings.step, history=settings.history)
         outcome = ensemble.outcome(batch.state, batch.conditions(settings.cell), steps)
         deposit = flow.positions[-1]
@@ -91,13 +84,7 @@ def calibrate(
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
     ensemble = Ensemble.load(path)
     settings = ensemble.model.settings
-    flows = [
-        flow
-        for dataset in datasets
-        for flow in load_flows(
-            dataset, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=True
-        )
-    ]
+    flows = [flow for dataset in datasets for flow in flows_of(dataset, split, settings, progress=True)]
     if not flows:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     compared = compare(ensemble, flows, seed=seed, progress=True)

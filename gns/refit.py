@@ -41,13 +41,14 @@ from tqdm import tqdm
 
 from datasets import command_line
 from datasets.errors import InputError
-from datasets.training.samples import Flow, Flows, cut, load_flows
+from datasets.training.samples import Flow
 from gns.inference import member_path, model_path
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
 from gns.training.batch import Particles, batched
+from gns.training.flows import flows_of, stretch
 from gns.units import GRAVITY
 
 Floats = NDArray[np.float64]
@@ -61,7 +62,7 @@ EVERY = 9
 AT_ONCE = 4
 """Flows side by side."""
 MOVING = 0.05
-"""Speed of the MPM [m/s] above which a particle counts: one at rest has no friction that the step could tell."""
+"""Speed of the MPM [m/s] above which a particle counts: static friction holds one at rest, whatever drives it."""
 TOUCHED = 1.0e-6
 """Distance [m] that a solid moves a particle by, from which on its acceleration is the solid's, not the layer's."""
 
@@ -93,7 +94,7 @@ class NormalEquations:
         )
 
     def add(self, rows: Tensor, residuals: Tensor, width: float) -> None:
-        """rows: [M, P]; residuals: [M]; width: above which they count linearly only."""
+        """Add rows [M, P] and residuals [M]; those above `width` count linearly only."""
         root = (width / residuals.abs().clamp(min=width)).sqrt()
         rows, residuals = rows * root.unsqueeze(1), residuals * root
         self.matrix += (rows.T @ rows).double().numpy()
@@ -138,18 +139,7 @@ def equations(
 def stretches(flows: Sequence[Flow], settings: ModelSettings, rng: np.random.Generator) -> Iterator[Particles]:
     """Stretches of `STEPS` steps, one of each flow side by side, `EVERY` steps apart."""
     for now in range(0, min(len(flow.positions) for flow in flows) - STEPS, EVERY):
-        samples = [
-            cut(
-                flow,
-                now=now,
-                steps=STEPS,
-                history=settings.history,
-                cell=settings.cell,
-                kept=settings.particles_per_cell,
-                rng=rng,
-            )
-            for flow in flows
-        ]
+        samples = [stretch(flow, settings, now=now, steps=STEPS, rng=rng) for flow in flows]
         yield batched(samples, step=settings.step, history=settings.history)
 
 
@@ -241,19 +231,16 @@ def refit(model: Path, /, *datasets: Path, out: Path, members: int = 0, seed: in
     loaded = checkpoint.load(model_path(model))
     simulator, settings = loaded.simulator, loaded.simulator.settings
 
-    def flows(split: str) -> list[Flows]:
-        return [
-            load_flows(path, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell)
-            for path in datasets
-        ]
-
     # Both are opened before minutes are spent on the first.
-    train, valid = flows("train"), flows("valid")
+    train, valid = ([flows_of(dataset, split, settings) for dataset in datasets] for split in ("train", "valid"))
     if (fewest := min(map(len, train))) < members:
         raise InputError(f"expected at most one member per training flow, {fewest}, got {members}", key="--members")
     parts = equations(simulator, train, parts=max(1, members), seed=seed, progress=True)
     (other,) = equations(simulator, valid, seed=seed, progress=True)
     whole = functools.reduce(operator.add, parts)
+    for sums, split in ((whole, "train"), (other, "valid")):
+        if sums.count == 0:
+            raise InputError(f"expected moving flows of more than {STEPS} steps in {split}", where=str(datasets[0]))
     ridge = best_ridge(whole, other)
     found = whole.solution(ridge)
     unit = GRAVITY * settings.step**2

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from datasets import command_line, files, measures
-from datasets.training.samples import Flow, Sample, cut, load_flows
+from datasets.training.samples import Flow, Sample
 from datasets.trajectory import Floats
 from gns.card import length_of_training
 from gns.inference import model_path
@@ -19,6 +19,7 @@ from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.training.batch import batched
 from gns.training.convergence import total_updates
+from gns.training.flows import flows_of, stretch
 from gns.unroll import unroll
 
 ERRORS = ("profile_error", "kinetic_error")
@@ -58,18 +59,7 @@ def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once:
     scores: list[Score] = []
     for group in grouped(flows, at_once):
         steps = len(group[0].positions) - 1
-        samples = [
-            cut(
-                flow,
-                now=0,
-                steps=steps,
-                history=settings.history,
-                cell=settings.cell,
-                kept=settings.particles_per_cell,
-                rng=rng,
-            )
-            for flow in group
-        ]
+        samples = [stretch(flow, settings, now=0, steps=steps, rng=rng) for flow in group]
         batch = batched(samples, step=settings.step, history=settings.history)
         batch = batch.to(simulator.displacement_scale.device)
         clock = time.process_time()
@@ -172,9 +162,7 @@ def score(
     settings = simulator.settings
     lines = []
     for dataset in datasets:
-        flows = load_flows(
-            dataset, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=True
-        )
+        flows = flows_of(dataset, split, settings, progress=True)
         lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(simulator, flows, seed=seed)))
     if updates := total_updates(loaded.provenance):
         lines.append(length_of_training(updates, settings.dimension) + "\n")

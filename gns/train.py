@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from datasets import command_line, files
 from datasets.errors import InputError
-from datasets.training.samples import Flow, Flows, load_flows
+from datasets.training.samples import Flow, Flows
 from gns.card import length_of_training
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings
@@ -24,6 +24,7 @@ from gns.score import evaluate, table, validation_score
 from gns.training.budget import Budget, Clock
 from gns.training.convergence import total_updates
 from gns.training.distributed import joined
+from gns.training.flows import flows_of
 from gns.training.log import Log
 from gns.training.objective import Curriculum, statistics, unrolled_steps
 from gns.training.progress import Bar
@@ -144,13 +145,9 @@ def load(
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
 
-    def split(dataset: Path, name: str) -> Flows:
-        return load_flows(
-            dataset, name, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=progress
-        )
-
-    train = [split(dataset, "train") for dataset in datasets]
-    valid = [split(dataset, "valid") for dataset in datasets]
+    train, valid = (
+        [flows_of(dataset, split, settings, progress=progress) for dataset in datasets] for split in ("train", "valid")
+    )
     frames = max(2 * settings.history + 1, *training.unroll)
     for flow in (flow for flows in (*train, *valid) for flow in flows):
         if len(flow.positions) <= frames:

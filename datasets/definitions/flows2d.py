@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.definitions.definition import Definition, Split, Storage
+from datasets.definitions.definition import Definition, Storage
 from datasets.definitions.flow2d import jitter_seed
-from datasets.definitions.held_out import is_held_out
+from datasets.definitions.variants import Rounds
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
@@ -36,29 +36,8 @@ SPEED = 2.5
 """Largest initial velocity of a thrown mass along x [m/s]: 1.5 times that of free fall through the body's length."""
 LAYERS = (2, 10)
 SIZE = 800
-TRIES = 200
 
 Stream = np.random.Generator
-
-
-def draw(stream: Stream, index: int) -> Scene:
-    """A scene of each kind, then a variant of each of these, and so on; drawn again where invalid or held out."""
-    kind = KINDS[index % len(KINDS)]
-    for _ in range(TRIES):
-        try:
-            scene = kind(stream)
-        except InputError:
-            continue
-        if not is_held_out(scene):
-            break
-    else:
-        raise RuntimeError(f"no scene of {kind.__name__} in {TRIES} draws")
-    return variant(stream, scene) if is_variant(index) else scene
-
-
-def is_variant(index: int) -> bool:
-    """Whether a scene differs from the one `len(KINDS)` before it in a parameter alone: what an inversion asks for."""
-    return index // len(KINDS) % 2 == 1
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -335,23 +314,14 @@ def scene(
     )
 
 
-def split(index: int) -> Split:
-    """Of ten scenes of a kind eight are for training, one for validation, one for the test."""
-    return {1: Split.VALID, 2: Split.TEST}.get(index // (2 * len(KINDS)) % 10, Split.TRAIN)
-
-
-def stream_number(index: int) -> int:
-    """The random stream of a scene, which it shares with its variant."""
-    block, position = divmod(index, 2 * len(KINDS))
-    return block * len(KINDS) + position % len(KINDS)
-
+ROUNDS = Rounds(kinds=KINDS, variant=variant)
 
 FLOWS2D = Definition(
     name="flows2d",
     size=SIZE,
     connectivity_radius=0.025,
-    split=split,
-    draw=draw,
-    stream=stream_number,
+    split=ROUNDS.split,
+    draw=ROUNDS.draw,
+    stream=ROUNDS.stream,
     storage=Storage(cell=CELL, kept=1),
 )

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.definitions import flows2d
-from datasets.definitions.definition import Definition, Split, Storage
+from datasets.definitions.definition import Definition, Storage
 from datasets.definitions.flow2d import jitter_seed
-from datasets.definitions.held_out import boxes, is_held_out
+from datasets.definitions.held_out import boxes
+from datasets.definitions.variants import Rounds
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.material import Material
@@ -51,32 +52,9 @@ GRID = 0.1
 """Distance between the elevations of a terrain [m]."""
 SIZE = 400
 TRIES = 200
+"""Draws of a baffle that stands apart from the others."""
 
 Stream = np.random.Generator
-
-
-def draw(stream: Stream, index: int) -> Scene:
-    """A scene of each kind, then a variant of each of these, and so on; drawn again where invalid or held out."""
-    kind = KINDS[index % len(KINDS)]
-    scene = drawn(lambda: kind(stream), kind.__name__)
-    return drawn(lambda: variant(stream, scene), f"variant of {kind.__name__}") if is_variant(index) else scene
-
-
-def drawn(attempt: Callable[[], Scene], name: str) -> Scene:
-    """The first scene that is valid and not held out."""
-    for _ in range(TRIES):
-        try:
-            scene = attempt()
-        except InputError:
-            continue
-        if not is_held_out(scene):
-            return scene
-    raise RuntimeError(f"no scene of {name} in {TRIES} draws")
-
-
-def is_variant(index: int) -> bool:
-    """Whether a scene differs from the one `len(KINDS)` before it in a parameter alone: what an inversion asks for."""
-    return index // len(KINDS) % 2 == 1
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -376,23 +354,14 @@ def scene(
     )
 
 
-def split(index: int) -> Split:
-    """Of ten scenes of a kind eight are for training, one for validation, one for the test."""
-    return {1: Split.VALID, 2: Split.TEST}.get(index // (2 * len(KINDS)) % 10, Split.TRAIN)
-
-
-def stream_number(index: int) -> int:
-    """The random stream of a scene, which it shares with its variant."""
-    block, number = divmod(index, 2 * len(KINDS))
-    return block * len(KINDS) + number % len(KINDS)
-
+ROUNDS = Rounds(kinds=KINDS, variant=variant)
 
 FLOWS3D = Definition(
     name="flows3d",
     size=SIZE,
     connectivity_radius=0.055,
-    split=split,
-    draw=draw,
-    stream=stream_number,
+    split=ROUNDS.split,
+    draw=ROUNDS.draw,
+    stream=ROUNDS.stream,
     storage=Storage(cell=KEPT_CELL, kept=KEPT),
 )

@@ -2,7 +2,8 @@
 
 x = encoder(features)
 x = processor(x)            rounds of: grid context, then message-passing steps
-a, c = decoder(x)           normalised acceleration of each node, and shares of known ones
+h = decoder(x)
+a, c = decoder.last(h)      normalised acceleration of each node, and shares of known ones
 """
 
 import torch
@@ -83,7 +84,7 @@ class Processor(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Node latents [N, C] to normalised accelerations and the shares of known ones [N, D + K]."""
+    """Node latents [N, C] to h, the inputs of its `last` layer [N, H], and these to a and c [N, D + K]."""
 
     def __init__(self, known: int, settings: ModelSettings) -> None:
         super().__init__()
@@ -100,13 +101,13 @@ class Decoder(nn.Module):
         assert isinstance(layer, nn.Linear)
         return layer
 
-    def hidden(self, x: Tensor) -> Tensor:
+    def forward(self, x: Tensor) -> Tensor:
         """Latents [N, C] to the inputs of the last layer [N, H]."""
         return torch.as_tensor(self.mlp[:-1](self.norm(x)))
 
 
 class Network(nn.Module):
-    """Features of the nodes to the inputs of the decoder's last layer, and these to accelerations and shares."""
+    """Features of the nodes to the inputs of the decoder's last layer."""
 
     def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
         super().__init__()
@@ -114,7 +115,7 @@ class Network(nn.Module):
         self.processor = Processor(settings, constant)
         self.decoder = Decoder(known, settings)
 
-    def hidden(
+    def forward(
         self, features: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
     ) -> Tensor:
         """Features [N, F] to the inputs of the decoder's last layer [N, H].
@@ -123,8 +124,4 @@ class Network(nn.Module):
         """
         x = self.encoder(features)
         x = self.processor(x, constant, graph, stencil, fraction, nodes)
-        return self.decoder.hidden(x)
-
-    def forward(self, hidden: Tensor) -> Tensor:
-        """The last layer: [N, H] to accelerations in units of their standard deviation, then the shares [N, D + K]."""
-        return torch.as_tensor(self.decoder.last(hidden))
+        return torch.as_tensor(self.decoder(x))

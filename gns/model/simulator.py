@@ -109,11 +109,11 @@ class Simulator(nn.Module):
         fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
         constant = self._constant(conditions)
         features, forces = self._features(state, conditions, constant, stencil, nodes)
-        return self.network.hidden(features, constant, graph, stencil, fraction, nodes), forces
+        return self.network(features, constant, graph, stencil, fraction, nodes), forces
 
     def contact(self, hidden: Tensor, forces: Tensor) -> Tensor:
         """Acceleration by contacts, s A + g dt^2 sum_k c_k F_k [m per step^2], shape [N, D]."""
-        own, shares = self.network(hidden).split((self.settings.dimension, FORCES), dim=1)
+        own, shares = self.network.decoder.last(hidden).split((self.settings.dimension, FORCES), dim=1)
         known = (shares.unsqueeze(1) @ forces).squeeze(1)
         return torch.as_tensor(self.acceleration_scale * own + GRAVITY * self.settings.step**2 * known)
 

@@ -7,11 +7,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datasets.training.samples import Flow, Sample, cut, exchanged, mirrored
+from datasets.training.samples import Flow, Sample, exchanged, mirrored
 from gns.model.grid import UP
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 from gns.training.batch import Particles, batched
+from gns.training.flows import stretch
 from gns.unroll import unroll
 
 SHARE_EARLY = 0.12
@@ -143,17 +144,8 @@ class Curriculum:
 
     def _sample(self, flow: Flow, now: int, steps: int, rng: np.random.Generator) -> Sample:
         """The stretch of `flow` with `steps` targets after index `now`, in a random one of its symmetries."""
-        settings = self._settings
-        sample = cut(
-            flow,
-            now=now,
-            steps=steps,
-            history=settings.history,
-            cell=settings.cell,
-            kept=settings.particles_per_cell,
-            rng=rng,
-        )
-        return turned(sample, settings.cell, rng)
+        sample = stretch(flow, self._settings, now=now, steps=steps, rng=rng)
+        return turned(sample, self._settings.cell, rng)
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""

@@ -12,7 +12,7 @@ import pytest
 from datasets.definitions import flows3d
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D, FRICTION_DEG
-from datasets.definitions.flows2d import AREA, FLOWS2D, KINDS, is_variant
+from datasets.definitions.flows2d import AREA, FLOWS2D, KINDS, ROUNDS
 from datasets.definitions.flows3d import FLOWS3D
 from datasets.definitions.held_out import is_held_out
 from datasets.definitions.obstacle3d import OBSTACLE3D
@@ -71,7 +71,7 @@ def test_every_scene_has_its_own_shape_and_jitter(definition: Definition) -> Non
     entries = [
         entry
         for index, entry in enumerate(all_entries(definition))
-        if definition.storage is None or not is_variant(index)
+        if definition.storage is None or not ROUNDS.is_variant(index)
     ]
     assert len({entry.scene.seed for entry in entries}) == len(entries)
     assert len({entry.scene.masses for entry in entries}) > 0.9 * len(entries)
@@ -144,7 +144,7 @@ def test_flows2d_is_what_it_says() -> None:
         # On terrain a box or a layer is limited in height.
         area = released_volume(scene) / AREA
         assert 0.5 < area < 1.0 + 1e-9 if scene.solids else area == pytest.approx(1.0)
-    shared = [entry.scene for index, entry in enumerate(entries) if not is_variant(index)]
+    shared = [entry.scene for index, entry in enumerate(entries) if not ROUNDS.is_variant(index)]
     angles = [scene.material.friction_deg for scene in shared]
     assert 12.0 <= min(angles) < 14.0
     assert 46.0 < max(angles) <= 48.0
@@ -184,7 +184,7 @@ def test_a_variant_has_the_particles_of_its_base_and_differs_in_one_parameter() 
     entries = all_entries(FLOWS2D)[:200]
     kinds = Counter[str]()
     for index, entry in enumerate(entries):
-        if not is_variant(index):
+        if not ROUNDS.is_variant(index):
             continue
         base = entries[index - len(KINDS)]
         assert base.split is entry.split
@@ -264,7 +264,7 @@ def test_flows3d_is_what_it_says() -> None:
     assert any(scene.slope_deg for scene in scenes)
     assert 0.2 < np.mean([scene.material.cohesion == 0.0 for scene in scenes]) < 0.6
     # A variant is released from the same place.
-    for index in (index for index in range(80) if flows3d.is_variant(index)):
+    for index in (index for index in range(80) if flows3d.ROUNDS.is_variant(index)):
         first, second = scenes[index - len(flows3d.KINDS)], scenes[index]
         assert [mass.lower for mass in first.masses] == [mass.lower for mass in second.masses]
         assert first != second

@@ -195,6 +195,10 @@ def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path)
         "friction_deg 60 deg (trained: 12 to 48, 12 above)",
         "damping 0 (trained: 0.12, 0.12 below)",
     ]
+    # A tenth of the width, that of ln tan(phi), is less towards sand without friction than towards rough sand.
+    wide = ranges | {"friction_deg": (8.0, 52.0), "damping": (0.0, 0.12)}
+    for angle, inside in ((6.0, False), (7.0, True), (57.0, True), (60.0, False)):
+        assert (outside(sand(friction_deg=angle), wide) == []) is inside, angle
     # A tenth of the width is admitted, a shorter flow is a part of a longer one, stiffer sand is as good as rigid.
     near = dataclasses.replace(sand(friction_deg=51.0, young=1.0e8), duration=0.1)
     assert outside(near, ranges | {"damping": (0.0, 0.12)}) == []

@@ -8,34 +8,26 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.training.samples import Flow, cut, load_flows
+from datasets.training.samples import Flow
 from gns import refit
 from gns.inference import members
 from gns.model import checkpoint
 from gns.model.simulator import Simulator
 from gns.refit import NormalEquations, best_ridge, changed, equations, jacobian
 from gns.training.batch import batched
+from gns.training.flows import flows_of, stretch
 from gns.unroll import unroll
 from tests.gns.conftest import Cloud
 
 
 def flows(dataset: Path, simulator: Simulator, split: str = "train") -> list[Flow]:
-    settings = simulator.settings
-    return list(load_flows(dataset, split, step=settings.step, dimension=2, spacing=settings.cell))
+    return list(flows_of(dataset, split, simulator.settings))
 
 
 def of_model(simulator: Simulator, flow: Flow) -> Flow:
     """The flow that a model makes of the same start, of the particles that it follows."""
     settings, steps = simulator.settings, len(flow.positions) - 1
-    sample = cut(
-        flow,
-        now=0,
-        steps=steps,
-        history=settings.history,
-        cell=settings.cell,
-        kept=settings.particles_per_cell,
-        rng=np.random.default_rng(0),
-    )
+    sample = stretch(flow, settings, now=0, steps=steps, rng=np.random.default_rng(0))
     batch = batched([sample], step=settings.step, history=settings.history)
     with torch.no_grad():
         positions = unroll(simulator, batch.state, batch.conditions(settings.cell), steps)
@@ -154,3 +146,18 @@ def test_what_it_cannot_use(
         assert said in error
         assert len(error.splitlines()) == 1
     assert not (tmp_path / "new.safetensors").exists()
+
+
+def test_flows_too_short_to_follow(
+    lively: Simulator,
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    model, out = tmp_path / "model.safetensors", tmp_path / "new.safetensors"
+    checkpoint.save(model, lively, {})
+    monkeypatch.setattr(refit, "STEPS", 1000)
+    assert command_line.run(refit.refit, "python -m gns.refit", [str(model), str(dataset), "--out", str(out)]) == 2
+    assert "expected moving flows of more than 1000 steps in train" in capsys.readouterr().err
+    assert not out.exists()
