@@ -110,6 +110,19 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"expected a readable TOML file, {error}", where=str(path)) from None
 
 
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Parse a JSON object; None where there is no file. Raises InputError, which names the file."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"expected readable JSON, {error}", where=str(path)) from None
+    if not isinstance(found, dict):
+        raise InputError("expected a JSON object", where=str(path))
+    return found
+
+
 def dotted(location: tuple[int | str, ...]) -> str:
     """`("masses", 1, "velocity")` as `masses[1].velocity`."""
     path = ""

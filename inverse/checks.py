@@ -19,6 +19,9 @@ from inverse.settings import (
     noise_of,
 )
 
+FEWEST_RUNS = 5
+"""MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
+
 
 def require(ok: bool, key: str, expected: str, got: object) -> None:
     """Raise InputError unless `ok`."""
@@ -170,8 +173,7 @@ def check_search(
         ("optimiser.max_trials", optimiser.max_trials, 1),
         ("optimiser.seed", optimiser.seed, 0),
         ("optimiser.starts", optimiser.starts, 1),
-        ("loop.mpm_runs", loop.mpm_runs, 1),
-        ("loop.seeds", loop.seeds, 2),
+        ("loop.mpm_runs", loop.budget(len(parameters)), len(parameters) + FEWEST_RUNS),
     ):
         require(number >= minimum, key, f"an integer of at least {minimum}", number)
     for key, value, maximum in (
@@ -184,7 +186,6 @@ def check_search(
         ("loop.deposit_within", loop.deposit_within, 100.0),
         ("loop.passed_within", loop.passed_within, 1.0),
         ("loop.joint_within", loop.joint_within, 100.0),
-        ("loop.trust", loop.trust, 1.0),
     ):
         require(value is None or 0.0 < value <= maximum, key, f"a number in (0, {maximum:g}]", value)
     every_particle = KINDS[observation.kind].every_particle

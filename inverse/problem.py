@@ -149,7 +149,7 @@ def read_problem(name: str) -> Problem:
     """
     path = find(name, PROBLEMS, "problem")
     try:
-        file = from_mapping(_File, _without_start(read_toml(path)))
+        file = from_mapping(_File, _without_unused(read_toml(path)))
         observation, target = _observed(file)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
@@ -170,13 +170,21 @@ def read_problem(name: str) -> Problem:
         raise error if error.where else error.at(str(path)) from None
 
 
-def _without_start(data: dict[str, Any]) -> dict[str, Any]:
-    """A file's data without `optimiser.start` of older ones, by which rollouts could begin at frames of the MPM."""
-    optimiser = data.get("optimiser")
-    if not isinstance(optimiser, dict) or "start" not in optimiser:
-        return data
-    warnings.warn("optimiser.start is no longer used, the surrogate begins at rest", FutureWarning, stacklevel=3)
-    return data | {"optimiser": {key: value for key, value in optimiser.items() if key != "start"}}
+_UNUSED = (
+    ("optimiser", "start", "the surrogate begins at rest"),
+    ("loop", "seeds", "every MPM run has a jitter seed of its own"),
+    ("loop", "trust", "MPM runs fill the box"),
+)
+"""Keys of older files, which are read and not used: table, key, why."""
+
+
+def _without_unused(data: dict[str, Any]) -> dict[str, Any]:
+    """A file's data without keys that are no longer used, with a warning for each."""
+    for table, key, why in _UNUSED:
+        if isinstance(data.get(table), dict) and key in data[table]:
+            warnings.warn(f"{table}.{key} is no longer used, {why}", FutureWarning, stacklevel=3)
+            data = data | {table: {name: value for name, value in data[table].items() if name != key}}
+    return data
 
 
 def _observed(file: _File) -> tuple[ObservationSettings, TargetSettings]:

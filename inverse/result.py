@@ -3,7 +3,7 @@
 import math
 import resource
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -16,25 +16,31 @@ from inverse.problem import Problem
 
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
+IDENTIFIABLE = 0.3
+"""Half-width over the range, up to which a combination of parameters is identifiable: a uniform prior has 0.475."""
 
 
 class Verdict(StrEnum):
     """What the MPM says of the answer."""
 
     CONFIRMED = "confirmed"
+    """One answer, which the observation identifies, meets the target."""
+    AMBIGUOUS = "ambiguous"
+    """Several separate answers meet it, or a whole range of them."""
     UNCONFIRMED = "unconfirmed"
-    NOT_IDENTIFIABLE = "not-identifiable"
-    """It fits, but other parameters within the bounds fit as well."""
     UNREACHABLE = "unreachable"
+    """No parameters between the bounds meet it."""
 
 
 class Purpose(StrEnum):
     """Why an MPM run was made."""
 
+    WAVE = "wave"
+    """Where it narrows the posterior most."""
     CHECK = "check"
-    """At parameters that the (corrected) surrogate proposed; counts against the loop's budget."""
-    ENSEMBLE = "ensemble"
-    """With another jitter seed, for the certainty."""
+    """At an answer."""
+    START = "start"
+    """Of a design, at the problem's start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,24 +60,25 @@ class RunRecord:
     file: str
     """Beside result.json."""
 
+    def as_json(self) -> dict[str, Any]:
+        """As `result.json` has it."""
+        return {
+            "purpose": self.purpose.value,
+            "unknowns": self.unknowns,
+            "observation": plain(self.observation),
+            "front": self.front,
+            "front_error_pct": self.front_error_pct,
+            "loss": self.loss,
+            "seconds": self.seconds,
+            "file": self.file,
+        }
+
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """One minimisation on the surrogate; round 0 on the surrogate as it is, later ones corrected by the MPM."""
+    """A minimisation on one forward model."""
 
-    number: int
     evaluations: Sequence[Evaluation]
-    start: int = 0
-    """Of round 0: which of the starting points it began at; 0 is the problem's `initial`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Minimum:
-    """Another minimum of the surrogate, which the loop did not follow."""
-
-    parameters: Vector
-    loss: float
-    """Of the uncorrected surrogate [m^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,34 +87,18 @@ class Combination:
 
     weights: dict[str, float]
     """Of each parameter, in fractions of its range; together of length 1."""
-    singular_value: float
-    """What a step of the whole range does to the observation, over the scatter and the noise of it [-]."""
     half_width: float
     """At 95 %, as a fraction of the range."""
 
     @property
     def identifiable(self) -> bool:
-        """Whether the observation constrains it: to half of the range at least."""
-        return self.half_width <= 0.5
+        """Whether the observation constrains it: to three tenths of the range at least."""
+        return self.half_width <= IDENTIFIABLE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identifiability:
-    """How well the observation constrains the parameters together, near the answer."""
-
-    combinations: Sequence[Combination]
-    """Best constrained first, as many as parameters."""
-    half_a_cell: dict[str, float] | None
-    """Standard deviation of each parameter if each number observed had one of half a cell; None for a share."""
-    scatter: dict[str, float]
-    """Standard deviation of each parameter by the MPM's scatter of a single flow alone."""
-    noise: dict[str, float]
-    """The same by the stated noise of the measurement alone."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """What `result.json` holds; its keys are in docs/formats.md."""
+class Found:
+    """What an inversion found of its parameters."""
 
     problem: Problem
     target: Target
@@ -115,25 +106,8 @@ class Result:
     answer: Vector
     certainty: dict[str, float] | None
     """Half-widths at 95 %, where the MPM was asked."""
-    surrogate: Values
-    """What the uncorrected surrogate predicts at the answer, shape [m]; of a deposit, its own particles."""
-    mpm: Values | None
-    """What the MPM observes there [m]."""
-    front_error_pct: float | None
+    front_error_pct: float | None = None
     """Of the MPM at the answer."""
-    loss_surrogate: float
-    loss_mpm: float | None
-    rounds: Sequence[Round]
-    other_starts: Sequence[Round] = field(default_factory=list)
-    """Round 0 from the starting points that did not lead to the answer."""
-    other_minima: Sequence[Minimum] = field(default_factory=list)
-    """Where those ended, if elsewhere."""
-    identifiability: Identifiability | None = None
-    discrepancy: float | None = None
-    """By which factor the half-widths are wider because the fit is worse than noise and chance allow; 1 where it is
-    not, None where it cannot be computed."""
-    mpm_runs: Sequence[RunRecord] = field(default_factory=list)
-    mpm_seconds: float = 0.0
     total_seconds: float
 
     @property
@@ -150,11 +124,6 @@ class Result:
         return [name for name, value in self.unknowns.items() if abs(value - truth[name]) <= widths[name]]
 
     @property
-    def checks(self) -> list[RunRecord]:
-        """The MPM runs that count against the budget."""
-        return [run for run in self.mpm_runs if run.purpose is Purpose.CHECK]
-
-    @property
     def error_pct(self) -> dict[str, float]:
         """Relative errors that are known: of each parameter in a twin experiment, of the front where the MPM ran."""
         errors = {
@@ -166,19 +135,21 @@ class Result:
             errors["front"] = abs(self.front_error_pct)
         return errors
 
-    @property
-    def answers(self) -> list[dict[str, Any]]:
-        """Every answer that the observation is known to allow: unknowns, half-widths, weight and misfit in the MPM."""
-        return [{"unknowns": self.unknowns, "half_widths": self.certainty, "weight": 1.0, "misfit": self.loss_mpm}]
+
+@dataclass(frozen=True, kw_only=True)
+class Result(Found):
+    """What an inversion by one forward model found; the keys of its `result.json` are in docs/formats.md."""
+
+    predicted: Values
+    """What the forward model predicts at the answer, shape [m]; of a deposit, its own particles."""
+    loss: float
+    rounds: Sequence[Round]
+    mpm_seconds: float = 0.0
 
     @property
     def evaluations(self) -> list[Evaluation]:
-        """Every evaluation of the surrogate's loss, in order; those of other starts come last."""
-        return [evaluation for stage in self._stages for evaluation in stage.evaluations]
-
-    @property
-    def _stages(self) -> list[Round]:
-        return [*self.rounds, *self.other_starts]
+        """Every evaluation of the loss, in order."""
+        return [evaluation for stage in self.rounds for evaluation in stage.evaluations]
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -196,7 +167,6 @@ class Result:
 
     def write(self, folder: Path) -> None:
         """Write `result.json` into `folder`."""
-        first = next(stage for stage in self._stages if (stage.number, stage.start) == (0, 0)).evaluations[0]
         raw = self.target.observation.raw
         write_json(
             folder / "result.json",
@@ -205,49 +175,26 @@ class Result:
                 "verdict": self.verdict.value,
                 "unknowns": self.unknowns,
                 "certainty": self.certainty,
-                "answers": self.answers,
-                "identifiability": None
-                if self.identifiability is None
-                else identifiability_record(self.identifiability),
-                "discrepancy": self.discrepancy,
+                "answers": [{"unknowns": self.unknowns, "half_widths": None, "weight": 1.0, "misfit": None}],
                 "truth": self.target.truth,
                 "error_pct": self.error_pct,
                 "observation": {
                     "target": plain(raw(self.target.values)),
-                    "surrogate": plain(raw(self.surrogate)),
-                    "mpm": None if self.mpm is None else plain(raw(self.mpm)),
+                    "surrogate": plain(raw(self.predicted)),
+                    "mpm": None,
                 }
                 | self.target.observation.record(),
-                "loss": {"surrogate": self.loss_surrogate, "mpm": self.loss_mpm, "initial": first.loss},
-                "mpm_runs": [
-                    {
-                        "purpose": run.purpose.value,
-                        "unknowns": run.unknowns,
-                        "observation": plain(run.observation),
-                        "front": run.front,
-                        "front_error_pct": run.front_error_pct,
-                        "loss": run.loss,
-                        "seconds": run.seconds,
-                        "file": run.file,
-                    }
-                    for run in self.mpm_runs
-                ],
-                "other_minima": [
-                    {"unknowns": self.problem.named(minimum.parameters), "loss": minimum.loss}
-                    for minimum in self.other_minima
-                ],
+                "loss": {"surrogate": self.loss, "mpm": None, "initial": self.evaluations[0].loss},
+                "mpm_runs": [],
                 "iterations": [
                     {
-                        "round": stage.number,
-                        "start": stage.start,
                         "unknowns": self.problem.named(evaluation.parameters),
                         "observation": plain(evaluation.observation),
                         "loss": evaluation.loss,
                         "gradient": None if evaluation.gradient is None else self.problem.named(evaluation.gradient),
                         "seconds": {"forward": evaluation.forward_s, "backward": evaluation.backward_s},
                     }
-                    for stage in self._stages
-                    for evaluation in stage.evaluations
+                    for evaluation in self.evaluations
                 ],
                 "seconds": self.seconds,
                 "peak_memory_mib": peak_memory_mib(),
@@ -255,18 +202,12 @@ class Result:
         )
 
 
-def identifiability_record(identifiability: Identifiability) -> dict[str, Any]:
-    """`identifiability` as JSON has it."""
-    return {
-        "singular_values": [combination.singular_value for combination in identifiability.combinations],
-        "combinations": [
-            {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
-            for each in identifiability.combinations
-        ],
-        "half_a_cell": identifiability.half_a_cell,
-        "scatter": identifiability.scatter,
-        "noise": identifiability.noise,
-    }
+def combinations_record(combinations: Sequence[Combination]) -> list[dict[str, Any]]:
+    """`combinations` as JSON has them."""
+    return [
+        {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
+        for each in combinations
+    ]
 
 
 def plain(values: Values) -> float | list[Any] | None:

@@ -216,10 +216,12 @@ class OptimiserSettings(Record):
 
 
 class Surrogate(StrEnum):
-    """Whether a learned surrogate proposes."""
+    """Whether a learned surrogate is asked besides the MPM."""
 
     AUTO = "auto"
-    """Where the flow, the unknowns and the observations are what it has learned."""
+    """Where the flow, the unknowns and the observations are what it has learned, and it saves more than it costs."""
+    GNS = "gns"
+    """Always: an error where it cannot."""
     NONE = "none"
     """Never: the loop runs on the MPM alone."""
 
@@ -243,9 +245,9 @@ class LoopSettings(Record):
     joint_within: float | None = None
     """Root mean square misfit of multiple observations, in standard deviations, within which they are confirmed; what
     chance exceeds once in twenty times where absent."""
-    mpm_runs: int = 8
-    """Most MPM runs that the loop may spend."""
-    seeds: int = 16
-    """Jitter seeds of the ensemble that says how certain the answer is."""
-    trust: float = 0.15
-    """Longest step between two MPM runs, as a fraction of an unknown's range."""
+    mpm_runs: int | None = None
+    """Most MPM runs that the loop may spend; 40 and 12 for each unknown where absent."""
+
+    def budget(self, unknowns: int) -> int:
+        """Most MPM runs for so many unknowns."""
+        return 40 + 12 * unknowns if self.mpm_runs is None else self.mpm_runs

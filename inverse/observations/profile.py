@@ -237,7 +237,7 @@ class SurfaceProfile(SampledProfile):
     of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
     material extends half a particle further up than a centre, the highest of them lies about as much above the rest.
     The surrogate follows too few particles for a surface: its smooth form is that of the equivalent heights, and what
-    the two differ by is left to the correction by the MPM (`validation.loop.correct`).
+    the two differ by is left to the emulator of the MPM (`inverse.posterior.emulator`).
     """
 
     def heights(self, positions: NDArray[np.floating]) -> Values:

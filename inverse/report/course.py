@@ -1,7 +1,6 @@
 """Pictures of numbers: loss and parameters over the evaluations, and what was found beside the truth."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,23 +19,14 @@ MINIMUM_LOSS = 1e-14
 """A loss below it is drawn here: zero has no logarithm."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """An MPM run on the way."""
-
-    unknowns: Mapping[str, float]
-    loss: float
-
-
 def draw(
     path: Path,
     problem: Problem,
     rounds: Sequence[Round],
     truth: Mapping[str, float] | None,
-    checks: Sequence[Check] = (),
     forward: str = "surrogate",
 ) -> None:
-    """Loss and parameters over the evaluations of `forward`; the n-th check stands where the n-th round ends.
+    """Loss and parameters over the evaluations of `forward`.
 
     Parameters of one unit share an axis; true values are dashed.
     """
@@ -45,27 +35,17 @@ def draw(
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, 0.6 + 2.7 * rows), sharex=True, layout="constrained")
     colours = dict(zip(problem.names, ramp(len(problem.names)), strict=True))
     own = {each.name: axes[1 + units.index(each.kind.unit)] for each in problem.parameters}
-    first, ends = 1, []
-    for stage in rounds:
-        numbers = np.arange(first, first + len(stage.evaluations))
-        first += len(stage.evaluations)
-        ends.append(first - 0.5)
-        losses = [max(evaluation.loss, MINIMUM_LOSS) for evaluation in stage.evaluations]
-        label = forward if stage is rounds[0] else None
-        axes[0].plot(numbers, losses, ".-", color=COLOURS[forward], label=label)
-        for index, name in enumerate(problem.names):
-            values = [evaluation.parameters[index] for evaluation in stage.evaluations]
-            own[name].plot(numbers, values, ".-", color=colours[name], label=name if stage is rounds[0] else None)
-    positions = [*ends, *(ends[-1] + 1.0 + extra for extra in range(len(checks)))]
-    for number, (x, check) in enumerate(zip(positions, checks, strict=False)):
-        label = "MPM" if number == 0 else None
-        axes[0].plot(x, max(check.loss, MINIMUM_LOSS), "s", color=COLOURS["MPM"], label=label, zorder=4)
-        for name in problem.names:
-            own[name].plot(x, check.unknowns[name], "s", color=colours[name], markeredgecolor="black", zorder=4)
+    evaluations = [evaluation for stage in rounds for evaluation in stage.evaluations]
+    numbers = np.arange(1, len(evaluations) + 1)
+    losses = [max(evaluation.loss, MINIMUM_LOSS) for evaluation in evaluations]
+    axes[0].plot(numbers, losses, ".-", color=COLOURS[forward], label=forward)
+    for index, name in enumerate(problem.names):
+        values = [evaluation.parameters[index] for evaluation in evaluations]
+        own[name].plot(numbers, values, ".-", color=colours[name], label=name)
     for name in problem.names:
         if truth:
             own[name].axhline(truth[name], color=colours[name], linestyle="--", linewidth=1.0, alpha=0.8)
-    _finish(axes, problem, units, ends, bool(truth), bool(checks))
+    _finish(axes, problem, units, bool(truth))
     save(figure, path)
 
 
@@ -75,9 +55,8 @@ def draw_found(
     found: Mapping[str, float],
     half_widths: Mapping[str, float] | None,
     truth: Mapping[str, float] | None,
-    alone: Mapping[str, float] | None = None,
 ) -> None:
-    """Every parameter side by side: start, what the surrogate had found alone, found with its half-width, truth."""
+    """Every parameter side by side: start, found with its half-width, truth."""
     units = grouped(problem)
     figure, grid = plt.subplots(
         len(units), 1, figsize=(WIDTH, 0.4 + 3.2 * len(units)), layout="constrained", squeeze=False
@@ -91,9 +70,6 @@ def draw_found(
             label = "truth" if number == 0 else None
             axis.plot([number - 0.4, number + 0.4], [truth[name]] * 2 if truth else [], color="black", label=label)
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
-        if alone:
-            values = [alone[name] for name in names]
-            axis.plot(x - 0.1, values, "o", mfc="none", color=COLOURS["surrogate"], label="surrogate alone")
         values = [found[name] for name in names]
         errors = [half_widths[name] for name in names] if half_widths else None
         axis.errorbar(
@@ -127,10 +103,8 @@ def ramp(count: int) -> list[tuple[float, ...]]:
     return [colormaps["turbo"](0.05 + 0.9 * number / (count - 1)) for number in range(count)]
 
 
-def _finish(
-    axes: Sequence[Axes], problem: Problem, units: Sequence[str], ends: Sequence[float], truth: bool, checked: bool
-) -> None:
-    """Names of the axes, rounds, legends beside the axes."""
+def _finish(axes: Sequence[Axes], problem: Problem, units: Sequence[str], truth: bool) -> None:
+    """Names of the axes, legends beside the axes."""
     axes[0].set_yscale("log")
     low, high = axes[0].get_ylim()
     axes[0].yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0)))
@@ -141,21 +115,6 @@ def _finish(
         axis.set_ylabel(f"[{unit}]")
         if truth:
             axis.plot([], [], color="#777777", linestyle="--", linewidth=1.0, label="truth")
-        if checked:
-            axis.plot([], [], "s", color="white", markeredgecolor="black", label="checked by the MPM")
-    for number, end in enumerate(ends[:-1]):
-        for axis in axes:
-            axis.axvline(end, color="#cccccc", linewidth=0.8, zorder=0)
-        if number == 0:
-            axes[0].annotate(
-                "corrected by the MPM from here on",
-                (end, 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(4, 3),
-                textcoords="offset points",
-                fontsize=8,
-                color="#666666",
-            )
     axes[-1].set_xlabel("evaluation")
     axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     for axis in axes:

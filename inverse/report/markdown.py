@@ -1,7 +1,7 @@
 """`report.md` of a single inversion, and the sentences and tables that it shares with the loop's report."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from inverse.optimise import best
 from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.report import course, pictures
-from inverse.result import Result, Round, peak_memory_mib
+from inverse.result import Found, Result, Round, peak_memory_mib
 
 MANY = 2
 """With more parameters than these they are drawn side by side as well."""
@@ -51,7 +51,7 @@ def write(result: Result, deposit_at: DepositAt, folder: Path, *, forward: str =
     rows = [
         observation_row(result, "target", target.values, None),
         observation_row(result, f"{forward}, at the start", first.observation, first.loss),
-        observation_row(result, f"{forward}, at the answer", result.surrogate, result.loss_surrogate),
+        observation_row(result, f"{forward}, at the answer", result.predicted, result.loss),
     ]
     lines = [
         f"# {problem.name}: {result.verdict}",
@@ -94,11 +94,8 @@ def question(problem: Problem) -> str:
     return f"Unknown: {names}. Observed: {what}."
 
 
-def answer(result: Result, alone: Mapping[str, float] | None = None) -> list[str]:
-    """The parameters in a table: start, found with its half-width, truth and error where they are known.
-
-    alone: what the surrogate had found before the MPM corrected it.
-    """
+def answer(result: Found) -> list[str]:
+    """The parameters in a table: start, found with its half-width, truth and error where they are known."""
     truth, widths = result.target.truth, result.certainty
     uncertainty = "may move by" if result.problem.target.minimise else "certain to (95 %)"
     rows = []
@@ -114,22 +111,20 @@ def answer(result: Result, alone: Mapping[str, float] | None = None) -> list[str
                 row["error"] += f" ({result.error_pct[name]:.2f} %)"
         if truth and widths:
             row["truth inside"] = "yes" if name in result.inside else "**no**"
-        if alone:
-            row["the surrogate alone"] = kind.text(alone[name])
         rows.append(row)
     return [markdown_table(list(rows[0]), [list(row.values()) for row in rows])]
 
 
-def found_picture(result: Result, folder: Path, alone: Mapping[str, float] | None = None) -> list[str]:
+def found_picture(result: Found, folder: Path) -> list[str]:
     """Draw what was found beside the truth, where there are many parameters, and show it."""
     if len(result.unknowns) <= MANY:
         return []
     path = folder / "unknowns.png"
-    course.draw_found(path, result.problem, result.unknowns, result.certainty, result.target.truth, alone)
+    course.draw_found(path, result.problem, result.unknowns, result.certainty, result.target.truth)
     return ["![unknowns](unknowns.png)"]
 
 
-def observation_row(result: Result, model: str, values: Values | None, loss: float | None) -> list[str]:
+def observation_row(result: Found, model: str, values: Values | None, loss: float | None) -> list[str]:
     """What `model` predicts, its distance from the target, and the loss."""
     observation = result.target.observation
     text = "-" if values is None else observation.values_text(values)
@@ -139,7 +134,7 @@ def observation_row(result: Result, model: str, values: Values | None, loss: flo
     return [model, text, distance, f"{loss:.2e} {observation.misfit_unit()}".removesuffix(" -")]
 
 
-def over_target(result: Result) -> str:
+def over_target(result: Found) -> str:
     """What is said of the target in a picture of deposits."""
     drawn = result.target.deposit is not None and result.problem.scene.dimension == 2
     return ", over the target's profile" if drawn else ""
@@ -148,14 +143,14 @@ def over_target(result: Result) -> str:
 def rounds_table(result: Result) -> str:
     """What each minimisation began and ended with."""
     columns = tabulated(result.problem)
-    head = ["round", "evaluations", f"loss at its start [{result.problem.observed.misfit_unit()}]", "its minimum loss"]
+    head = ["evaluations", f"loss at its start [{result.problem.observed.misfit_unit()}]", "its minimum loss"]
     rows = []
     for stage in result.rounds:
         minimum = best(stage.evaluations)
         values = result.problem.named(minimum.parameters)
         losses = [f"{stage.evaluations[0].loss:.2e}", f"{minimum.loss:.2e}"]
         numbers = [each.kind.number(values[each.name]) for each in result.problem.parameters if each.name in columns]
-        rows.append([str(stage.number), str(len(stage.evaluations)), *losses, *numbers])
+        rows.append([str(len(stage.evaluations)), *losses, *numbers])
     return markdown_table([*head, *(f"`{name}`" for name in columns)], rows)
 
 

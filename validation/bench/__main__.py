@@ -77,8 +77,8 @@ BENCHES = {
         summary="the shipped inverse problems, beside their criteria and the reference paper",
     ),
     "coverage": Bench(
-        module="validation.bench.problems.coverage",
-        summary="how often the intervals of an inverse problem hold the truth",
+        module="validation.bench.coverage.bench",
+        summary="simulation-based calibration: how often the posterior of an inverse problem holds the truth",
     ),
     "speed": Bench(
         module="validation.bench.speed.mpm", summary="rates of the MPM, cost of its features, gain of shortcuts"

@@ -5,8 +5,6 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import WorkFailed, run
-from datasets.errors import InputError
-from inverse.forward.gns import MEMORY_GIB
 from inverse.problem import read_problem
 from inverse.result import Verdict
 from inverse.settings import Surrogate
@@ -21,15 +19,14 @@ def main(
     *,
     out: Path,
     model: Path | None = None,
-    memory_gib: float = MEMORY_GIB,
     surrogate: Surrogate | None = None,
     vtk: bool = False,
     movie: bool = False,
 ) -> None:
-    """Find the parameters of PROBLEM, confirmed by the MPM; leaves OUT/result.json, OUT/report.md, pictures, OUT/mpm.
+    """Find all parameters that PROBLEM allows, checked by the MPM.
 
-    Running the same command again after a kill uses the MPM runs that are there. Exit status 1 where the MPM did not
-    confirm.
+    Leaves OUT/result.json, OUT/posterior.npz, OUT/report.md, pictures, OUT/mpm. Running the same command again after a
+    kill uses the MPM runs that are there. Exit status 1 where the MPM confirms no answer.
 
     Parameters
     ----------
@@ -39,10 +36,9 @@ def main(
         Folder for the results.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
-    memory_gib
-        Activations that the backward pass may find ready, instead of computing them again.
     surrogate
-        "none": the MPM alone; unless given, as the problem says, by default wherever a learned one was trained for it.
+        "gns": always asked; "none": the MPM alone; unless given, as the problem says, by default where it saves more
+        than it costs.
     vtk
         Write the final MPM run for ParaView as well.
     movie
@@ -51,9 +47,7 @@ def main(
     asked = read_problem(problem)
     if surrogate is not None:
         asked = dataclasses.replace(asked, surrogate=surrogate)
-    if memory_gib < 0.0:
-        raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    result = solve(asked, out, model=model, memory_gib=memory_gib)
+    result = solve(asked, out, model=model)
     if vtk or movie:
         report.append_final_run(result, out, vtk=vtk, movie=movie)
     print_outcome(result, out)
@@ -62,7 +56,7 @@ def main(
 def print_outcome(result: Result, out: Path) -> None:
     """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
     print(report.summary(result))
-    if result.verdict is not Verdict.CONFIRMED:
+    if result.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 

@@ -55,20 +55,28 @@ class Discrepancy:
         return self.ratio if self.ratio > 1.0 and self.probability < RARE else 1.0
 
 
-def discrepancy(task: Task, found: Sequence[Check], ensemble: Sequence[Check]) -> Discrepancy | None:
-    """That of the checks at the answer, `found`; None for a design, or where no numbers are left over.
+def discrepancy(task: Task, found: Sequence[Check], around: Sequence[Check]) -> Discrepancy | None:
+    """That of the checks at an answer, `found`; None where no numbers are left over.
 
-    ensemble: runs at the same parameters near it that differ in their jitter seed alone.
+    around: runs near it at other parameters; what they scatter by is across a trend in these, linear or, with enough of
+    them, with the squares.
     """
-    if task.problem.target.minimise:
+    runs, others = ([each.trajectory for each in group] for group in (found, around))
+    residual, noise, numbers = task.observation.residuals(task.target, runs, others)
+    points = task.unit(np.stack([each.parameters for each in around]))
+    basis = np.concatenate([np.ones((len(points), 1)), points], axis=1)
+    if len(points) > 2 * (basis.shape[1] + points.shape[1]):
+        basis = np.concatenate([basis, points**2], axis=1)
+    free = len(points) - np.linalg.matrix_rank(basis)
+    if free < 1:
         return None
-    runs, others = ([each.trajectory for each in group] for group in (found, ensemble))
-    residual, noise, spread = task.observation.residuals(task.target, runs, others)
+    across = numbers - basis @ np.linalg.lstsq(basis, numbers, rcond=None)[0]
+    spread = across * math.sqrt((len(points) - 1) / free)
     return compare(residual, noise, spread, len(task.problem.parameters), runs=len(found))
 
 
 def compare(residual: Values, noise: Values, spread: Values, parameters: int, *, runs: int) -> Discrepancy | None:
-    """Compare residuals [M] with noise of the measurement [M] and the numbers [n, M] of n flows at one place.
+    """Compare residuals [M] with noise of the measurement [M] and the scatter [n, M] of n flows.
 
     runs: k, over how many the model's numbers are means. None where M is not above `parameters`, or nothing scatters.
     """

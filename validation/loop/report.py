@@ -1,31 +1,23 @@
-"""`report.md` of a loop: conclusion, answer, comparison with the target, uncertainty, how it was found, cost."""
+"""`report.md` of a loop: conclusion, answers, comparison with the target, uncertainty, what would decide, cost."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from datasets import measures
 from datasets.exchange.vtk import SERIES, frames_of, write_vtk
 from inverse.observations import Values
 from inverse.observations.joint import Joint
-from inverse.optimise import best
-from inverse.report import course, pictures
-from inverse.report.course import Check as Mark
-from inverse.report.markdown import (
-    OBSERVATION,
-    answer,
-    cost,
-    found_picture,
-    markdown_table,
-    observation_row,
-    over_target,
-    question,
-    rounds_table,
-    tabulated,
-)
-from inverse.result import Purpose, RunRecord, Verdict
+from inverse.parameters import Kind
+from inverse.posterior.information import Information, information, measurements
+from inverse.report import pictures
+from inverse.report.markdown import OBSERVATION, answer, found_picture, markdown_table, observation_row, question
+from inverse.result import Combination, Purpose, Verdict, peak_memory_mib
+from validation.loop.pictures import draw_posterior, draw_predictive, draw_waves
 from validation.loop.result import Result
-from validation.loop.uncertainty_report import constrained, uncertainty_section
-from validation.loop.verdict import unidentified
+from validation.loop.verdict import Answer, unidentified
 from validation.report.machine import GNS, MPM
 from validation.report.page import Page
 
@@ -35,6 +27,10 @@ EVERY = 4
 """A movie has every so many frames: a hundredth of a second each."""
 RATE = 25
 """Frames of the movie a second: a quarter of real speed."""
+MAIN = 0.3
+"""A parameter with less than this share of the greatest weight is not named as part of a combination."""
+SUGGESTED = 3
+"""Measurements that are named."""
 
 
 def write(result: Result, folder: Path) -> None:
@@ -46,160 +42,192 @@ def write(result: Result, folder: Path) -> None:
 def page(result: Result, folder: Path) -> Page:
     """The report; `folder` is where its pictures are."""
     problem = result.problem
-    command = f"python -m validation.loop {problem.name} --out {folder}"
+    further = informative(result)
     report = Page(
         f"{problem.name}: {result.verdict}",
-        command=command,
-        conclusion=[sentence for sentence in conclusion(result) if sentence],
+        command=f"python -m validation.loop {problem.name} --out {folder}",
+        conclusion=[sentence for sentence in conclusion(result, further) if sentence],
         packages=MPM | GNS,
     )
-    proposed = problem.named(best(result.rounds[0].evaluations).parameters)
     report.text(question(problem))
-    if result.without_surrogate:
-        report.text(
-            f"No learned surrogate proposes: {result.without_surrogate}. What is called the surrogate below is the MPM "
-            "itself, linearised by differences around its last run (`inverse/forward/linearised.py`)."
-        )
-    for part in (*answer(result, proposed), *found_picture(result, folder, proposed)):
+    for part in (*answer(result), *found_picture(result, folder)):
         report.text(part)
+    if len(result.outcome.answers) > 1:
+        report.section("Every separate answer")
+        report.text(every_answer(result))
     report.section("Comparison with the target")
     report.text(comparison(result))
     report.text(each_observation(result))
     report.picture("deposit.png", "deposits")
-    if result.uncertainty is not None:
-        report.section("Uncertainty")
-        for part in uncertainty_section(result, result.uncertainty):
-            report.text(part)
+    report.picture("predictive.png", "deposits that the posterior predicts, and their difference from the target")
+    report.section("Uncertainty")
+    for part in uncertainty(result):
+        report.text(part)
+    report.picture("posterior.png", "prior and posterior")
+    if further:
+        report.section("What a further measurement would decide")
+        report.text(
+            "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval."
+        )
+        report.text(markdown_table(["measurement", "information [nat]"], [[e.name, f"{e.gain:.2f}"] for e in further]))
     report.section("How it was found")
     for part in search(result):
         report.text(part)
-    report.picture("iterations.png", "iterations")
-    report.text(other_minima(result))
-    report.text(f"The deposits of the checks{over_target(result)}:")
-    report.picture("stages.png", "stages")
-    for part in cost(result):
-        report.text(part)
+    report.picture("waves.png", "mean and standard deviation over the runs")
+    report.section("Cost")
+    runs = [sum(each.purpose is purpose for each in result.mpm_runs) for purpose in Purpose]
+    report.text(
+        markdown_table(
+            ["MPM runs in waves", "at answers", "at the start", "seconds in the MPM", "in all", "peak memory"],
+            [
+                [
+                    *map(str, runs),
+                    f"{result.mpm_seconds:.1f} s",
+                    f"{result.total_seconds:.1f} s",
+                    f"{peak_memory_mib():.0f} MiB",
+                ]
+            ],
+        )
+    )
     return report
 
 
-def conclusion(result: Result) -> list[str]:
-    """Five sentences: verdict, parameters, truth, what the observation constrains, cost."""
-    ensembles = len(result.mpm_runs) - len(result.checks)
-    price = (
-        f"Cost: {len(result.evaluations)} evaluations of the surrogate, {len(result.checks)} of "
-        f"{result.problem.loop.mpm_runs} checks by the MPM, {ensembles} MPM runs in ensembles, "
-        f"{result.total_seconds:.0f} s in all."
-    )
-    return [verdict(result), parameters(result), errors(result), fit(result), price]
+def conclusion(result: Result, further: Sequence[Information]) -> list[str]:
+    """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
+    price = f"Cost: {len(result.mpm_runs)} MPM runs, {result.mpm_seconds:.1f} s in the MPM, {result.total_seconds:.1f} s in all."
+    return [verdict(result), parameters(result), equifinality(result, further), quality(result), price]
 
 
 def verdict(result: Result) -> str:
     """The verdict, with the distance from the target and the one allowed."""
-    runs = len(result.found.checks)
-    which = "the MPM run at the answer" if runs == 1 else f"the mean of {runs} MPM runs at the answer"
-    if result.begun is not None:
-        now, before = (100.0 * float(each.observation[0]) for each in (result.found, result.begun))
+    first = result.outcome.answers[0]
+    runs = len(first.checks)
+    which = "the MPM run nearest to the answer" if runs == 1 else f"the mean of {runs} MPM runs at the answer"
+    if result.begun:
+        now, before = (
+            100.0 * float(first.observation[0]),
+            100.0 * float(np.mean([e.observation[0] for e in result.begun])),
+        )
         better = "The MPM confirms the design" if result.verdict is Verdict.CONFIRMED else "The MPM does not confirm it"
         return f"**{better}**: {now:.2f} % of the material pass in {which}, {before:.2f} % at the start."
+    count = len(result.outcome.answers)
     words = {
         Verdict.CONFIRMED: "The MPM confirms",
+        Verdict.AMBIGUOUS: f"Ambiguous: the MPM meets the target with {count} separate answers"
+        if count > 1
+        else "Ambiguous: the MPM meets the target with a whole range of parameters",
         Verdict.UNCONFIRMED: "The MPM does not confirm",
-        Verdict.NOT_IDENTIFIABLE: "The MPM fits, but the parameters are not identifiable",
         Verdict.UNREACHABLE: "No parameters within the bounds give the target, not even in the MPM",
     }[result.verdict]
-    return f"**{words}**: {which} is off the target by {distance(result)}."
+    return f"**{words}**: {which} is off the target by {distance(result, first)}."
 
 
-def distance(result: Result) -> str:
-    """Distance of the MPM at the answer from the target, and how much is allowed."""
-    problem, target, observation = result.problem, result.target, result.target.observation
-    loop, cell = problem.loop, problem.scene.domain.cell
-    scatter, front_scatter = 0.0, 0.0
-    if result.uncertainty is not None:
-        scatter, front_scatter = result.uncertainty.misfit_scatter, result.uncertainty.front_scatter
-    found = observation.distance(result.found.observation, target.values)
-    allowed = observation.tolerance(loop, cell, target, scatter)
-    text = f"{observation.distance_text(found)}; {observation.distance_text(allowed)} is allowed"
-    if allowed > observation.tolerance(loop, cell, target, 0.0):
+def distance(result: Result, found: Answer) -> str:
+    """Distance of the MPM at an answer from the target, and how much is allowed."""
+    task, observation = result.outcome.state.task, result.target.observation
+    loop, cell = result.problem.loop, result.problem.scene.domain.cell
+    scatter = found.scatter(task)
+    text = observation.distance_text(observation.distance(found.observation, result.target.values))
+    allowed = observation.tolerance(loop, cell, result.target, scatter)
+    text += f"; {observation.distance_text(allowed)} is allowed"
+    if allowed > observation.tolerance(loop, cell, result.target, 0.0):
         text += ", twice the difference of two MPM runs"
-    most = observation.front_tolerance(loop, target, front_scatter)
-    if not observation.scalar and np.isfinite(most) and np.isfinite(result.found.front_error):
-        text += f"; its front is off by {100.0 * result.found.front_error:+.2f} %, {100.0 * most:.2g} % is allowed"
+    most = observation.front_tolerance(loop, result.target, found.front_scatter)
+    if not observation.scalar and math.isfinite(most) and math.isfinite(found.front_error):
+        text += f"; its front is off by {100.0 * found.front_error:+.2f} %, {100.0 * most:.2g} % is allowed"
     return text
 
 
 def parameters(result: Result) -> str:
-    """The parameters with their half-widths."""
-    widths, kinds = result.certainty, {each.name: each.kind for each in result.problem.parameters}
+    """The parameters with their half-widths, of every answer."""
+    kinds = {each.name: each.kind for each in result.problem.parameters}
     if len(kinds) > NAMED:
-        if not widths:
-            return f"{len(kinds)} parameters, in the table below."
-        ranges = {each.name: each.upper - each.lower for each in result.problem.parameters}
+        ranges = {each.name: each.range for each in result.problem.parameters}
+        widths = result.certainty or {}
         low, high = (pick(widths, key=lambda name: widths[name] / ranges[name]) for pick in (min, max))
         return (
             f"{len(kinds)} parameters, with 95 % half-widths from {kinds[low].text(widths[low])} (`{low}`) to "
             f"{kinds[high].text(widths[high])} (`{high}`)."
         )
-    found = []
-    for name, kind in kinds.items():
-        width = f" ± {kind.text(widths[name])}" if widths else ""
-        found.append(f"`{name}` = {kind.text(result.unknowns[name])}{width}")
+    texts = []
+    for each in result.outcome.answers:
+        found = [
+            f"`{name}` = {kind.text(value)} ± {kind.text(width)}"
+            for (name, kind), value, width in zip(
+                kinds.items(), each.parameters.tolist(), each.half_widths.tolist(), strict=True
+            )
+        ]
+        share = f" ({100.0 * each.weight:.0f} % of the posterior)" if len(result.outcome.answers) > 1 else ""
+        texts.append(", ".join(found) + share)
     meaning = "changes that the MPM distinguishes" if result.problem.target.minimise else "95 %"
-    return f"{'; '.join(found)}{f' ({meaning})' if widths else ''}."
+    return f"{'; or '.join(texts)} ({meaning})."
 
 
-def errors(result: Result) -> str:
-    """Errors against the truth, where it is known."""
-    truth = result.target.truth
-    if not truth:
+def equifinality(result: Result, further: Sequence[Information]) -> str:
+    """What the observation does not constrain, and which measurement would."""
+    if result.problem.target.minimise:
         return ""
-    inside = f", {len(result.inside)} of {len(truth)} within the half-width" if result.certainty else ""
-    parameters = result.problem.parameters
-    worst = max(
-        parameters, key=lambda each: abs(result.unknowns[each.name] - truth[each.name]) / (each.upper - each.lower)
-    )
-    error = worst.kind.text(result.unknowns[worst.name] - truth[worst.name])
-    which = "" if len(parameters) == 1 else f" (`{worst.name}`)"
-    return f"Error against the truth: {error}{which}{inside}."
-
-
-def fit(result: Result) -> str:
-    """What the observation does not constrain, and whether the model fits it."""
-    parts = []
-    if result.certainty and not result.problem.target.minimise:
-        widths = np.array(list(result.certainty.values()))
-        if names := unidentified(result.problem, result.answer, widths):
-            known = "; ".join(constrained(result))
-            parts.append(
-                f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; constrained: {known or 'nothing'}"
-            )
-        elif result.identifiability and len(widths) > 1:
-            last = result.identifiability.combinations[-1]
-            parts.append(
-                f"Every combination of the parameters is known to ± {last.half_width:.2g} of its range or better"
-            )
-    if result.discrepancy is not None and result.discrepancy > 1.0:
+    first, parts = result.outcome.answers[0], []
+    if names := unidentified(result.problem, first.parameters, first.half_widths):
+        known = [f"{mix(each)} to ± {100.0 * each.half_width:.2g} % of the range" for each in result.combinations]
+        known = [text for text, each in zip(known, result.combinations, strict=True) if each.identifiable]
         parts.append(
-            f"the fit is {result.discrepancy:.2g} times worse than the stated noise and scatter explain, "
-            "the half-widths are that much wider"
+            f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; constrained: {'; '.join(known) or 'nothing'}"
+        )
+    if further:
+        best = ", ".join(each.name for each in further[:SUGGESTED])
+        parts.append(f"most would be decided by {best}")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def quality(result: Result) -> str:
+    """Errors against the truth, where it is known, and whether the model fits."""
+    parts, truth = [], result.target.truth
+    if truth:
+        found = result.problem.parameters
+        worst = max(found, key=lambda each: abs(result.unknowns[each.name] - truth[each.name]) / each.range)
+        error = worst.kind.text(result.unknowns[worst.name] - truth[worst.name])
+        which = "" if len(found) == 1 else f" (`{worst.name}`)"
+        parts.append(
+            f"error against the truth: {error}{which}, {len(result.inside)} of {len(truth)} within the half-width"
+        )
+    fit = result.outcome.discrepancy
+    if fit is not None and fit.factor > 1.0:
+        parts.append(
+            f"the fit is {fit.factor:.2g} times worse than the stated noise and scatter explain, the half-widths are "
+            "wider for it"
         )
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
-def comparison(result: Result) -> str:
-    """Surrogate and MPM beside the target, from the start to the answer."""
-    first, own = result.rounds[0].evaluations[0], best(result.rounds[0].evaluations)
-    proposed = result.history.checks[0]
-    mean = "" if len(result.found.checks) == 1 else f", mean of {len(result.found.checks)} runs"
-    rows = [] if result.problem.target.minimise else [observation_row(result, "target", result.target.values, None)]
-    rows += [
-        observation_row(result, "surrogate, at the start", first.observation, first.loss),
-        observation_row(result, "surrogate, at its own minimum", own.observation, own.loss),
-        observation_row(result, "MPM, there", proposed.observation, proposed.misfit),
-        observation_row(result, "surrogate, at the answer", result.surrogate, result.loss_surrogate),
-        observation_row(result, f"**MPM, at the answer**{mean}", result.mpm, result.loss_mpm),
+def every_answer(result: Result) -> str:
+    """A line for each."""
+    head = [*(f"`{name}`" for name in result.problem.names), "share of the posterior", "the MPM there is off by"]
+    rows = [
+        [
+            *(
+                f"{each.kind.text(value)} ± {each.kind.text(width)}"
+                for each, value, width in zip(
+                    result.problem.parameters, found.parameters.tolist(), found.half_widths.tolist(), strict=True
+                )
+            ),
+            f"{100.0 * found.weight:.0f} %",
+            distance(result, found),
+        ]
+        for found in result.outcome.answers
     ]
+    return markdown_table(head, rows)
+
+
+def comparison(result: Result) -> str:
+    """The MPM at the answer beside the target."""
+    first = result.outcome.answers[0]
+    rows = [] if result.problem.target.minimise else [observation_row(result, "target", result.target.values, None)]
+    rows.append(
+        observation_row(result, f"**MPM, at the answer**, {len(first.checks)} runs", first.observation, result.misfit)
+    )
     return markdown_table(["", *OBSERVATION], rows)
 
 
@@ -208,7 +236,7 @@ def each_observation(result: Result) -> str:
     joint = result.target.observation
     if not isinstance(joint, Joint):
         return ""
-    measured, shown = (joint.raw(each) for each in (result.target.values, result.found.observation))
+    measured, shown = (joint.raw(each) for each in (result.target.values, result.outcome.answers[0].observation))
     rows = []
     for part in joint.parts:
         own, unit = part.numbers, part.observation.unit or "-"
@@ -227,83 +255,144 @@ def brief(values: Values) -> str:
     return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
 
 
-def search(result: Result) -> list[str]:
-    """Every round on the surrogate and every MPM run."""
-    names, checks = tabulated(result.problem), result.checks
-    members = [run for run in result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
-    head = ["MPM run", *(f"`{name}`" for name in names), "distance to the target", "front [m]", "seconds", "file"]
+def uncertainty(result: Result) -> list[str]:
+    """What the half-widths are made of."""
+    state, first = result.outcome.state, result.outcome.answers[0]
+    found, observation = state.posterior, result.target.observation
+    scatter = observation.distance_text(first.scatter(state.task))
     parts = [
-        "Round 0 is on the surrogate as it is; in later rounds it is corrected by the checks.",
-        rounds_table(result),
-        markdown_table(head, [run_row(result, names, run) for run in checks]),
+        f"An emulator of {int(found.near.sum())} of the {len(state.runs)} MPM runs, each with a jitter seed of its own, "
+        f"gives the posterior over the whole box (uniform prior between the bounds). Two runs at the answer differ by "
+        f"{scatter} (root mean square); the target scatters like one. What the emulator does not know is "
+        f"{100.0 * found.unsettled:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
+        f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     ]
-    if members:
-        fronts = [run.front for run in members]
-        parts.append(
-            f"{len(members)} MPM runs in ensembles, `mpm/ensemble-*.npz`: fronts from {min(fronts):.4f} to "
-            f"{max(fronts):.4f} m, {sum(run.seconds for run in members):.0f} s in all; each is in `result.json`."
+    if result.problem.target.minimise:
+        parts[0] = (
+            "A design has no truth. Each parameter may move by its half-width, the others with it, before the MPM "
+            f"distinguishes what passes from its scatter; {parts[0][0].lower()}{parts[0][1:]}"
         )
+        return parts
+    if result.target.roughness > 1.0:
+        parts.append(
+            f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
+            "noise: so much noise is counted."
+        )
+    if state.discretisation is not None:
+        change = observation.distance_text(
+            observation.distance(first.observation + state.discretisation, first.observation)
+        )
+        parts.append(
+            f"Cells twice as large change the observation by {change}; so much is counted as the error of the cells, as "
+            "the target is no flow on them."
+        )
+    fit = result.outcome.discrepancy
+    if fit is not None:
+        text = f"The residuals of {fit.numbers} numbers are {fit.ratio:.2g} times what noise and scatter explain"
+        text = f"{text} (p = {fit.probability:.2g})" if fit.factor == 1.0 else f"**{text}** (p = {fit.probability:.1g})"
+        parts.append(f"{text}: {'the half-widths stay' if fit.factor == 1.0 else 'errors are counted so much larger'}.")
+    if len(result.unknowns) > 1:
+        lines = [
+            f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "
+            f"to ± {100.0 * each.half_width:.2g} % of the range."
+            for each in result.combinations
+        ]
+        parts.append("\n".join(lines))
     return parts
 
 
-def run_row(result: Result, names: list[str], run: RunRecord) -> list[str]:
-    """A line of the table of MPM runs."""
-    kinds = {each.name: each.kind for each in result.problem.parameters}
-    return [
-        run.purpose,
-        *(kinds[name].number(run.unknowns[name]) for name in names),
-        result.target.observation.misfit_text(run.loss, result.problem.scene.domain.cell),
-        f"{run.front:.4f}",
-        f"{run.seconds:.2f}",
-        f"`{run.file}`",
+def mix(combination: Combination) -> str:
+    """A combination in words: which parameters go up, and which go down with them."""
+    greatest = max(abs(weight) for weight in combination.weights.values())
+    heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
+    up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
+    down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
+    if not down:
+        return " and ".join(up) + (" up or down together" if len(up) > 1 else "")
+    return f"{' and '.join(up)} up while {' and '.join(down)} down"
+
+
+def informative(result: Result) -> list[Information]:
+    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+    if result.verdict is not Verdict.AMBIGUOUS:
+        return []
+    state, scene = result.outcome.state, result.problem.scene
+    runs = [run for run, near in zip(state.runs, state.posterior.near, strict=True) if near]
+    extent = max(measures.front(run.trajectory.positions[-1]) for run in runs)
+    shown = [measurements(scene, run.trajectory.positions[-1], extent) for run in runs]
+    by_name = {name: np.array([each[name] for each in shown]) for name in shown[0]}
+    points = state.points[state.posterior.near]
+    found = information(
+        points, by_name, state.posterior.samples, cell=scene.domain.cell, rng=state.task.generator(len(state.runs))
+    )
+    return found[: 2 * SUGGESTED]
+
+
+def search(result: Result) -> list[str]:
+    """Every wave, and every MPM run at an answer."""
+    state, kinds = result.outcome.state, {each.name: each.kind for each in result.problem.parameters}
+    names = result.problem.names if len(result.problem.names) <= NAMED else []
+    lower, upper = np.array(result.problem.bounds).T
+    rows = []
+    for wave in state.waves:
+        mean, deviation = lower + wave.mean * (upper - lower), wave.deviation * (upper - lower)
+        rows.append(
+            [
+                str(wave.runs),
+                *(
+                    f"{_number(kinds[n], m)} ± {_number(kinds[n], d)}"
+                    for n, m, d in zip(names, mean, deviation, strict=False)
+                ),
+                f"{wave.unsettled:.2g}",
+                "yes" if wave.with_surrogate else "no",
+            ]
+        )
+    head = [
+        "MPM runs",
+        *(f"`{name}`, mean ± standard deviation" for name in names),
+        "unsettled",
+        "surrogate in the trend",
     ]
-
-
-def other_minima(result: Result) -> str:
-    """Minima that the surrogate has from other starts."""
-    if not result.other_minima:
-        return ""
-    rows = [
+    checks = [each for each in result.mpm_runs if each.purpose is not Purpose.WAVE]
+    cells = [
         [
-            *(p.kind.number(value) for p, value in zip(result.problem.parameters, each.parameters, strict=True)),
-            f"{each.loss:.2e}",
+            run.purpose.value,
+            *(kinds[name].number(run.unknowns[name]) for name in names),
+            result.target.observation.misfit_text(run.loss, result.problem.scene.domain.cell),
+            f"{run.front:.4f}",
+            f"{run.seconds:.2f}",
+            f"`{run.file}`",
         ]
-        for each in result.other_minima
+        for run in checks
     ]
-    head = [*(f"`{name}`" for name in result.problem.names), "loss of the surrogate"]
-    table = markdown_table(head, rows)
-    return f"Other minima of the surrogate, from other starts, which the MPM did not check:\n\n{table}"
+    columns = ["MPM run", *(f"`{name}`" for name in names), "distance to the target", "front [m]", "seconds", "file"]
+    return [
+        f"Surrogate: {result.surrogate}.",
+        "*Unsettled* is the emulator's share in the variance of the residuals, on average over the posterior.",
+        markdown_table(head, rows),
+        markdown_table(columns, cells),
+        "All runs are in `result.json`, the samples in `posterior.npz`.",
+    ]
+
+
+def _number(kind: Kind, value: float) -> str:
+    return kind.number(float(value))
 
 
 def draw(result: Result, folder: Path) -> None:
     """The pictures."""
-    problem, target = result.problem, result.target
-    deposits = {"surrogate": result.surrogate_deposit, "MPM": result.deposit}
-    if target.deposit is not None:
-        deposits = {"target": target.deposit, **deposits}
-    pictures.draw_deposits(folder / "deposit.png", problem, target, result.answer, deposits)
-    # The second check of a design is at its start, where no round ends.
-    marks = [
-        Mark(unknowns=run.unknowns, loss=run.loss)
-        for index, run in enumerate(result.checks)
-        if not (problem.target.minimise and index == 1)
-    ]
-    course.draw(folder / "iterations.png", problem, result.rounds, target.truth, marks)
-    cell = problem.scene.domain.cell
-    stages = [
-        (
-            f"check {number}: {target.observation.misfit_text(check.misfit, cell)}",
-            check.parameters,
-            check.trajectory.positions[-1],
-        )
-        for number, check in enumerate(result.history.checks, 1)
-    ]
-    pictures.draw_stages(folder / "stages.png", problem, target, stages, pictures.COLOURS["MPM"])
+    deposits = {"MPM": result.deposit}
+    if result.target.deposit is not None:
+        deposits = {"target": result.target.deposit, **deposits}
+    pictures.draw_deposits(folder / "deposit.png", result.problem, result.target, result.answer, deposits)
+    draw_predictive(folder / "predictive.png", result)
+    draw_posterior(folder / "posterior.png", result)
+    draw_waves(folder / "waves.png", result)
 
 
 def append_final_run(result: Result, folder: Path, *, vtk: bool, movie: bool) -> None:
     """Write the final MPM run for ParaView or as a movie, and name them in `report.md`. Raises WorkFailed."""
-    trajectory, report = result.found.checks[0].trajectory, page(result, folder)
+    trajectory, report = result.outcome.answers[0].checks[0].trajectory, page(result, folder)
     report.section("The final MPM run")
     if vtk:
         write_vtk(trajectory, folder / "vtk", progress=True)
@@ -321,5 +410,7 @@ def append_final_run(result: Result, folder: Path, *, vtk: bool, movie: bool) ->
 
 def summary(result: Result) -> str:
     """The outcome for the terminal: the conclusion of the report."""
-    lines = [sentence.replace("**", "").replace("`", "") for sentence in conclusion(result) if sentence]
+    lines = [
+        sentence.replace("**", "").replace("`", "") for sentence in conclusion(result, informative(result)) if sentence
+    ]
     return "\n".join([f"{result.problem.name}: {result.verdict}", *(f"  {line}" for line in lines)])

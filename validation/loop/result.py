@@ -1,7 +1,8 @@
-"""The result of a loop: what `result.json` holds, with the runs of the MPM and pictures of what was found."""
+"""The result of a loop: what `result.json` and `posterior.npz` hold, and pictures of what was found."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,18 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from inverse import result as inverse_result
+from datasets.files import replacing, write_json
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.result import Purpose, RunRecord
-from validation.loop.check import Answer, Check, History
-from validation.loop.uncertainty import Uncertainty
+from inverse.result import Combination, Found, Purpose, RunRecord, combinations_record, peak_memory_mib, plain
+from validation.loop.check import Check
+from validation.loop.verdict import Outcome
 from validation.runs import SHARE
 
 OBSERVED, FOUND = "black", "tab:red"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result(inverse_result.Result):
+class Result(Found):
     """What a loop found.
 
     >>> result = solve("friction-tall-42")
@@ -29,40 +31,128 @@ class Result(inverse_result.Result):
     >>> result.plot().savefig("found.png")
     """
 
-    found: Answer
-    """The checks at the answer."""
-    history: History
-    """All that was proposed and checked."""
-    uncertainty: Uncertainty | None
-    """By the last ensemble; absent where the target is unreachable."""
-    surrogate_deposit: NDArray[np.floating]
-    """Deposit of the uncorrected surrogate at the answer [m], shape [n, D]."""
-    without_surrogate: str | None = None
-    """The reason why no learned surrogate proposed; None where one did."""
+    outcome: Outcome
+    """All runs, the posterior and its answers."""
+    surrogate: str
+    """Whether a learned surrogate helped, and why."""
+    mpm_runs: list[RunRecord]
+    mpm_seconds: float
 
     @property
     def deposit(self) -> NDArray[np.floating]:
         """The MPM's deposit at the answer [m], shape [N, D]."""
-        return np.asarray(self.found.checks[0].trajectory.positions[-1])
+        return np.asarray(self.outcome.answers[0].checks[0].trajectory.positions[-1])
 
     @property
-    def begun(self) -> Check | None:
-        """Of a design: the check at the problem's own start."""
-        return self.history.checks[1] if self.problem.target.minimise else None
+    def begun(self) -> list[Check]:
+        """Of a design: the runs at the problem's own start."""
+        return [each for each in self.outcome.state.runs if each.purpose is Purpose.START]
+
+    @property
+    def misfit(self) -> float:
+        """Of the MPM at the answer."""
+        return self.target.misfit(self.outcome.answers[0].observation)
+
+    @property
+    def samples(self) -> NDArray[np.float64]:
+        """Of the posterior, in the units of the parameters' names, shape [S, U]."""
+        lower, upper = np.array(self.problem.bounds).T
+        return np.asarray(lower + self.outcome.state.posterior.samples.points * (upper - lower))
+
+    @property
+    def answers(self) -> list[dict[str, Any]]:
+        """Every separate answer that the observation allows: unknowns, half-widths, weight and misfit in the MPM."""
+        return [
+            {
+                "unknowns": self.problem.named(each.parameters),
+                "half_widths": self.problem.named(each.half_widths),
+                "weight": each.weight,
+                "misfit": self.target.misfit(each.observation),
+            }
+            for each in self.outcome.answers
+        ]
+
+    @property
+    def combinations(self) -> list[Combination]:
+        """The principal directions of the posterior, best known first, in fractions of the ranges."""
+        values, vectors = np.linalg.eigh(self.outcome.state.posterior.samples.covariance)
+        deviations = np.sqrt(np.maximum(values, 0.0))
+        return [
+            Combination(
+                weights=self.problem.named(vector * np.sign(vector[np.argmax(np.abs(vector))])),
+                half_width=float(min(1.96 * deviation, 0.5 * CONSTANTS.credible)),
+            )
+            for deviation, vector in zip(deviations, vectors.T, strict=True)
+        ]
 
     def save(self, folder: Path | str) -> None:
-        """Write `result.json`, `report.md`, its pictures and, where they are not there yet, the MPM runs."""
+        """Write `result.json`, `posterior.npz`, `report.md`, its pictures and, where they lack, the MPM runs."""
         from validation.loop import report  # It draws results.
 
         folder = Path(folder)
-        for record, check in zip(self.mpm_runs, (*self.history.checks, *self.history.members), strict=True):
+        for record, check in zip(self.mpm_runs, self.outcome.state.runs, strict=True):
             if not (folder / record.file).exists():
                 check.trajectory.save(folder / record.file)
         self.write(folder)
         report.write(self, folder)
 
+    def write(self, folder: Path) -> None:
+        """Write `posterior.npz` and `result.json` into `folder`."""
+        found, raw = self.outcome.state.posterior, self.target.observation.raw
+        with replacing(folder / "posterior.npz") as part, part.open("wb") as file:
+            names = np.array(self.problem.names, dtype=np.str_)
+            np.savez_compressed(file, names=names, samples=self.samples, weights=found.samples.weights)
+        fit = self.outcome.discrepancy
+        write_json(
+            folder / "result.json",
+            {
+                "problem": self.problem.name,
+                "verdict": self.verdict.value,
+                "unknowns": self.unknowns,
+                "certainty": self.certainty,
+                "answers": self.answers,
+                "combinations": combinations_record(self.combinations),
+                "discrepancy": None if fit is None else fit.factor,
+                "truth": self.target.truth,
+                "error_pct": self.error_pct,
+                "observation": {
+                    "target": plain(raw(self.target.values)),
+                    "mpm": plain(raw(self.outcome.answers[0].observation)),
+                }
+                | self.target.observation.record(),
+                "loss": {"mpm": self.misfit},
+                "mpm_runs": [each.as_json() for each in self.mpm_runs],
+                "iterations": [
+                    {
+                        "mpm_runs": each.runs,
+                        "mean": self.problem.named(self._in_units(each.mean)),
+                        "deviation": self.problem.named(each.deviation * self._ranges),
+                        "unsettled": each.unsettled,
+                        "with_surrogate": each.with_surrogate,
+                    }
+                    for each in self.outcome.state.waves
+                ],
+                "sampling": {
+                    "difference": found.samples.difference,
+                    "acceptance": found.samples.acceptance,
+                    "log_evidence": found.samples.evidence,
+                },
+                "surrogate": self.surrogate,
+                "seconds": {"mpm": self.mpm_seconds, "total": self.total_seconds},
+                "peak_memory_mib": peak_memory_mib(),
+            },
+        )
+
+    @property
+    def _ranges(self) -> NDArray[np.float64]:
+        lower, upper = np.array(self.problem.bounds).T
+        return np.asarray(upper - lower)
+
+    def _in_units(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.array(self.problem.bounds).T[0] + point * self._ranges)
+
     def plot(self) -> Figure:
-        """The deposit observed and found, and the parameters with their half-widths within their bounds."""
+        """The deposit observed and found, and the answers with their half-widths within their bounds."""
         rows = len(self.problem.parameters)
         figure, (above, below) = plt.subplots(
             2, 1, figsize=(8.0, 4.0 + 0.35 * rows), height_ratios=(3.0, 0.6 + 0.35 * rows), layout="constrained"
@@ -87,28 +177,29 @@ class Result(inverse_result.Result):
         axis.legend(markerscale=6.0, fontsize="small")
 
     def _plot_parameters(self, axis: Axes) -> None:
-        truth, widths = self.target.truth or {}, self.certainty or {}
+        truth, count = self.target.truth or {}, len(self.outcome.answers)
         for row, each in enumerate(self.problem.parameters):
-            span, value = each.upper - each.lower, self.unknowns[each.name]
-
-            def share(number: float, lower: float = each.lower, span: float = span) -> float:
-                return (number - lower) / span
-
             axis.plot([0.0, 1.0], [row, row], color="lightgrey", zorder=0)
-            axis.errorbar(share(value), row, xerr=widths.get(each.name, 0.0) / span, fmt="o", color=FOUND, capsize=4)
+            for number, answer in enumerate(self.outcome.answers):
+                value, width = float(answer.parameters[row]), float(answer.half_widths[row])
+                place = row + 0.25 * (number - 0.5 * (count - 1)) / max(1, count)
+                share = (value - each.lower) / each.range
+                axis.errorbar(share, place, xerr=width / each.range, fmt="o", color=FOUND, capsize=4)
             if each.name in truth:
-                axis.plot(share(truth[each.name]), row, "x", color=OBSERVED)
-            axis.annotate(f"{each.kind.text(value)}", (1.02, row), va="center", annotation_clip=False)
+                axis.plot((truth[each.name] - each.lower) / each.range, row, "x", color=OBSERVED)
+            axis.annotate(
+                f"{each.kind.text(self.unknowns[each.name])}", (1.02, row), va="center", annotation_clip=False
+            )
         axis.set(xlim=(0.0, 1.0), xticks=[0.0, 1.0], xticklabels=["lower bound", "upper bound"])
         axis.set(ylim=(-0.6, len(self.problem.parameters) - 0.4))
         axis.set_yticks(range(len(self.problem.parameters)), self.problem.names)
         axis.invert_yaxis()
 
 
-def record(problem: Problem, purpose: Purpose, check: Check, file: str) -> RunRecord:
+def record(problem: Problem, check: Check, file: str) -> RunRecord:
     """An MPM run as `result.json` holds it."""
     return RunRecord(
-        purpose=purpose,
+        purpose=check.purpose,
         unknowns=problem.named(check.parameters),
         observation=check.observation,
         front=check.front,

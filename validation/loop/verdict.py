@@ -1,150 +1,263 @@
-"""From a search to the answer and the verdict on it: refined by ensembles, checked again, held against the target."""
+"""From the posterior to its answers, each checked by runs of the MPM there, and the verdict on them."""
 
 import dataclasses
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.stats import chi2
 
+from datasets.errors import InputError
+from inverse.observations import Values
 from inverse.parameters import Vector
+from inverse.posterior.answers import Part, half_widths, parts
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.result import Verdict
-from validation.loop.check import Answer, History, Task
-from validation.loop.discrepancy import discrepancy
-from validation.loop.uncertainty import Uncertainty, by_ensemble, with_curvature
+from inverse.result import Purpose, Verdict
+from validation.loop.check import Check, Task
+from validation.loop.discrepancy import Discrepancy, discrepancy
+from validation.loop.search import Search
 
-MAX_ENSEMBLES = 3
-"""Where the MPM's slopes have changed between an ensemble and its estimate, another one is made there."""
-LINEAR = 0.5
-"""Share of a half-width that such a change may be."""
-NO_WORSE = 1.5
-"""Misfit over the smallest so far up to which another ensemble is made."""
-NO_NEARER = 0.5
-"""Share of the squared misfit; where the MPM's slopes leave more within the bounds, nothing within them is nearer."""
-OF_THE_RANGE = 0.5
-"""Half-width over the range between the bounds, above which a parameter is not identifiable."""
-OF_ITSELF = 0.25
-"""The same where the half-width is also above the value."""
+CLOSE = 0.25
+"""Of a half-width: checks this close to an answer are checks of it."""
+EXCLUDED = 1e-3
+"""Probability of the nearest fit of all, below which no parameters between the bounds give the target."""
+AT_BOUND = 0.02
+"""Distance from a bound, as a fraction of the range."""
 BETTER = 2.0
 """Standard deviations of the scatter by which a design has to improve on the start."""
 
 
-def refine(task: Task, history: History) -> tuple[Answer, Uncertainty, History]:
-    """The answer by all runs together: an ensemble around the nearest check, a check where it points to."""
-    uncertainty = by_ensemble(task, history, history.nearest.parameters)
-    history = history.surveyed(uncertainty.runs)
-    if task.problem.target.minimise:
-        checks = (history.nearest, *uncertainty.at_centre)
-        return Answer(parameters=uncertainty.centre, checks=checks), uncertainty, history
-    answer = Answer.at(history.nearest)
-    for number in range(1, MAX_ENSEMBLES + 1):
-        if history.budget(task.problem) < 1:
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Parameters that the observation allows, with the runs of the MPM there."""
+
+    parameters: Vector
+    """Shape [U]."""
+    half_widths: Vector
+    """At 95 %, shape [U]."""
+    weight: float
+    """Share of the posterior."""
+    checks: tuple[Check, ...]
+
+    @property
+    def observation(self) -> Values:
+        """Mean of the checks, shape [M]."""
+        return np.asarray(np.mean([each.observation for each in self.checks], axis=0))
+
+    @property
+    def front_error(self) -> float:
+        """Mean relative error of the front, with its sign; nan where the target has none."""
+        return float(np.mean([each.front_error for each in self.checks]))
+
+    def scatter(self, task: Task) -> float:
+        """Distance of two of the checks, root mean square (`Observation.distance`)."""
+        pairs = [
+            task.observation.distance(one.observation, other.observation)
+            for number, one in enumerate(self.checks)
+            for other in self.checks[:number]
+        ]
+        return math.sqrt(float(np.mean(np.square(pairs)))) if pairs else 0.0
+
+    @property
+    def front_scatter(self) -> float:
+        """Relative difference of the fronts of two of the checks, root mean square [-]."""
+        fronts = np.array([each.front for each in self.checks])
+        return float(math.sqrt(2.0) * fronts.std(ddof=1) / fronts.mean()) if len(fronts) > 1 else 0.0
+
+    def confirms(self, task: Task) -> bool:
+        """Whether the mean of the checks is within the tolerance, given their scatter."""
+        return task.observation.is_within(
+            task.problem.loop,
+            task.problem.scene.domain.cell,
+            task.target,
+            self.observation,
+            front_error=self.front_error,
+            scatter=self.scatter(task),
+            front_scatter=self.front_scatter,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a search came to."""
+
+    state: Search
+    answers: tuple[Answer, ...]
+    """Heaviest first."""
+    verdict: Verdict
+    discrepancy: Discrepancy | None = None
+    """Of the first answer; absent where no numbers are left over for it."""
+
+
+def concluded(state: Search) -> Outcome:
+    """The answers, checked, with the discrepancy of the first one in their half-widths, and the verdict."""
+    if state.task.problem.target.minimise:
+        return of_design(state)
+    excluded = is_excluded(state)
+    state, found = checked(state)
+    change = cells_change(state.task, found[0])
+    if change is not None:
+        state, found = checked(state.inferred(discretisation=change))
+    fit = discrepancy(state.task, found[0].checks, residuals_of_runs(state))
+    if fit is not None and fit.factor > 1.0 and not excluded:
+        state = state.inferred(factor=fit.factor)
+        found = tuple(each for each in matched(state, found) if each.weight > 0.0) or found
+    return Outcome(state=state, answers=found, verdict=judge(state.task, found, excluded=excluded), discrepancy=fit)
+
+
+def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
+    """Runs at every answer, and once more where the answers have moved by what these showed."""
+    for _ in range(CONSTANTS.rounds):
+        found = separate(state)
+        missing = [each.point for each in found if not close_checks(state, each)]
+        if not missing and all(each.confirms(state.task) for each in answers_of(state, found)):
             break
-        check = task.check(estimated(task, uncertainty))
-        uncertainty = with_curvature(task, history, uncertainty, check)
-        history = history.checked(check)
-        answer = Answer.at(check)
-        worse = check.misfit > NO_WORSE * history.nearest.misfit
-        if is_linear(uncertainty) or worse or number == MAX_ENSEMBLES or history.budget(task.problem) < 1:
-            answer, history = averaged(task, history, uncertainty, answer)
+        places = missing or [found[0].point]
+        if state.left < len(places):
             break
-        uncertainty = by_ensemble(task, history, check.parameters)
-        history = history.surveyed(uncertainty.runs)
-    fit = discrepancy(task, answer.checks, uncertainty.at_centre)
-    return answer, dataclasses.replace(uncertainty, discrepancy=fit), history
+        count = min(CONSTANTS.checks, state.left // len(places))
+        state = state.ran(np.repeat(np.stack(places), count, axis=0), Purpose.CHECK).inferred()
+    return state, answers_of(state, separate(state))
 
 
-def estimated(task: Task, uncertainty: Uncertainty) -> Vector:
-    """The parameters of the estimate, within the trust region around the ensemble's centre and the bounds."""
-    found, ranges, centre = uncertainty.estimate, task.bounds.range, uncertainty.centre
-    assert found is not None
-    box = task.bounds.around(centre, task.problem.loop.trust * ranges)
-    return task.rounded(centre + found.within((box.lower - centre) / ranges, (box.upper - centre) / ranges) * ranges)
+def separate(state: Search) -> list[Part]:
+    """The separate parts of the 95 % region."""
+    found = state.posterior
+    return parts(found.samples, found.likelihood, state.task.generator(len(state.runs)))
 
 
-def is_linear(uncertainty: Uncertainty) -> bool:
-    """Whether the slopes around the ensemble's centre hold where it points to as well."""
-    curvature = uncertainty.curvature
-    return curvature is None or bool(np.all(np.abs(curvature) <= LINEAR * uncertainty.half_widths))
+def close_checks(state: Search, part: Part) -> list[Check]:
+    """Checks near the point of a part."""
+    own = [each for each in state.runs if each.purpose is Purpose.CHECK]
+    limit = CLOSE * np.maximum(part.half_widths, 1e-6)
+    return [each for each in own if np.all(np.abs(state.task.unit(each.parameters) - part.point) <= limit)]
 
 
-def averaged(task: Task, history: History, uncertainty: Uncertainty, answer: Answer) -> tuple[Answer, History]:
-    """`answer`, with checks of other jitter seeds there until their mean confirms or the budget is spent.
+def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
+    """The answer in each part: where it was checked last, else where a run is nearest to its point."""
+    task, answers = state.task, []
+    for part in found:
+        near = close_checks(state, part) or nearest_runs(state, part)
+        place = near[-1].parameters
+        own = tuple(each for each in near if np.array_equal(each.parameters, place))
+        share = np.full(len(part.points), 1.0 / len(part.points))
+        widths = half_widths(part.points, share, task.unit(place)) * task.bounds.range
+        answers.append(Answer(parameters=place, half_widths=widths, weight=part.weight, checks=own))
+    return tuple(answers)
 
-    A single run scatters with its jitter seed, the estimate by all runs much less. Where even the mean does not
-    confirm and the nearest check does, that is the answer: the slopes were misleading.
+
+def nearest_runs(state: Search, part: Part) -> list[Check]:
+    """The run that is nearest to the point of a part, by its half-widths."""
+    far = np.abs(state.points - part.point) / np.maximum(part.half_widths, 1e-6)
+    return [state.runs[int(np.argmin(far.max(axis=1)))]]
+
+
+def matched(state: Search, before: Sequence[Answer]) -> tuple[Answer, ...]:
+    """Answers of a new posterior: those of before with its weights and half-widths about the same parameters."""
+    task, found = state.task, separate(state)
+    result = []
+    for part in found:
+        scale = np.maximum(part.half_widths, 1e-6)
+        nearest = min(before, key=lambda each: float(np.max(np.abs(task.unit(each.parameters) - part.point) / scale)))
+        share = np.full(len(part.points), 1.0 / len(part.points))
+        widths = half_widths(part.points, share, task.unit(nearest.parameters)) * task.bounds.range
+        result.append(dataclasses.replace(nearest, half_widths=widths, weight=part.weight))
+    return tuple(result)
+
+
+def cells_change(task: Task, answer: Answer) -> Values | None:
+    """What the MPM's cells do to the numbers at an answer [M], for a target that no flow on the same cells has made.
+
+    The difference from runs on cells twice as large is, to first order, the error of the cells used (Roache,
+    Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). None for a twin, and
+    where the box does not divide into such cells.
     """
-    seeds = np.random.SeedSequence([task.problem.scene.seed, 1]).generate_state(history.budget(task.problem))
-    for seed in seeds.tolist():
-        if confirms(task, answer, uncertainty):
-            break
-        check = task.check(answer.parameters, seed)
-        history = history.checked(check)
-        answer = dataclasses.replace(answer, checks=(*answer.checks, check))
-    nearest = Answer.at(history.nearest)
-    if not confirms(task, answer, uncertainty) and confirms(task, nearest, uncertainty):
-        answer = nearest
-    return answer, history
+    scene = task.problem.scene_at(answer.parameters)
+    if task.problem.target.twin or task.observation.every_particle:
+        return None
+    try:
+        domain = dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell)
+        scenes = [dataclasses.replace(scene, domain=domain, seed=each.trajectory.scene.seed) for each in answer.checks]
+    except InputError:
+        return None
+    return np.asarray(np.mean(task.observed(scenes), axis=0) - answer.observation)
 
 
-def confirms(task: Task, answer: Answer, uncertainty: Uncertainty) -> bool:
-    """Whether the MPM at the answer is within the tolerance, given its scatter."""
-    return task.is_within(answer, scatter=uncertainty.misfit_scatter, front_scatter=uncertainty.front_scatter)
+def residuals_of_runs(state: Search) -> list[Check]:
+    """The runs around the posterior."""
+    return [each for each, near in zip(state.runs, state.posterior.near, strict=True) if near]
 
 
-def judge(task: Task, history: History, answer: Answer, uncertainty: Uncertainty) -> Verdict:
-    """The verdict of the MPM on the answer."""
-    if task.problem.target.minimise:
-        begun = float(history.checks[1].observation[0])
-        better = begun - float(answer.observation[0]) > BETTER * float(uncertainty.scatter[0])
-        return Verdict.CONFIRMED if better else Verdict.UNCONFIRMED
-    if confirms(task, answer, uncertainty):
-        widths = uncertainty.widths(answer.parameters, task.bounds.range)
-        unknown = unidentified(task.problem, answer.parameters, widths)
-        return Verdict.NOT_IDENTIFIABLE if unknown else Verdict.CONFIRMED
-    return Verdict.UNREACHABLE if is_unreachable(task, answer, uncertainty) else Verdict.UNCONFIRMED
+def is_excluded(state: Search) -> bool:
+    """Whether the likeliest parameters of all leave more than scatter and noise explain."""
+    found = state.posterior
+    best = found.samples.points[[int(np.argmax(found.samples.log_likelihood))]]
+    mean, variance = found.emulator.predict(best)
+    whole = found.likelihood.fixed + np.diag(variance[0])
+    residual = found.likelihood.target - mean[0]
+    square = float(residual @ np.linalg.solve(whole, residual))
+    return float(chi2.sf(square, len(residual))) < EXCLUDED
+
+
+def judge(task: Task, answers: Sequence[Answer], *, excluded: bool) -> Verdict:
+    """The verdict on the answers, heaviest first."""
+    confirmed = [each for each in answers if each.confirms(task)]
+    if not confirmed:
+        return Verdict.UNREACHABLE if excluded and is_out_of_bounds(task, answers[0]) else Verdict.UNCONFIRMED
+    if len(answers) > 1 or unidentified(task.problem, answers[0].parameters, answers[0].half_widths):
+        return Verdict.AMBIGUOUS
+    return Verdict.CONFIRMED
+
+
+def is_out_of_bounds(task: Task, answer: Answer) -> bool:
+    """Whether an answer that does not fit lies at a bound, or misses by more than the numbers are themselves."""
+    place = task.unit(answer.parameters)
+    at_bound = bool(np.any((place < AT_BOUND) | (place > 1.0 - AT_BOUND)))
+    return at_bound
 
 
 def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
-    """The parameters that the observation does not constrain beyond their bounds; values, half-widths: shape [U].
+    """The parameters whose interval is most of the prior's; values, half-widths: shape [U].
 
-    Those with a half-width of more than half of the range between the bounds; or of more than the value itself, where a
-    value has a zero of its own, and more than a quarter of that range.
+    The interval is cut off at the bounds. A parameter with a zero of its own is none either where its half-width is
+    above the value itself and half as wide.
     """
-    found = []
+    names = []
     for each, value, width in zip(problem.parameters, values, widths, strict=True):
-        span = each.upper - each.lower
-        relative = each.kind.positive and width > abs(value) and width > OF_ITSELF * span
-        if relative or width > OF_THE_RANGE * span:
-            found.append(each.name)
-    return found
+        length = (min(value + width, each.upper) - max(value - width, each.lower)) / each.range
+        relative = each.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
+        if relative or length > CONSTANTS.most_of_the_prior:
+            names.append(each.name)
+    return names
 
 
-def is_unreachable(task: Task, answer: Answer, uncertainty: Uncertainty) -> bool:
-    """Whether no parameters within the bounds give the target, by the MPM's own slopes at the answer.
+def of_design(state: Search) -> Outcome:
+    """The design of the least number expected, and how far parameters may move before it shows beyond the scatter."""
+    task, found = state.task, state.posterior
+    least = found.samples.points[int(np.argmin(expected(state, found.samples.points)))]
+    state = state.ran(np.repeat(least[None], CONSTANTS.checks, axis=0), Purpose.CHECK)
+    state = state.ran(np.repeat(task.unit(task.problem.initial)[None], CONSTANTS.checks, axis=0), Purpose.START)
+    runs = [each for each in state.runs if each.purpose is Purpose.CHECK]
+    share = found.samples.weights
+    answer = Answer(
+        parameters=runs[0].parameters,
+        half_widths=half_widths(found.samples.points, share, least) * task.bounds.range,
+        weight=1.0,
+        checks=tuple(runs),
+    )
+    begun = np.mean([each.observation[0] for each in state.runs if each.purpose is Purpose.START])
+    scatter = float(np.std([each.observation[0] for each in runs], ddof=1))
+    better = begun - float(answer.observation[0]) > BETTER * max(scatter, 1e-12)
+    verdict = Verdict.CONFIRMED if better else Verdict.UNCONFIRMED
+    return Outcome(state=state, answers=(answer,), verdict=verdict)
 
-    Either the bounds exclude it: the slopes lead to it, but out of them. Or more misfit is left than the parameters
-    change from bound to bound. What is left otherwise is a discrepancy of the model, and the answer stands.
-    """
-    loop, cell = task.problem.loop, task.problem.scene.domain.cell
-    distance = task.observation.distance(answer.observation, task.target.values)
-    if distance <= task.observation.tolerance(loop, cell, task.target, uncertainty.misfit_scatter):
-        return False
-    found = uncertainty.estimate
-    if found is None or len(found.jacobian) != len(task.target.values):
-        return False  # The slopes are the surrogate's.
-    misfit = task.target.values - answer.observation
-    low, high = ((bound - answer.parameters) / task.bounds.range for bound in (task.bounds.lower, task.bounds.upper))
-    if remaining(found.jacobian, misfit, low, high) <= NO_NEARER:
-        return False
-    free = np.full(len(low), math.inf)
-    changed = float(np.sum(found.jacobian**2))
-    return remaining(found.jacobian, misfit, -free, free) <= NO_NEARER or float(misfit @ misfit) > changed
 
-
-def remaining(jacobian: NDArray[np.float64], misfit: Vector, lower: Vector, upper: Vector) -> float:
-    """Share of |misfit|^2 that is left at best after a move lower <= v <= upper [U] along `jacobian` [M, U]."""
-    low, high = np.minimum(lower, -1e-12), np.maximum(upper, 1e-12)
-    left = misfit - jacobian @ lsq_linear(jacobian, misfit, bounds=(low, high)).x
-    return float(left @ left) / max(float(misfit @ misfit), 1e-300)
+def expected(state: Search, points: NDArray[np.float64]) -> Values:
+    """Of one number: what the emulator expects at points [S, U], shape [S]."""
+    reduced = state.posterior.reduction
+    return np.asarray(
+        state.posterior.emulator.mean(points)[:, 0] * reduced.basis[0, 0] / reduced.weights[0] + reduced.mean[0]
+    )

@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import json
 import math
 from dataclasses import dataclass
 from datetime import date
@@ -11,7 +10,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from datasets.records import Record, from_mapping
+from datasets.records import Record, from_mapping, read_json
 from gns.inference import shipped
 from inverse.problem import Problem
 from inverse.result import Purpose
@@ -94,10 +93,10 @@ class Outcome:
 
 def read(problem: Problem, folder: Path) -> Outcome | None:
     """The outcome in `folder`, None where there is none of this problem. Raises InputError for a broken file."""
-    result = _read_json(folder / RESULT)
+    result = read_json(folder / RESULT)
     if result is None or result.get("problem") != problem.name:
         return None
-    origin = _read_json(folder / ORIGIN)
+    origin = read_json(folder / ORIGIN)
     try:
         known = None if origin is None else from_mapping(Origin, origin)
     except InputError as error:
@@ -121,15 +120,3 @@ def write_origin(origin: Origin, folder: Path) -> None:
 def digest(content: bytes) -> str:
     """The beginning of a SHA-256."""
     return hashlib.sha256(content).hexdigest()[:16]
-
-
-def _read_json(path: Path) -> dict[str, Any] | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"expected readable JSON, {error}", where=str(path)) from None
-    if not isinstance(found, dict):
-        raise InputError("expected a JSON object", where=str(path))
-    return found

@@ -1,0 +1,88 @@
+"""The answers: the separate parts of the region that holds 95 % of the posterior.
+
+The region is that of highest density. Two of its samples belong to one part where the segment between them stays in it;
+a chain of such segments makes curved parts one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from inverse.posterior.sampling import Samples
+from inverse.posterior.settings import CONSTANTS
+
+Matrix = NDArray[np.float64]
+Row = NDArray[np.float64]
+AT_MOST = 800
+"""Samples of the region that are joined."""
+ALONG = (0.25, 0.5, 0.75)
+"""Where along a segment the density is asked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of the region, in fractions of the ranges."""
+
+    point: Row
+    """The answer: its mean, or where that is outside of it its sample of highest density, shape [U]."""
+    half_widths: Row
+    """Half of the interval about the point that holds 95 % of the part, shape [U]."""
+    weight: float
+    """Share of the posterior."""
+    points: Matrix
+    """Samples of it, shape [S, U]."""
+
+
+def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
+    """The parts of the 95 % region that weigh enough, heaviest first."""
+    index = samples.drawn(min(AT_MOST, len(samples.points)), rng)
+    points, density = samples.points[index], samples.log_likelihood[index]
+    threshold = float(np.quantile(density, 1.0 - CONSTANTS.credible))
+    inside = density >= threshold
+    points, density = points[inside], density[inside]
+    scale = np.maximum(points.std(axis=0), 1e-9)
+    count = min(CONSTANTS.neighbours + 1, len(points))
+    nearest = cKDTree(points / scale).query(points / scale, k=count)[1].reshape(len(points), count)
+    pairs = np.stack([np.repeat(np.arange(len(points)), count), nearest.ravel()], axis=1)
+    first, second = np.unique(np.sort(pairs, axis=1), axis=0).T
+    lowest = np.full(len(first), np.inf)
+    for share in ALONG:
+        between = (1.0 - share) * points[first] + share * points[second]
+        lowest = np.minimum(lowest, log_likelihood(between))
+    # The density of samples is an estimate: a dip by less than a half in it is none.
+    joined = lowest >= threshold - np.log(2.0)
+    graph = coo_array((np.ones(int(joined.sum())), (first[joined], second[joined])), shape=(len(points), len(points)))
+    number, label = connected_components(graph, directed=False)
+    every = cKDTree(points / scale).query(samples.points / scale)[1]
+    shares = np.array([samples.weights[label[every] == each].sum() for each in range(number)])
+    kept = [each for each in np.argsort(-shares) if shares[each] >= CONSTANTS.least_weight]
+    found = []
+    for each in kept:
+        own = label[every] == each
+        weights = samples.weights[own] / shares[kept].sum()
+        found.append(part(samples.points[own], weights, samples.log_likelihood[own], threshold, log_likelihood))
+    return found
+
+
+def part(points: Matrix, weights: Row, density: Row, threshold: float, log_likelihood: Callable[[Matrix], Row]) -> Part:
+    """The part that these samples make, shapes [S, U], [S] and [S]."""
+    share = weights / weights.sum()
+    mean = share @ points
+    centre = mean if float(log_likelihood(mean[None])[0]) >= threshold else points[int(np.argmax(density))]
+    return Part(
+        point=centre, half_widths=half_widths(points, share, centre), weight=float(weights.sum()), points=points
+    )
+
+
+def half_widths(points: Matrix, share: Row, centre: Row) -> Row:
+    """The least half-widths about `centre` [U] that hold 95 % of samples [S, U] of weights [S], shape [U]."""
+    off = np.abs(points - centre)
+    order = np.argsort(off, axis=0)
+    cumulated = np.cumsum(share[order], axis=0)
+    row = np.argmax(cumulated >= CONSTANTS.credible * (1.0 - 1e-9), axis=0)
+    return np.asarray(np.take_along_axis(off, np.take_along_axis(order, row[None], axis=0), axis=0)[0])

@@ -1,0 +1,221 @@
+"""An emulator of the MPM: a Gaussian process over the box with a linear trend and the scatter of the runs.
+
+    y_j(v) = h(v) b_j + z_j(v) + e_j,    cov z_j = s_j^2 k(v, v'),    var e_j = g_j s_j^2
+
+| symbol | variable | meaning |
+|---|---|---|
+| v | `points` | parameters in fractions of their ranges, shape [n, U] |
+| y | `numbers` | what n runs of the MPM show, r components, shape [n, r] |
+| h | `trend` | 1, v, and what a surrogate predicts at v where there is one, shape [n, p] |
+| k | `correlation` | Matern's of order 5/2, with a correlation length for each parameter |
+| e | - | scatter from flow to flow with the jitter seed |
+| g | `nuggets` | its variance over that of the process |
+
+The coefficients b have a flat prior and are integrated over (Rasmussen & Williams, Gaussian processes for machine
+learning, 2006, section 2.7): with P an orthonormal basis of what is orthogonal to the trend of the runs, P^T y has the
+restricted likelihood (Patterson & Thompson, Recovery of inter-block information when block sizes are unequal,
+Biometrika 58 (1971) 545-554)
+
+    log L_j = -1/2 [ (n - p) log s_j^2 + sum_i log(l_i + g) ],    s_j^2 = 1/(n - p) sum_i (q_i . P^T y_j)^2 / (l_i + g)
+
+with l and q the eigenvalues and eigenvectors of P^T k P. So one decomposition serves every component and every g, over
+which is summed; the correlation lengths are the likeliest. With a surrogate in the trend this is the multi-fidelity
+model of Kennedy & O'Hagan (Predicting the output from a complex computer code when fast approximations are available,
+Biometrika 87 (2000) 1-13).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from inverse.posterior.settings import CONSTANTS
+
+Matrix = NDArray[np.float64]
+Trend = Callable[[Matrix], Matrix]
+"""Points [S, U] -> the trend's functions there [S, p]."""
+SHORTEST, LONGEST = 0.03, 20.0
+"""Correlation lengths between which the likeliest is looked for, in ranges."""
+
+
+def linear(points: Matrix) -> Matrix:
+    """The trend without a surrogate: 1 and v, shape [S, 1 + U]."""
+    return np.concatenate([np.ones((len(points), 1)), points], axis=1)
+
+
+def correlation(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
+    """Matern's correlation of order 5/2 between points [n, U] and [m, U], shape [n, m]; lengths: [U]."""
+    a, b = one / lengths, other / lengths
+    square = (a**2).sum(1)[:, None] + (b**2).sum(1)[None] - 2.0 * a @ b.T
+    distance = np.sqrt(5.0 * np.maximum(square, 0.0))
+    return np.asarray((1.0 + distance + distance**2 / 3.0) * np.exp(-distance))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Emulator:
+    """The process, given runs."""
+
+    points: Matrix
+    """Shape [n, U]."""
+    numbers: Matrix
+    """Shape [n, r]."""
+    expected_scatter: Matrix
+    """Standard deviation of each component from flow to flow, as expected before any run, shape [r]."""
+    lengths: Matrix
+    """Shape [U]."""
+    trend: Trend = linear
+
+    @property
+    def freedom(self) -> int:
+        """n - p: degrees of freedom of every variance."""
+        return len(self.points) - int(self._basis.shape[1])
+
+    @cached_property
+    def _basis(self) -> Matrix:
+        return self.trend(self.points)
+
+    @cached_property
+    def _decomposed(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """H^+, P q [n, n - p], l [n - p] and the squares' roots q . P^T y [n - p, r]."""
+        basis = self._basis
+        count = basis.shape[1]
+        full, upper = np.linalg.qr(basis, mode="complete")
+        inverse = np.linalg.solve(upper[:count], full[:, :count].T)
+        across = full[:, count:]
+        values, vectors = np.linalg.eigh(across.T @ self._correlations @ across)
+        contrasts = across @ vectors
+        return inverse, contrasts, np.maximum(values, 0.0), contrasts.T @ self.numbers
+
+    @cached_property
+    def _correlations(self) -> Matrix:
+        return correlation(self.points, self.points, self.lengths)
+
+    @cached_property
+    def _quadrature(self) -> tuple[Matrix, Matrix, float]:
+        """Weights of the nuggets [G, r], variances s^2 [G, r], and the logarithm of the likelihood of the lengths."""
+        _, _, values, roots = self._decomposed
+        nuggets = np.array(CONSTANTS.nuggets)
+        total = values + nuggets[:, None]
+        variance = np.maximum((1.0 / total) @ roots**2 / len(values), 1e-30)
+        likelihood = -0.5 * (len(values) * np.log(variance) + np.log(total).sum(axis=1)[:, None])
+        scatter = 0.5 * np.log(nuggets[:, None] * variance) - np.log(self.expected_scatter)
+        likelihood = likelihood - 0.5 * (scatter / CONSTANTS.scatter_spread) ** 2
+        whole = logsumexp(likelihood, axis=0)
+        return np.exp(likelihood - whole), variance, float(whole.sum())
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the correlation lengths, with their prior."""
+        median = CONSTANTS.length_scale * np.sqrt(len(self.lengths))
+        shift = np.log(self.lengths / median) / CONSTANTS.length_spread
+        return self._quadrature[2] - 0.5 * float(np.sum(shift**2))
+
+    @cached_property
+    def scatter(self) -> Matrix:
+        """Covariance of the components of one flow, over the jitter seeds, shape [r, r]."""
+        weights, variance, _ = self._quadrature
+        deviation = np.sqrt((weights * variance * np.array(CONSTANTS.nuggets)[:, None]).sum(axis=0))
+        residual = self.numbers - self.mean(self.points)
+        root = np.sqrt((residual**2).mean(axis=0))
+        alike = np.divide(residual, root, out=np.zeros_like(residual), where=root > 0.0)
+        # Few runs say little of how many components scatter together: r^2 / 2 numbers.
+        share = self.freedom / (self.freedom + 0.5 * len(deviation) ** 2)
+        together = share * (alike.T @ alike) / len(residual)
+        np.fill_diagonal(together, 1.0)
+        return np.asarray(together * np.outer(deviation, deviation))
+
+    @cached_property
+    def _weights(self) -> Matrix:
+        """Weighted coefficients of the contrasts in the mean, shape [n - p, r]."""
+        weights, _, _ = self._quadrature
+        _, _, values, roots = self._decomposed
+        precision = 1.0 / (values + np.array(CONSTANTS.nuggets)[:, None])
+        return np.asarray(np.einsum("gi,gr->ir", precision, weights) * roots)
+
+    def _projected(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """h H^+ [S, n], the correlations k - K H^+^T h [S, n] and their contrasts [S, n - p]."""
+        inverse, contrasts, _, _ = self._decomposed
+        along = self.trend(points) @ inverse
+        near = correlation(points, self.points, self.lengths)
+        return along, near, (near - along @ self._correlations) @ contrasts
+
+    def mean(self, points: Matrix) -> Matrix:
+        """Expected components at points [S, U], shape [S, r]."""
+        along, _, contrasts = self._projected(points)
+        return np.asarray(along @ self.numbers + contrasts @ self._weights)
+
+    def predict(self, points: Matrix) -> tuple[Matrix, Matrix]:
+        """Expected components of the mean over jitter seeds at points [S, U], and their variances, both [S, r]."""
+        along, near, contrasts = self._projected(points)
+        weights, variance, _ = self._quadrature
+        _, _, values, roots = self._decomposed
+        nuggets = np.array(CONSTANTS.nuggets)
+        prior = 1.0 - 2.0 * (along * near).sum(1) + ((along @ self._correlations) * along).sum(1)
+        leverage = (along**2).sum(1)
+        precision = 1.0 / (values + nuggets[:, None])
+        own = prior[:, None] + leverage[:, None] * nuggets - contrasts**2 @ precision.T
+        mean = along @ self.numbers + contrasts @ self._weights
+        spread = np.maximum(own, 0.0) @ (weights * variance)
+        # The nuggets disagree about the mean as well.
+        for index in np.flatnonzero(weights.max(axis=1) > 1e-3):
+            shift = contrasts @ ((precision[index][:, None] * roots) - self._weights)
+            spread = spread + weights[index] * shift**2
+        return np.asarray(mean), np.asarray(spread)
+
+    def covariance(self, points: Matrix, component: int) -> tuple[Matrix, float]:
+        """Covariance of a component between points [S, U], shape [S, S], and the variance of its scatter."""
+        along, near, contrasts = self._projected(points)
+        weights, variance, _ = self._quadrature
+        _, _, values, _ = self._decomposed
+        nugget = float(np.exp(weights[:, component] @ np.log(np.array(CONSTANTS.nuggets))))
+        scale = float(weights[:, component] @ variance[:, component])
+        cross = along @ near.T
+        prior = correlation(points, points, self.lengths) - cross - cross.T
+        prior += along @ (self._correlations + nugget * np.eye(len(self.points))) @ along.T
+        return scale * (prior - (contrasts / (values + nugget)) @ contrasts.T), scale * nugget
+
+    def left_out(self) -> Matrix:
+        """Error of each run's components as predicted by all others, shape [n, r]: what a trend is chosen by."""
+        weights, _, _ = self._quadrature
+        _, contrasts, values, roots = self._decomposed
+        errors = np.zeros_like(self.numbers)
+        for nugget, share in zip(CONSTANTS.nuggets, weights, strict=True):
+            precision = 1.0 / (values + nugget)
+            own = (contrasts**2 @ precision)[:, None]
+            errors += share * (contrasts @ (precision[:, None] * roots)) / np.maximum(own, 1e-300)
+        return errors
+
+
+def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear) -> Emulator:
+    """The emulator of runs at points [n, U] with the likeliest correlation lengths.
+
+    Where the parameters are more than `separate_lengths`, all have the same one. Raises ValueError for no more runs
+    than functions of the trend.
+    """
+    count = points.shape[1]
+    if len(points) <= trend(points[:1]).shape[1]:
+        raise ValueError(f"expected more runs than functions of the trend, got {len(points)}")
+    free = count if count <= CONSTANTS.separate_lengths else 1
+
+    def at(logarithms: Matrix) -> Emulator:
+        return Emulator(
+            points=points,
+            numbers=numbers,
+            expected_scatter=expected_scatter,
+            lengths=np.broadcast_to(np.exp(logarithms), (count,)),
+            trend=trend,
+        )
+
+    start = np.full(free, np.log(CONSTANTS.length_scale * np.sqrt(count)))
+    found = minimize(
+        lambda logarithms: -at(logarithms).log_likelihood,
+        start,
+        method="L-BFGS-B",
+        bounds=[(np.log(SHORTEST), np.log(LONGEST))] * free,
+        options={"maxiter": 25, "ftol": 1e-5},
+    )
+    return at(np.asarray(found.x))

@@ -1,0 +1,74 @@
+"""What a further measurement would decide: its expected information.
+
+    I = 1/2 ln(1 + var m(v) / (s^2 + d^2))
+
+with m(v) what the measurement would show over the samples of the posterior, s its scatter from flow to flow and d the
+error of reading it: the expected gain in Shannon information of a Gaussian (Lindley, On a measure of the information
+provided by an experiment, Ann. Math. Statist. 27 (1956) 986-1005). A factor of two in one interval is 0.69.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import measures
+from datasets.particles import particle_volumes
+from datasets.scene import Scene
+from inverse.posterior.emulator import fitted
+from inverse.posterior.sampling import Samples
+
+Matrix = NDArray[np.float64]
+STATIONS = 9
+"""Places along x at which a height could be measured."""
+ACROSS = 4
+"""Places along z, in 3D."""
+READING = 0.25
+"""Error of reading a length, in cells."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Information:
+    """Of one measurement."""
+
+    name: str
+    gain: float
+    """I [nat]."""
+
+
+def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:
+    """What could be measured of a deposit, positions [m], shape [N, D]; extent: of the stations along x [m]."""
+    toe = measures.toe(deposit)
+    found = {"the front": measures.front(deposit)}
+    found |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
+    width = scene.domain.size[2] if scene.dimension == 3 else 1.0
+    rows = np.linspace(0.0, width, ACROSS + 1) if scene.dimension == 3 else np.array([0.0, 1.0])
+    across = deposit[:, 2] if scene.dimension == 3 else np.full(len(deposit), 0.5)
+    edges = np.linspace(0.0, extent, STATIONS + 1)
+    volumes = particle_volumes(scene, len(deposit))
+    heights = np.histogram2d(deposit[:, 0], across, bins=(edges, rows), weights=volumes)[0]
+    heights /= (edges[1] - edges[0]) * (rows[1] - rows[0])
+    for row, column in np.ndindex(heights.shape):
+        place = f"x = {0.5 * (edges[row] + edges[row + 1]):.3g} m"
+        if scene.dimension == 3:
+            place += f", z = {0.5 * (rows[column] + rows[column + 1]):.3g} m"
+        found[f"the height around {place}"] = float(heights[row, column])
+    return found
+
+
+def information(
+    points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
+) -> list[Information]:
+    """Of each measurement, most first; shown: by name what runs at points [n, U] show [n]; cell: of the grid [m]."""
+    where = samples.points[samples.drawn(400, rng)]
+    found = []
+    for name, numbers in shown.items():
+        spread = float(numbers.std())
+        if spread <= 1e-3 * cell:
+            continue
+        made = fitted(points, numbers[:, None] / spread, np.array([0.1]))
+        varied = spread**2 * float(made.mean(where).var())
+        noise = spread**2 * float(made.scatter[0, 0]) + (READING * cell) ** 2
+        found.append(Information(name=name, gain=0.5 * float(np.log1p(varied / noise))))
+    return sorted(found, key=lambda each: -each.gain)

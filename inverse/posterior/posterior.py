@@ -1,0 +1,238 @@
+"""The posterior of the parameters over the whole box, by an emulator of the MPM.
+
+    p(v | y*) ~ t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag V(v)
+
+| symbol | variable | meaning |
+|---|---|---|
+| m, V | `Emulator.predict` | mean of the MPM over jitter seeds, and how little of it is known |
+| S | `Emulator.scatter` | scatter of one flow, as the target is one |
+| N | `Reduction.noise` | errors of the measurement |
+| D | `discretisation` | what the MPM's cells change, where the target is no flow on the same cells |
+| F | `factor` | model discrepancy that the fit shows beyond all of these (`validation.loop.discrepancy`) |
+| nu | `freedom` | degrees of freedom of Student's t: those of S, more where N is known and larger |
+
+The prior is uniform between the bounds. What an emulator has excluded stays so, and runs around the rest alone make the
+next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
+uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+from scipy.stats import qmc
+
+from inverse.observations import Target
+from inverse.posterior.emulator import Emulator, Trend, fitted, linear
+from inverse.posterior.reduction import Reduction, reduction
+from inverse.posterior.sampling import Samples, sample
+from inverse.posterior.settings import CONSTANTS
+
+Matrix = NDArray[np.float64]
+Row = NDArray[np.float64]
+OUTERMOST = 0.1
+"""Share of a region's extent, within which a sample lies at its edge."""
+SMALLEST = 1e-4
+"""Extent of a region at least, as a fraction of the range."""
+
+
+def enough(unknowns: int) -> int:
+    """Different places of runs that an emulator of so many parameters has at least."""
+    return math.ceil(CONSTANTS.fewest * (1 + unknowns)) + 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """A box within the unit box: what has not been excluded."""
+
+    low: Row
+    """Shape [U]."""
+    high: Row
+    """Shape [U]."""
+
+    @staticmethod
+    def around(samples: Samples) -> "Region":
+        """Around samples: their extent with `margin`; of more than `few` parameters `many` standard deviations."""
+        low, high = samples.points.min(axis=0), samples.points.max(axis=0)
+        more = CONSTANTS.margin * np.maximum(high - low, SMALLEST)
+        low, high = low - more, high + more
+        if len(low) > CONSTANTS.few:
+            wide = CONSTANTS.many * np.sqrt(np.diag(samples.covariance)) + SMALLEST
+            low, high = np.maximum(low, samples.mean - wide), np.minimum(high, samples.mean + wide)
+        return Region(low=np.maximum(low, 0.0), high=np.minimum(high, 1.0))
+
+    def wider(self) -> "Region":
+        """Twice as wide."""
+        more = 0.5 * (self.high - self.low)
+        return Region(low=np.maximum(self.low - more, 0.0), high=np.minimum(self.high + more, 1.0))
+
+    def holds(self, points: Matrix) -> bool:
+        """Whether few of the samples [S, U] lie at an edge that is no bound of the prior."""
+        share = (points - self.low) / (self.high - self.low)
+        below = (np.mean(share < OUTERMOST, axis=0) > CONSTANTS.at_edge) & (self.low > 0.0)
+        above = (np.mean(share > 1.0 - OUTERMOST, axis=0) > CONSTANTS.at_edge) & (self.high < 1.0)
+        return not bool(np.any(below | above))
+
+    def inside(self, points: Matrix) -> NDArray[np.bool_]:
+        """Which of points [n, U] lie in it, shape [n]."""
+        return np.asarray(np.all((points >= self.low - 1e-9) & (points <= self.high + 1e-9), axis=1))
+
+    def suffices(self, points: Matrix) -> bool:
+        """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
+        return len(np.unique(points[self.inside(points)], axis=0)) >= enough(points.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Likelihood:
+    """Of the components of the target."""
+
+    emulator: Emulator
+    target: Row
+    """Shape [r]."""
+    fixed: Matrix
+    """F^2 (S + N + D), shape [r, r]."""
+    freedom: float
+    """nu."""
+
+    def __call__(self, points: Matrix) -> Row:
+        """Its logarithm at points [S, U], shape [S]."""
+        mean, variance = self.emulator.predict(points)
+        return student(self.target - mean, self.fixed, variance, self.freedom)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posterior:
+    """Samples of it, with what they come from."""
+
+    reduction: Reduction
+    likelihood: Likelihood
+    samples: Samples
+    region: "Region"
+    """What had not been excluded before."""
+    near: NDArray[np.bool_]
+    """Which of all runs the emulator is made of, shape [n]."""
+
+    @property
+    def emulator(self) -> Emulator:
+        """Of the components."""
+        return self.likelihood.emulator
+
+    @cached_property
+    def unsettled(self) -> float:
+        """Share of the emulator in the variance of the residuals, over samples and components [-]."""
+        every = max(1, len(self.samples.points) // 500)
+        _, variance = self.emulator.predict(self.samples.points[::every])
+        return float(np.mean(variance / (variance + np.diag(self.likelihood.fixed))))
+
+    @property
+    def next_region(self) -> Region:
+        """Around the samples, where the emulator hides most of the posterior; else as before: its slopes need room."""
+        return Region.around(self.samples) if self.unsettled > CONSTANTS.narrowed else self.region
+
+
+def posterior(
+    points: Matrix,
+    numbers: Matrix,
+    target: Target,
+    *,
+    scatter: Row,
+    rng: np.random.Generator,
+    region: Region | None = None,
+    factor: float = 1.0,
+    discretisation: Row | None = None,
+    trends: Sequence[Trend] = (linear,),
+) -> Posterior:
+    """The posterior given runs at points [n, U] that show `numbers` [n, M].
+
+    scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds the runs
+    that count, the whole box where absent; factor: F; discretisation: change of the numbers by the cells [M], whose square D is; trends: of which the one is
+    used that predicts the components of runs best which are left out one by one.
+    """
+    unknowns = points.shape[1]
+    region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
+    near = region.inside(points)
+    reduced = reduction(numbers[near], points[near], target, scatter=scatter)
+    components = reduced(numbers[near])
+    expected = repeated_scatter(points[near], components)
+    made = [
+        fitted(points[near], components, reduced.expected_scatter if expected is None else expected, trend=trend)
+        for trend in trends
+        if near.sum() > trend(points[:1]).shape[1] + 1
+    ]
+    emulator = min(made, key=lambda each: float(np.mean(each.left_out() ** 2)))
+    single, known = emulator.scatter, reduced.noise
+    if discretisation is not None:
+        shift = (discretisation * reduced.weights) @ reduced.basis
+        known = known + np.outer(shift, shift)
+    ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
+    likelihood = Likelihood(
+        emulator=emulator,
+        target=reduced(target.values),
+        fixed=factor**2 * (single + known),
+        freedom=emulator.freedom * (1.0 + ratio) ** 2,
+    )
+    samples = sample(likelihood, rng, low=region.low, high=region.high)
+    while not region.holds(samples.points):
+        # The wave before has excluded too much.
+        region = region.wider()
+        samples = sample(likelihood, rng, low=region.low, high=region.high)
+    return Posterior(reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near)
+
+
+def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
+    """Logarithm of Student's density of residuals [S, r] with the scales fixed + diag variance, shape [S]."""
+    count = residual.shape[1]
+    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(count))
+    scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
+    square = (scaled**2).sum(axis=1)
+    logarithm = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    constant = gammaln(0.5 * (freedom + count)) - gammaln(0.5 * freedom) - 0.5 * count * np.log(np.pi * freedom)
+    return np.asarray(constant - 0.5 * logarithm - 0.5 * (freedom + count) * np.log1p(square / freedom))
+
+
+def repeated_scatter(points: Matrix, components: Matrix) -> Row | None:
+    """Standard deviation from flow to flow, one for all components [n, r], by runs at the same of the points [n, U].
+
+    One, as the components are in the same units and runs that are repeated are few; None where there are none.
+    """
+    _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    freedom = int((count - 1).sum())
+    if freedom == 0:
+        return None
+    means = np.zeros((len(count), components.shape[1]))
+    np.add.at(means, label, components)
+    off = components - (means / count[:, None])[label]
+    return np.full(components.shape[1], max(float(np.sqrt((off**2).sum() / (freedom * off.shape[1]))), 1e-9))
+
+
+def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:
+    """Where further runs shrink the emulator's variance most, among samples, shape [count, U].
+
+    One after the other where it is largest, given those before (MacKay, Information-based objective functions for
+    active data selection, Neural Comput. 4 (1992) 590-604); over all components, each by its scatter and noise. Of more
+    than `few` parameters evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
+    """
+    if found.samples.points.shape[1] > CONSTANTS.few:
+        region = found.next_region
+        cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
+        return np.asarray(region.low + (region.high - region.low) * cube)
+    candidates = np.unique(found.samples.points[found.samples.drawn(300, rng)], axis=0)
+    parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
+    scales = np.diag(found.likelihood.fixed)
+    chosen: list[int] = []
+    for _ in range(min(count, len(candidates))):
+        gain = sum(
+            (whole**2).mean(axis=0) / (np.diag(whole) + nugget) / scale
+            for (whole, nugget), scale in zip(parts, scales, strict=True)
+        )
+        index = int(np.argmax(gain))
+        chosen.append(index)
+        parts = [
+            (whole - np.outer(whole[:, index], whole[index]) / (whole[index, index] + nugget), nugget)
+            for whole, nugget in parts
+        ]
+    return candidates[chosen]

@@ -1,0 +1,151 @@
+"""Samples of a posterior over the unit box by sequential Monte Carlo: several separate maxima are no difficulty.
+
+A population of the prior becomes one of the posterior by stages, at which the likelihood counts with a rising exponent
+(Del Moral, Doucet & Jasra, Sequential Monte Carlo samplers, J. Roy. Statist. Soc. B 68 (2006) 411-436). At each stage
+samples are drawn again by weight and moved by differential evolution (ter Braak, A Markov chain Monte Carlo version of
+the genetic algorithm Differential Evolution, Stat. Comput. 16 (2006) 239-249): the difference of two others is a step
+as long as the population is wide in each direction, or from one maximum to another.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import qmc
+
+from inverse.posterior.settings import CONSTANTS
+
+Matrix = NDArray[np.float64]
+Row = NDArray[np.float64]
+LogLikelihood = Callable[[Matrix], Row]
+"""Points [S, U] -> the logarithm of the likelihood [S]."""
+JUMP = 0.1
+"""Share of the moves that are as long as the difference itself: from one maximum to another."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Weighted samples of a posterior."""
+
+    points: Matrix
+    """Shape [S, U], in fractions of the ranges."""
+    weights: Row
+    """Shape [S], together 1."""
+    log_likelihood: Row
+    """Shape [S]."""
+    evidence: float
+    """Logarithm of the mean likelihood over the prior."""
+    difference: float
+    """Largest difference between the means of two populations, in standard deviations of the posterior."""
+    acceptance: float
+    """Share of the moves that were accepted at the last stage."""
+
+    @property
+    def mean(self) -> Row:
+        """Shape [U]."""
+        return np.asarray(self.weights @ self.points)
+
+    @property
+    def covariance(self) -> Matrix:
+        """Shape [U, U]."""
+        off = self.points - self.mean
+        return np.asarray((off.T * self.weights) @ off)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Indices of `count` samples, drawn by weight with evenly spaced quantiles."""
+        return systematic(self.weights, count, rng)
+
+
+def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
+    """Samples of the posterior with a uniform prior between `low` and `high`, both of shape [U]."""
+    found = [population(log_likelihood, rng, low, high) for _ in range(CONSTANTS.populations)]
+    points = np.concatenate([each[0] for each in found])
+    evidences = np.array([each[2] for each in found])
+    # Each population counts by its own estimate of the evidence.
+    shares = np.exp(evidences - evidences.max())
+    weights = np.repeat(shares / shares.sum(), [len(each[0]) for each in found]) / CONSTANTS.samples
+    spread = np.maximum(points.std(axis=0), 1e-12)
+    means = np.stack([each[0].mean(axis=0) for each in found])
+    return Samples(
+        points=points,
+        weights=weights / weights.sum(),
+        log_likelihood=np.concatenate([each[1] for each in found]),
+        evidence=float(np.log(shares.mean()) + evidences.max()),
+        difference=float(np.max(np.ptp(means, axis=0) / spread)),
+        acceptance=min(each[3] for each in found),
+    )
+
+
+def population(
+    log_likelihood: LogLikelihood, rng: np.random.Generator, low: Row, high: Row
+) -> tuple[Matrix, Row, float, float]:
+    """Equally weighted points [S, U], their likelihoods [S], the evidence, and the share of accepted moves."""
+    size = CONSTANTS.samples
+    sobol = qmc.Sobol(len(low), seed=rng).random_base2((size - 1).bit_length())[:size]
+
+    def inside(points: Matrix) -> Row:
+        return log_likelihood(low + (high - low) * points)
+
+    points, likelihood = sobol, inside(sobol)
+    exponent, evidence, accepted = 0.0, 0.0, 1.0
+    while exponent < 1.0:
+        step = next_step(likelihood, 1.0 - exponent)
+        weights = np.exp(step * (likelihood - likelihood.max()))
+        evidence += float(np.log(weights.mean()) + step * likelihood.max())
+        exponent = min(1.0, exponent + step)
+        chosen = systematic(weights / weights.sum(), size, rng)
+        points, likelihood, accepted = moved(inside, points[chosen], likelihood[chosen], exponent, rng)
+    return low + (high - low) * points, likelihood, evidence, accepted
+
+
+def next_step(likelihood: Row, most: float) -> float:
+    """By how much the exponent may rise: `effective` of the samples stay so (Kish, Survey sampling, 1965)."""
+
+    def effective(step: float) -> float:
+        weights = np.exp(step * (likelihood - likelihood.max()))
+        return float(weights.sum() ** 2 / (weights**2).sum() / len(weights)) - CONSTANTS.effective
+
+    return most if effective(most) >= 0.0 else float(brentq(effective, 0.0, most, xtol=1e-12, rtol=1e-3))
+
+
+def systematic(weights: Row, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices drawn by weight: one in each of `count` equal parts of the cumulated weight."""
+    marks = (rng.random() + np.arange(count)) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), marks), len(weights) - 1)
+
+
+def moved(
+    log_likelihood: LogLikelihood, points: Matrix, likelihood: Row, exponent: float, rng: np.random.Generator
+) -> tuple[Matrix, Row, float]:
+    """The population after moves that leave likelihood^exponent invariant, and the share of them accepted.
+
+    One half moves by differences within the other half, which stands still meanwhile.
+    """
+    points, likelihood = points.copy(), likelihood.copy()
+    size, unknowns = points.shape
+    order = rng.permutation(size)
+    halves = (order[: size // 2], order[size // 2 :])
+    accepted, tried = 0, 0
+    for _ in range(CONSTANTS.max_sweeps):
+        for own, other in (halves, halves[::-1]):
+            first, second = rng.integers(len(other), size=(2, len(own)))
+            scale = np.where(rng.random(len(own)) < JUMP, 1.0, 2.38 / np.sqrt(2.0 * unknowns))
+            jitter = 1e-3 * points[other].std(axis=0) + 1e-9
+            step = scale[:, None] * (points[other[first]] - points[other[second]])
+            proposed = reflected(points[own] + step + jitter * rng.standard_normal((len(own), unknowns)))
+            there = log_likelihood(proposed)
+            taken = np.log(rng.random(len(own))) < exponent * (there - likelihood[own])
+            points[own[taken]], likelihood[own[taken]] = proposed[taken], there[taken]
+            accepted += int(taken.sum())
+            tried += len(own)
+        if accepted >= CONSTANTS.moves * size:
+            break
+    return points, likelihood, accepted / tried
+
+
+def reflected(points: Matrix) -> Matrix:
+    """Points mirrored at the faces of the unit box until they are inside."""
+    folded = np.mod(points, 2.0)
+    return np.asarray(np.where(folded > 1.0, 2.0 - folded, folded))

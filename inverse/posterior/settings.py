@@ -1,0 +1,81 @@
+"""The constants of the method in one place, each with its reason."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constants:
+    """Of the emulator, the samples, the answers and the runs."""
+
+    # Emulator
+    max_components: int = 24
+    """Components of an observation that are emulated; with more the last ones are scatter."""
+    beyond_linear: int = 4
+    """How many of them besides one for each parameter: the observation curves as they change."""
+    length_scale: float = 0.7
+    """Prior median of a correlation length over the box's diagonal: a flow changes steadily over the box."""
+    length_spread: float = 0.8
+    """Standard deviation of its logarithm: from a seventh of the diagonal to more than three times it."""
+    scatter_spread: float = 0.7
+    """Standard deviation of the logarithm of a component's scatter around that of runs that are repeated: a factor of
+    two."""
+    separate_lengths: int = 8
+    """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
+    nuggets: tuple[float, ...] = (1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4)
+    """Variance of the scatter over that of the process: a grid of quadrature."""
+
+    # Samples
+    populations: int = 2
+    """Independent ones, whose difference is the diagnostic."""
+    samples: int = 1500
+    """Of a population: the 95 % limits are known to about a tenth of a standard deviation."""
+    effective: float = 0.5
+    """Share of the samples that stays effective from one stage of tempering to the next."""
+    moves: int = 3
+    """Accepted moves of a sample at each stage, on average: enough that copies part."""
+    max_sweeps: int = 40
+    """Sweeps of a stage at most, where hardly any move is accepted."""
+
+    # Answers
+    credible: float = 0.95
+    """Of every interval and region."""
+    neighbours: int = 10
+    """Samples that each is joined with, where the segment between them stays in the region."""
+    least_weight: float = 0.02
+    """Weight of a separate part of the region below which it is no answer."""
+    most_of_the_prior: float = 0.6
+    """Length of an interval over the range between the bounds, above which a parameter is not identifiable."""
+
+    # Runs of the MPM
+    first_runs: int = 6
+    """Runs that fill the box evenly, besides `first_per_unknown`."""
+    first_per_unknown: int = 2
+    """Of each parameter: a line through its ends."""
+    wave: int = 2
+    """Runs of a wave besides one for each parameter and `repeats`: as many as two cores make in a second."""
+    repeats: int = 3
+    """Runs of a wave at one place, the mean of the posterior so far: their scatter is the flow's alone."""
+    narrowed: float = 0.5
+    """Share of the emulator in the variance of the residuals, above which the region narrows."""
+    settled: float = 0.15
+    """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
+    margin: float = 0.25
+    """Of the extent of the samples, on either side, up to which the next ones lie and runs count for the next emulator."""
+    at_edge: float = 0.3
+    """Share of samples in the outermost tenth of that extent on a side, above which it was too narrow: three times that
+    of even ones."""
+    few: int = 6
+    """Parameters up to which runs go where the emulator's variance is largest; of more they fill the region evenly."""
+    many: float = 2.5
+    """Standard deviations within which the next samples of more than `few` parameters lie: what is unknown between few
+    runs fills most of a box of many dimensions, and the emulator is the simpler the smaller that is."""
+    fewest: float = 2.0
+    """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator: runs
+    far from it would have most of the leverage."""
+    checks: int = 4
+    """Runs at an answer, whose mean is compared with the target: halves the scatter."""
+    rounds: int = 3
+    """Times that an answer may move after its checks."""
+
+
+CONSTANTS = Constants()

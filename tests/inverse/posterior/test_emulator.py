@@ -1,0 +1,104 @@
+"""The emulator: exact where it has to be, honest about what it does not know, and one with the textbook's formulas."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from inverse.posterior.emulator import Emulator, correlation, fitted, linear
+
+Matrix = NDArray[np.float64]
+
+
+def spread(count: int, unknowns: int, seed: int = 0) -> Matrix:
+    return np.random.default_rng(seed).random((count, unknowns))
+
+
+def bent(points: Matrix) -> Matrix:
+    """Two components of a smooth function."""
+    wave = np.sin(2.5 * points[:, 0]) + points.sum(axis=1)
+    return np.stack([wave, np.cos(2.0 * points[:, -1]) * points[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize("unknowns", [1, 3, 10])
+def test_a_linear_response_is_exact_and_its_scatter_is_found(unknowns: int) -> None:
+    rng = np.random.default_rng(1)
+    points, slopes = spread(12 * unknowns + 20, unknowns), rng.normal(size=(unknowns, 2))
+    exact = fitted(points, 3.0 + points @ slopes, np.full(2, 1e-6))
+    where = spread(50, unknowns, 2)
+    np.testing.assert_allclose(exact.mean(where), 3.0 + where @ slopes, atol=1e-4)
+    noisy = fitted(points, 3.0 + points @ slopes + 0.1 * rng.normal(size=(len(points), 2)), np.full(2, 0.05))
+    np.testing.assert_allclose(np.sqrt(np.diag(noisy.scatter)), 0.1, rtol=0.4)
+    mean, variance = noisy.predict(where)
+    # What it does not know of the mean is the regression's: p / n of the scatter's variance on average.
+    assert np.mean(variance) == pytest.approx(0.01 * (unknowns + 1) / len(points), rel=0.8)
+    assert np.mean((mean - 3.0 - where @ slopes) ** 2 / variance) < 3.0
+
+
+def test_it_is_the_textbooks_universal_kriging() -> None:
+    """Rasmussen & Williams (2.41), (2.42), with a flat prior of the trend and a single nugget."""
+    points, where, lengths, nugget = spread(14, 2), spread(6, 2, 1), np.array([0.5, 0.9]), 0.01
+    numbers = bent(points)
+    made = Emulator(points=points, numbers=numbers, expected_scatter=np.ones(2), lengths=lengths)
+    whole = correlation(points, points, lengths) + nugget * np.eye(14)
+    basis, near = linear(points), correlation(where, points, lengths)
+    inverse = np.linalg.inv(whole)
+    gram = basis.T @ inverse @ basis
+    coefficients = np.linalg.solve(gram, basis.T @ inverse @ numbers)
+    mean = linear(where) @ coefficients + near @ inverse @ (numbers - basis @ coefficients)
+    rest = linear(where) - near @ inverse @ basis
+    prior = 1.0 - np.sum((near @ inverse) * near, axis=1) + np.sum((rest @ np.linalg.inv(gram)) * rest, axis=1)
+    residual = numbers - basis @ coefficients
+    scale = np.einsum("nr,nm,mr->r", residual, inverse, residual) / (14 - 3)
+
+    class OneNugget:
+        nuggets = (nugget,)
+        scatter_spread, length_scale, length_spread = 1e6, 0.7, 0.8
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr("inverse.posterior.emulator.CONSTANTS", OneNugget)
+    try:
+        own_mean, own_variance = made.predict(where)
+        covariance, scatter = made.covariance(where, 0)
+        left_out = made.left_out()
+    finally:
+        patch.undo()
+    np.testing.assert_allclose(own_mean, mean, atol=1e-8)
+    np.testing.assert_allclose(own_variance, prior[:, None] * scale, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(covariance), own_variance[:, 0], rtol=1e-6)
+    assert scatter == pytest.approx(nugget * scale[0])
+    # The run that is left out, by a fit without it.
+    others = np.arange(14) != 5
+    alone = np.linalg.inv(whole[np.ix_(others, others)])
+    trend = np.linalg.solve(basis[others].T @ alone @ basis[others], basis[others].T @ alone @ numbers[others])
+    expected = basis[5] @ trend + whole[5, others] @ alone @ (numbers[others] - basis[others] @ trend)
+    np.testing.assert_allclose(left_out[5], numbers[5] - expected, atol=1e-8)
+
+
+def test_its_intervals_hold_what_they_should() -> None:
+    """Of bent functions with scatter, at new points: errors over stated deviations have a variance of about one."""
+    ratios = []
+    for seed in range(20):
+        points, rng = spread(24, 2, seed), np.random.default_rng(100 + seed)
+        made = fitted(points, bent(points) + 0.02 * rng.normal(size=(24, 2)), np.full(2, 0.02))
+        where = 0.1 + 0.8 * spread(40, 2, 200 + seed)
+        mean, variance = made.predict(where)
+        ratios.append(np.mean((mean - bent(where)) ** 2 / variance))
+    assert 0.3 < np.median(ratios) < 2.0
+
+
+def test_a_surrogate_in_the_trend_is_used_where_it_helps() -> None:
+    points, where = spread(9, 2), spread(30, 2, 3)
+
+    def with_surrogate(at: Matrix) -> Matrix:
+        return np.concatenate([linear(at), np.sin(6.0 * at[:, :1] * at[:, 1:])], axis=1)
+
+    numbers = 2.0 * np.sin(6.0 * points[:, :1] * points[:, 1:]) + points[:, :1]
+    truth = 2.0 * np.sin(6.0 * where[:, :1] * where[:, 1:]) + where[:, :1]
+    plain, helped = (fitted(points, numbers, np.array([1e-3]), trend=trend) for trend in (linear, with_surrogate))
+    assert np.std(helped.mean(where) - truth) < 0.1 * np.std(plain.mean(where) - truth)
+    assert np.std(helped.left_out()) < np.std(plain.left_out())
+
+
+def test_fewer_runs_than_functions_are_refused() -> None:
+    with pytest.raises(ValueError, match="more runs than functions"):
+        fitted(spread(3, 2), spread(3, 1), np.ones(1))

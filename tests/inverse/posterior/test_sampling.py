@@ -1,0 +1,70 @@
+"""Samples of densities that are known exactly, and their separate parts."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from inverse.posterior.answers import half_widths, parts
+from inverse.posterior.sampling import reflected, sample, systematic
+
+Matrix = NDArray[np.float64]
+
+
+def whole(unknowns: int) -> dict[str, Matrix]:
+    """The bounds of the unit box."""
+    return {"low": np.zeros(unknowns), "high": np.ones(unknowns)}
+
+
+def gaussian(points: Matrix, centre: Matrix, deviation: float) -> Matrix:
+    return np.asarray(-0.5 * np.sum((points - centre) ** 2, axis=1) / deviation**2)
+
+
+@pytest.mark.parametrize("unknowns", [1, 2, 10])
+def test_a_gaussian_has_its_moments_and_its_evidence(unknowns: int) -> None:
+    centre, deviation = np.linspace(0.4, 0.6, unknowns), 0.02
+    found = sample(lambda points: gaussian(points, centre, deviation), np.random.default_rng(0), **whole(unknowns))
+    np.testing.assert_allclose(found.mean, centre, atol=0.15 * deviation)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), deviation, rtol=0.12)
+    assert found.evidence == pytest.approx(unknowns * np.log(deviation * np.sqrt(2.0 * np.pi)), abs=0.15 * unknowns)
+    assert found.difference < 0.25
+    assert found.acceptance > 0.05
+    (part,) = parts(found, lambda points: gaussian(points, centre, deviation), np.random.default_rng(1))
+    np.testing.assert_allclose(part.half_widths, 1.96 * deviation, rtol=0.15)
+    assert part.weight == pytest.approx(1.0)
+
+
+def test_two_maxima_keep_their_shares() -> None:
+    """One three times as heavy as the other, forty standard deviations apart."""
+    one, other = np.array([0.2, 0.3]), np.array([0.8, 0.7])
+
+    def density(points: Matrix) -> Matrix:
+        return np.logaddexp(np.log(3.0) + gaussian(points, one, 0.015), gaussian(points, other, 0.015))
+
+    found = sample(density, np.random.default_rng(0), **whole(2))
+    heavy, light = parts(found, density, np.random.default_rng(1))
+    np.testing.assert_allclose(heavy.point, one, atol=0.003)
+    np.testing.assert_allclose(light.point, other, atol=0.003)
+    assert heavy.weight == pytest.approx(0.75, abs=0.08)
+
+
+def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> None:
+    def ring(points: Matrix) -> Matrix:
+        return np.asarray(-0.5 * ((np.linalg.norm(points - 0.5, axis=1) - 0.3) / 0.02) ** 2)
+
+    found = sample(ring, np.random.default_rng(0), **whole(2))
+    (part,) = parts(found, ring, np.random.default_rng(1))
+    assert np.linalg.norm(part.point - 0.5) == pytest.approx(0.3, abs=0.05)
+    assert min(part.half_widths) > 0.3
+
+
+def test_what_is_not_constrained_has_the_prior() -> None:
+    found = sample(lambda points: gaussian(points[:, :1], np.array([0.5]), 0.05), np.random.default_rng(0), **whole(2))
+    assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
+
+
+def test_small_things() -> None:
+    np.testing.assert_allclose(reflected(np.array([[-0.2, 1.3, 0.4, 2.1]])), [[0.2, 0.7, 0.4, 0.1]])
+    counts = np.bincount(systematic(np.array([0.5, 0.25, 0.25]), 8, np.random.default_rng(0)))
+    np.testing.assert_array_equal(counts, [4, 2, 2])
+    points = np.linspace(0.0, 1.0, 101)[:, None]
+    assert half_widths(points, np.full(101, 1.0 / 101), np.array([0.5]))[0] == pytest.approx(0.475, abs=0.011)

@@ -1,0 +1,141 @@
+"""The search: runs of the MPM where they narrow the posterior most, until they would not make it much narrower.
+
+First runs fill the box. Then, in waves: the emulator of all runs around the posterior so far, its posterior, and runs
+where the emulator's variance hides most of it (`inverse.posterior`). A wave costs seconds, so that none is too many.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from inverse.observations import Values
+from inverse.posterior.emulator import Matrix, linear
+from inverse.posterior.posterior import Posterior, Region, enough, next_points, posterior
+from inverse.posterior.settings import CONSTANTS
+from inverse.result import Purpose
+from validation.loop.check import Check, Task
+from validation.loop.surrogate import Surrogate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wave:
+    """What was known after some of the runs: a line of the report."""
+
+    runs: int
+    """So many, in all."""
+    mean: Values
+    """Of the posterior, in fractions of the ranges, shape [U]."""
+    deviation: Values
+    """Standard deviation of it, shape [U]."""
+    unsettled: float
+    """`Posterior.unsettled`."""
+    with_surrogate: bool
+    """Whether a surrogate is in the emulator's trend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """All runs so far, and what they say."""
+
+    task: Task
+    surrogate: Surrogate | None = None
+    runs: tuple[Check, ...] = ()
+    waves: tuple[Wave, ...] = ()
+    found: Posterior | None = None
+    factor: float = 1.0
+    """Of the discrepancy."""
+    discretisation: Values | None = None
+    """What the cells change, shape [M]."""
+
+    @property
+    def left(self) -> int:
+        """Runs of the budget that are left."""
+        return self.task.budget - len(self.runs)
+
+    @property
+    def posterior(self) -> Posterior:
+        """After the latest wave."""
+        assert self.found is not None
+        return self.found
+
+    @property
+    def points(self) -> Matrix:
+        """Of the runs, in fractions of the ranges, shape [n, U]."""
+        return self.task.unit(np.stack([each.parameters for each in self.runs]))
+
+    @property
+    def numbers(self) -> Matrix:
+        """What the runs show, shape [n, M]."""
+        return np.stack([each.observation for each in self.runs])
+
+    def ran(self, points: Matrix, purpose: Purpose) -> "Search":
+        """With runs at points [S, U] of the unit box, as far as the budget goes."""
+        more = self.task.run(points[: max(0, self.left)], len(self.runs), purpose)
+        return dataclasses.replace(self, runs=(*self.runs, *more))
+
+    def inferred(self, **changes: Any) -> "Search":
+        """With the posterior by all runs so far."""
+        state = dataclasses.replace(self, **changes)
+        points, numbers = state.points, state.numbers
+        trends = (linear,) if state.surrogate is None else (linear, state.surrogate.trend)
+        found = posterior(
+            points,
+            numbers,
+            state.target_so_far(),
+            scatter=state.task.scatter,
+            region=state.region(points),
+            rng=state.task.generator(len(state.runs)),
+            factor=state.factor,
+            discretisation=state.discretisation,
+            trends=trends,
+        )
+        wave = Wave(
+            runs=len(state.runs),
+            mean=found.samples.mean,
+            deviation=np.sqrt(np.diag(found.samples.covariance)),
+            unsettled=found.unsettled,
+            with_surrogate=found.emulator.trend is not linear,
+        )
+        return dataclasses.replace(state, found=found, waves=(*state.waves, wave))
+
+    def region(self, points: Matrix) -> Region | None:
+        """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there."""
+        if self.found is None:
+            return None
+        return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
+
+    def target_so_far(self) -> Any:
+        """The target; of a design the least value that is expected at any run, as the runs so far have it."""
+        task = self.task
+        if not task.problem.target.minimise:
+            return task.target
+        if self.found is None:
+            return task.with_target(float(self.numbers.min()))
+        reduced = self.found.reduction
+        expected = self.found.emulator.mean(self.points) @ reduced.basis.T / reduced.weights + reduced.mean
+        return task.with_target(float(expected.min()))
+
+
+def first(task: Task) -> Search:
+    """The runs that fill the box."""
+    unknowns = len(task.problem.parameters)
+    count = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns
+    cube = qmc.LatinHypercube(unknowns, rng=task.generator(0), optimization="random-cd").random(count)
+    middle = np.full((CONSTANTS.repeats, unknowns), 0.5)
+    return Search(task=task).ran(np.concatenate([cube, middle]), Purpose.WAVE)
+
+
+def searched(state: Search, surrogate: Surrogate | None = None) -> Search:
+    """Run the MPM in waves until the posterior is settled; runs for checks of an answer are left over."""
+    state = dataclasses.replace(state, surrogate=surrogate).inferred()
+    unknowns = len(state.task.problem.parameters)
+    size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few else enough(unknowns)
+    while state.posterior.unsettled > CONSTANTS.settled and state.left > CONSTANTS.repeats + CONSTANTS.checks:
+        count = min(size, state.left - CONSTANTS.repeats - CONSTANTS.checks)
+        points = next_points(state.posterior, count, state.task.generator(len(state.runs)))
+        repeated = np.repeat(state.posterior.samples.mean[None], CONSTANTS.repeats, axis=0)
+        state = state.ran(np.concatenate([repeated, points]), Purpose.WAVE).inferred()
+    return state
