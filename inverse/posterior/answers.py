@@ -43,8 +43,8 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     index = samples.drawn(min(AT_MOST, len(samples.points)), rng)
     points, density = samples.points[index], samples.log_likelihood[index]
     threshold = float(np.quantile(density, 1.0 - CONSTANTS.credible))
-    inside = density >= threshold
-    points, density = points[inside], density[inside]
+    # Copies of a sample would be its only neighbours.
+    points = np.unique(points[density >= threshold], axis=0)
     scale = np.maximum(points.std(axis=0), 1e-9)
     count = min(CONSTANTS.neighbours + 1, len(points))
     nearest = cKDTree(points / scale).query(points / scale, k=count)[1].reshape(len(points), count)

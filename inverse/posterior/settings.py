@@ -39,7 +39,7 @@ class Constants:
     # Answers
     credible: float = 0.95
     """Of every interval and region."""
-    neighbours: int = 10
+    neighbours: int = 15
     """Samples that each is joined with, where the segment between them stays in the region."""
     least_weight: float = 0.02
     """Weight of a separate part of the region below which it is no answer."""
