@@ -36,6 +36,8 @@ class Part:
     """Share of the posterior."""
     points: Matrix
     """Samples of it, shape [S, U]."""
+    threshold: float
+    """Logarithm of the likelihood above which parameters lie in it."""
 
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
@@ -75,7 +77,11 @@ def part(points: Matrix, weights: Row, density: Row, threshold: float, log_likel
     mean = share @ points
     centre = mean if float(log_likelihood(mean[None])[0]) >= threshold else points[int(np.argmax(density))]
     return Part(
-        point=centre, half_widths=half_widths(points, share, centre), weight=float(weights.sum()), points=points
+        point=centre,
+        half_widths=half_widths(points, share, centre),
+        weight=float(weights.sum()),
+        points=points,
+        threshold=threshold,
     )
 
 

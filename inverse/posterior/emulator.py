@@ -38,6 +38,8 @@ from inverse.posterior.settings import CONSTANTS
 Matrix = NDArray[np.float64]
 Trend = Callable[[Matrix], Matrix]
 """Points [S, U] -> the trend's functions there [S, p]."""
+NEGLIGIBLE = 1e-3
+"""Weight of a nugget that is left out."""
 SHORTEST, LONGEST = 0.03, 20.0
 """Correlation lengths between which the likeliest is looked for, in ranges."""
 
@@ -80,7 +82,7 @@ class Emulator:
 
     @cached_property
     def _decomposed(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """H^+, P q [n, n - p], l [n - p] and the squares' roots q . P^T y [n - p, r]."""
+        """H^+ [p, n], P q [n, n - p], l [n - p] and the contrasts of the numbers, q . P^T y [n - p, r]."""
         basis = self._basis
         count = basis.shape[1]
         full, upper = np.linalg.qr(basis, mode="complete")
@@ -136,46 +138,51 @@ class Emulator:
         precision = 1.0 / (values + np.array(CONSTANTS.nuggets)[:, None])
         return np.asarray(np.einsum("gi,gr->ir", precision, weights) * roots)
 
-    def _projected(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-        """h H^+ [S, n], the correlations k - K H^+^T h [S, n] and their contrasts [S, n - p]."""
+    @cached_property
+    def _of_trend(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """H^+ y [p, r], H^+ K P q [p, n - p], H^+ K H^+^T and H^+ H^+^T [p, p]."""
         inverse, contrasts, _, _ = self._decomposed
-        along = self.trend(points) @ inverse
-        near = correlation(points, self.points, self.lengths)
-        return along, near, (near - along @ self._correlations) @ contrasts
+        weighted = inverse @ self._correlations
+        return inverse @ self.numbers, weighted @ contrasts, weighted @ inverse.T, inverse @ inverse.T
+
+    def _projected(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """h [S, p], the correlations k with the runs [S, n], and the contrasts of k - K H^+^T h [S, n - p]."""
+        functions, near = self.trend(points), correlation(points, self.points, self.lengths)
+        return functions, near, near @ self._decomposed[1] - functions @ self._of_trend[1]
 
     def mean(self, points: Matrix) -> Matrix:
         """Expected components at points [S, U], shape [S, r]."""
-        along, _, contrasts = self._projected(points)
-        return np.asarray(along @ self.numbers + contrasts @ self._weights)
+        functions, _, contrasts = self._projected(points)
+        return np.asarray(functions @ self._of_trend[0] + contrasts @ self._weights)
 
     def predict(self, points: Matrix) -> tuple[Matrix, Matrix]:
         """Expected components of the mean over jitter seeds at points [S, U], and their variances, both [S, r]."""
-        along, near, contrasts = self._projected(points)
+        functions, near, contrasts = self._projected(points)
+        fitted_trend, _, spread_of_trend, leverages = self._of_trend
+        inverse, _, values, roots = self._decomposed
         weights, variance, _ = self._quadrature
-        _, _, values, roots = self._decomposed
         nuggets = np.array(CONSTANTS.nuggets)
-        prior = 1.0 - 2.0 * (along * near).sum(1) + ((along @ self._correlations) * along).sum(1)
-        leverage = (along**2).sum(1)
-        precision = 1.0 / (values + nuggets[:, None])
-        own = prior[:, None] + leverage[:, None] * nuggets - contrasts**2 @ precision.T
-        mean = along @ self.numbers + contrasts @ self._weights
-        spread = np.maximum(own, 0.0) @ (weights * variance)
+        prior = 1.0 - 2.0 * ((near @ inverse.T) * functions).sum(1) + ((functions @ spread_of_trend) * functions).sum(1)
+        leverage = ((functions @ leverages) * functions).sum(1)
+        counted = np.flatnonzero(weights.max(axis=1) > NEGLIGIBLE)
+        precision = 1.0 / (values + nuggets[counted, None])
+        own = prior[:, None] + leverage[:, None] * nuggets[counted] - contrasts**2 @ precision.T
+        spread = np.maximum(own, 0.0) @ (weights * variance)[counted]
         # The nuggets disagree about the mean as well.
-        for index in np.flatnonzero(weights.max(axis=1) > 1e-3):
-            shift = contrasts @ ((precision[index][:, None] * roots) - self._weights)
-            spread = spread + weights[index] * shift**2
-        return np.asarray(mean), np.asarray(spread)
+        for index, each in zip(counted, precision, strict=True):
+            spread += weights[index] * (contrasts @ (each[:, None] * roots - self._weights)) ** 2
+        return np.asarray(functions @ fitted_trend + contrasts @ self._weights), np.asarray(spread)
 
     def covariance(self, points: Matrix, component: int) -> tuple[Matrix, float]:
         """Covariance of a component between points [S, U], shape [S, S], and the variance of its scatter."""
-        along, near, contrasts = self._projected(points)
+        functions, near, contrasts = self._projected(points)
         weights, variance, _ = self._quadrature
-        _, _, values, _ = self._decomposed
+        inverse, _, values, _ = self._decomposed
         nugget = float(np.exp(weights[:, component] @ np.log(np.array(CONSTANTS.nuggets))))
         scale = float(weights[:, component] @ variance[:, component])
-        cross = along @ near.T
+        cross = functions @ (inverse @ near.T)
         prior = correlation(points, points, self.lengths) - cross - cross.T
-        prior += along @ (self._correlations + nugget * np.eye(len(self.points))) @ along.T
+        prior += functions @ (self._of_trend[2] + nugget * self._of_trend[3]) @ functions.T
         return scale * (prior - (contrasts / (values + nugget)) @ contrasts.T), scale * nugget
 
     def left_out(self) -> Matrix:

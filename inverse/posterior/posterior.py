@@ -157,14 +157,15 @@ def posterior(
     near = region.inside(points)
     reduced = reduction(numbers[near], points[near], target, scatter=scatter)
     components = reduced(numbers[near])
-    expected = repeated_scatter(points[near], components)
+    expected = repeated_scatter(points[near], components, reduced.expected_scatter)
     made = [
-        fitted(points[near], components, reduced.expected_scatter if expected is None else expected, trend=trend)
+        fitted(points[near], components, expected, trend=trend)
         for trend in trends
         if near.sum() > trend(points[:1]).shape[1] + 1
     ]
     emulator = min(made, key=lambda each: float(np.mean(each.left_out() ** 2)))
-    single, known = emulator.scatter, reduced.noise
+    single = emulator.scatter + np.diag((CONSTANTS.least_scatter * reduced.expected_scatter) ** 2)
+    known = reduced.noise
     if discretisation is not None:
         shift = (discretisation * reduced.weights) @ reduced.basis
         known = known + np.outer(shift, shift)
@@ -194,19 +195,22 @@ def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -
     return np.asarray(constant - 0.5 * logarithm - 0.5 * (freedom + count) * np.log1p(square / freedom))
 
 
-def repeated_scatter(points: Matrix, components: Matrix) -> Row | None:
-    """Standard deviation from flow to flow, one for all components [n, r], by runs at the same of the points [n, U].
+def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> Row:
+    """Standard deviation from flow to flow of each component [n, r], by runs at the same of the points [n, U].
 
-    One, as the components are in the same units and runs that are repeated are few; None where there are none.
+    Repeated runs are few: each component counts with `shared` further degrees of freedom of all together, as all are in
+    units of the scatter that was expected. It is `least_scatter` of that, `expected` [r], at least; and that where no
+    runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
     if freedom == 0:
-        return None
+        return expected
     means = np.zeros((len(count), components.shape[1]))
     np.add.at(means, label, components)
-    off = components - (means / count[:, None])[label]
-    return np.full(components.shape[1], max(float(np.sqrt((off**2).sum() / (freedom * off.shape[1]))), 1e-9))
+    square = ((components - (means / count[:, None])[label]) ** 2).sum(axis=0)
+    total = square + CONSTANTS.shared * square.mean() / freedom
+    return np.asarray(np.maximum(np.sqrt(total / (freedom + CONSTANTS.shared)), CONSTANTS.least_scatter * expected))
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:

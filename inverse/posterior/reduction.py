@@ -19,7 +19,9 @@ from inverse.posterior.settings import CONSTANTS
 Matrix = NDArray[np.float64]
 Row = NDArray[np.float64]
 NEGLIGIBLE = 1e-8
-"""Length of a direction beside the longest one, or beside scatter and noise."""
+"""Effect of a parameter on any number, over scatter and noise, that is rounding."""
+SMALL = 0.1
+"""Root mean square of a direction besides the parameters' own, over scatter and noise, that is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +53,8 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     mean = numbers.mean(axis=0)
     weighted = (numbers - mean) * weights
     slopes = np.linalg.lstsq(points - points.mean(axis=0), weighted, rcond=None)[0]
-    first = directions(slopes, len(slopes))
-    rest = directions(weighted - (weighted @ first) @ first.T, CONSTANTS.beyond_linear)
+    first = directions(slopes, len(slopes), NEGLIGIBLE)
+    rest = directions(weighted - (weighted @ first) @ first.T, CONSTANTS.beyond_linear, SMALL * len(points) ** 0.5)
     basis = np.concatenate([first, rest], axis=1)[:, : CONSTANTS.max_components]
     scaled = basis * weights[:, None]
     own = target.covariance
@@ -62,8 +64,7 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     return Reduction(mean=mean, weights=weights, basis=basis, expected_scatter=expected, noise=covariance)
 
 
-def directions(rows: Matrix, most: int) -> Matrix:
-    """Orthonormal directions in which `rows` [k, M] extend, the longest first, at most so many, shape [M, r]."""
+def directions(rows: Matrix, most: int, least: float) -> Matrix:
+    """Orthonormal directions in which `rows` [k, M] extend by more than `least`, at most so many, shape [M, r]."""
     values, basis = np.linalg.svd(rows, full_matrices=False)[1:]
-    kept = values[:most] > NEGLIGIBLE * max(float(values[0]), 1.0)
-    return np.asarray(basis[:most][kept].T)
+    return np.asarray(basis[:most][values[:most] > least].T)

@@ -320,7 +320,9 @@ def informative(result: Result) -> list[Information]:
     runs = [run for run, near in zip(state.runs, state.posterior.near, strict=True) if near]
     extent = max(measures.front(run.trajectory.positions[-1]) for run in runs)
     shown = [measurements(scene, run.trajectory.positions[-1], extent) for run in runs]
-    by_name = {name: np.array([each[name] for each in shown]) for name in shown[0]}
+    # That of the target is known.
+    known = {"the front"} if math.isfinite(result.target.front) else set()
+    by_name = {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known}
     points = state.points[state.posterior.near]
     found = information(
         points, by_name, state.posterior.samples, cell=scene.domain.cell, rng=state.task.generator(len(state.runs))

@@ -15,7 +15,7 @@ from inverse.parameters import Vector
 from inverse.posterior.answers import Part, half_widths, parts
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.result import Purpose, Verdict
+from inverse.result import IDENTIFIABLE, Purpose, Verdict
 from validation.loop.check import Check, Task
 from validation.loop.discrepancy import Discrepancy, discrepancy
 from validation.loop.search import Search
@@ -112,10 +112,13 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and once more where the answers have moved by what these showed."""
     for _ in range(CONSTANTS.rounds):
         found = separate(state)
-        missing = [each.point for each in found if not close_checks(state, each)]
-        if not missing and all(each.confirms(state.task) for each in answers_of(state, found)):
-            break
-        places = missing or [found[0].point]
+        places = [each.point for each in found if not close_checks(state, each)]
+        if not places:
+            answers = answers_of(state, found)
+            if any(each.confirms(state.task) for each in answers):
+                break
+            # Where the mean of few runs is not near enough, that of more may be.
+            places = [state.task.unit(answers[0].parameters)]
         if state.left < len(places):
             break
         count = min(CONSTANTS.checks, state.left // len(places))
@@ -130,10 +133,19 @@ def separate(state: Search) -> list[Part]:
 
 
 def close_checks(state: Search, part: Part) -> list[Check]:
-    """Checks near the point of a part."""
+    """Checks near the point of a part; of one that is most of the box, those in the region and in the box of the part.
+
+    Such a part has no point that is better than another.
+    """
     own = [each for each in state.runs if each.purpose is Purpose.CHECK]
-    limit = CLOSE * np.maximum(part.half_widths, 1e-6)
-    return [each for each in own if np.all(np.abs(state.task.unit(each.parameters) - part.point) <= limit)]
+    if not own:
+        return []
+    places = state.task.unit(np.stack([each.parameters for each in own]))
+    near = np.all(np.abs(places - part.point) <= CLOSE * np.maximum(part.half_widths, 1e-6), axis=1)
+    if not near.any() and part.half_widths.max() > IDENTIFIABLE:
+        within = (places >= part.points.min(axis=0)) & (places <= part.points.max(axis=0))
+        near = np.all(within, axis=1) & (state.posterior.likelihood(places) >= part.threshold)
+    return [each for each, close in zip(own, near, strict=True) if close]
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:

@@ -1,7 +1,8 @@
-"""The loop on flows whose truth is a formula: it finds the truth although the surrogate is wrong, or says that not."""
+"""The loop on flows whose truth is a formula: it finds every answer, says how certain each is, or that there is none."""
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,8 @@ from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
 from inverse.report import pictures
 from inverse.result import Purpose, Verdict
-from inverse.settings import LoopSettings, Method, OptimiserSettings, TargetSettings
-from tests.validation.loop.flows import WIDTH, layers, length, true_velocities, wedge
-from validation.loop import verdict
+from inverse.settings import LoopSettings, TargetSettings
+from tests.validation.loop.flows import WIDTH, Case, Coarse, Folded, layers, length, true_velocities, wedge
 from validation.loop.__main__ import print_outcome
 
 RESULT_KEYS = {
@@ -23,15 +23,16 @@ RESULT_KEYS = {
     "unknowns",
     "certainty",
     "answers",
-    "identifiability",
+    "combinations",
     "discrepancy",
     "truth",
     "error_pct",
     "observation",
     "loss",
     "mpm_runs",
-    "other_minima",
     "iterations",
+    "sampling",
+    "surrogate",
     "seconds",
     "peak_memory_mib",
 }
@@ -43,48 +44,41 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["front", "profile"])
-@pytest.mark.parametrize("truth", [16.0, 42.0])
-@pytest.mark.parametrize(("steepness", "offset"), [(3.0, 1.1), (1.0 / 3.0, 0.9)])
-def test_a_wrong_surrogate_leads_to_the_truth(
-    tmp_path: Path, kind: str, truth: float, steepness: float, offset: float
-) -> None:
-    case = wedge(tmp_path, truth=truth, kind=kind, steepness=steepness, offset=offset)
-    result = case.solve(tmp_path)
+@pytest.mark.parametrize("truth", [13.0, 24.0, 42.0])
+def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind: str, truth: float) -> None:
+    result = wedge(tmp_path, truth=truth, kind=kind, scatter=0.002).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert len(result.checks) <= case.problem.loop.mpm_runs
-    assert result.unknowns["friction_deg"] == pytest.approx(truth, rel=0.01)
-
-
-def test_a_surrogate_whose_slope_has_the_wrong_sign_is_turned(tmp_path: Path) -> None:
-    result = wedge(tmp_path, truth=27.0, steepness=-0.5).solve(tmp_path)
-    assert result.verdict is Verdict.CONFIRMED
-    assert result.unknowns["friction_deg"] == pytest.approx(27.0, rel=0.01)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, seed: int) -> None:
-    target = TargetSettings(twin=True, seed=100 + seed, truth={"friction_deg": 24.0})
-    result = wedge(tmp_path, target=target, scatter=0.002, steepness=0.4, offset=1.08).solve(tmp_path)
-    # 12 mm a degree: a scatter of 2 mm is 0.17 degrees for the target alone.
-    assert abs(result.unknowns["friction_deg"] - 24.0) < 0.7
     assert result.certainty is not None
-    assert 0.1 < result.certainty["friction_deg"] < 1.2
-    assert result.verdict is Verdict.CONFIRMED
+    # 20 to 8 mm a degree: a scatter of 2 mm is 0.1 to 0.25 degrees for the target alone.
+    slope = 0.02 - 0.0003 * (truth - 12.0)
+    assert 1.5 * 0.002 / slope < result.certainty["friction_deg"] < 5.0 * 0.002 / slope
+    assert abs(result.unknowns["friction_deg"] - truth) < 1.5 * result.certainty["friction_deg"]
 
 
-@pytest.mark.parametrize(("count", "seed"), [(2, 3), (2, 5), (10, 4)])
-def test_a_surrogate_that_mixes_effects_leads_to_the_truth(tmp_path: Path, count: int, seed: int) -> None:
-    result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, shift=0.02, seed=seed).solve(tmp_path)
+def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None:
+    """Of thirty twins 95 % are 28.5, and 26 or fewer have a probability of 0.06 at most by chance."""
+    inside = 0
+    for seed in range(30):
+        target = TargetSettings(twin=True, seed=1000 + seed, truth={"friction_deg": 14.0 + 1.2 * seed})
+        case = wedge(tmp_path, target=target, scatter=0.002)
+        case = dataclasses.replace(
+            case,
+            problem=dataclasses.replace(case.problem, scene=dataclasses.replace(case.problem.scene, seed=5000 + seed)),
+        )
+        inside += len(case.solve(tmp_path / str(seed)).inside)
+    assert 26 <= inside
+
+
+@pytest.mark.parametrize(("count", "seed"), [(2, 3), (4, 5), (10, 4)])
+def test_layers_that_overlap_are_told_apart(tmp_path: Path, count: int, seed: int) -> None:
+    result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, seed=seed).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert len(result.checks) <= 8
     assert result.certainty is not None
     errors = [abs(result.unknowns[name] - true) for name, true in (result.target.truth or {}).items()]
     widths = [result.certainty[name] for name in result.unknowns]
-    # Their coverage is in test_estimate.py; the errors of ten parameters of one flow are dependent.
     assert np.max(np.divide(errors, widths)) < 2.0
     assert max(widths) < 0.1 * WIDTH
-    assert result.loss_mpm is not None
-    assert result.mpm_runs[0].loss > 5.0 * result.loss_mpm
+    assert len(result.mpm_runs) <= result.problem.loop.budget(count)
 
 
 def test_without_scatter_the_answer_is_the_truth(tmp_path: Path) -> None:
@@ -93,62 +87,75 @@ def test_without_scatter_the_answer_is_the_truth(tmp_path: Path) -> None:
     np.testing.assert_allclose(result.answer, true_velocities(4), atol=0.02)
 
 
-@pytest.mark.parametrize(("allowed", "ensembles"), [(0.5, 1), (1e-6, 2)])
-def test_an_ensemble_whose_slopes_change_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, allowed: float, ensembles: int
-) -> None:
-    monkeypatch.setattr(verdict, "LINEAR", allowed)
-    # The surrogate alone ends 0.7 degrees off.
-    result = wedge(tmp_path, truth=40.0, offset=1.004, scatter=0.0005).solve(tmp_path)
-    members = [run for run in result.mpm_runs if run.purpose is Purpose.ENSEMBLE]
-    assert len(members) >= 32 * ensembles
-    assert result.unknowns["friction_deg"] == pytest.approx(40.0, abs=0.2)
-
-
-@pytest.mark.parametrize(("beyond", "bound", "steepness"), [(5.0, 12.0, 0.3), (60.0, 52.0, 1.0)])
-def test_a_target_outside_the_bounds_is_unreachable(
-    tmp_path: Path, beyond: float, bound: float, steepness: float
-) -> None:
-    result = wedge(tmp_path, target=TargetSettings(value=length(beyond)), steepness=steepness).solve(tmp_path)
+@pytest.mark.parametrize(("beyond", "bound"), [(5.0, 12.0), (60.0, 52.0)])
+def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: float, bound: float) -> None:
+    result = wedge(tmp_path, target=TargetSettings(value=length(beyond)), scatter=0.001).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
-    assert result.unknowns["friction_deg"] == pytest.approx(bound)
-    assert result.certainty is None
-    # By the MPM: it was run at the bound and beside it.
-    assert len({run.unknowns["friction_deg"] for run in result.mpm_runs}) >= 2
+    assert result.unknowns["friction_deg"] == pytest.approx(bound, abs=0.5)
+    assert result.certainty is not None
     result.save(tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
     assert "No parameters within the bounds" in (tmp_path / "report.md").read_text()
 
 
-def test_a_front_that_no_velocities_give_is_unreachable(tmp_path: Path) -> None:
-    result = layers(tmp_path, kind="front", target=TargetSettings(value=1.5), scatter=0.001).solve(tmp_path)
-    assert result.verdict is Verdict.UNREACHABLE
-    assert result.unknowns["masses[1].velocity_x"] == pytest.approx(3.0, abs=1e-6)
-    assert len(result.checks) <= 8
+def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Fronts as far at 22 and at 38 degrees: two answers, and a height between the front and the wall decides."""
+    case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
+    result = case.solve(tmp_path)
+    assert result.verdict is Verdict.AMBIGUOUS
+    found = sorted(answer["unknowns"]["friction_deg"] for answer in result.answers)
+    assert found == pytest.approx([22.0, 38.0], abs=1.0)
+    assert sum(answer["weight"] for answer in result.answers) == pytest.approx(1.0)
+    assert all(0.2 < answer["weight"] < 0.8 for answer in result.answers)
+    assert all(answer["misfit"] < 0.003**2 for answer in result.answers)
+    result.save(tmp_path)
+    print_outcome(result, tmp_path)
+    said = capsys.readouterr().out
+    assert said.startswith("wedge: ambiguous")
+    assert "2 separate answers" in said
+    assert "Most would be decided by" in said
+    assert "the height around x =" in said
+    # The profile tells the two apart.
+    told = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002), kind="profile").solve(tmp_path / "profile")
+    assert told.verdict is Verdict.CONFIRMED
+    assert told.unknowns["friction_deg"] == pytest.approx(22.0, abs=1.0)
 
 
-@pytest.mark.parametrize("runs", [1, 2, 5])
+@pytest.mark.parametrize("kind", ["toe", "front"])
+def test_what_is_not_constrained_is_ambiguous(tmp_path: Path, kind: str) -> None:
+    """The furthest tenth of the particles is the last layer's: it does not depend on the first."""
+    result = layers(tmp_path, count=4, kind=kind, scatter=0.002).solve(tmp_path)
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert result.certainty is not None
+    assert result.certainty["masses[0].velocity_x"] > 0.4 * WIDTH
+    best, *_, worst = result.combinations
+    assert best.weights["masses[3].velocity_x"] > 0.7
+    assert best.identifiable
+    assert not worst.identifiable
+    assert len(result.inside) == 4
+    result.save(tmp_path)
+    assert "Not identifiable: `masses[0].velocity_x`" in (tmp_path / "report.md").read_text()
+
+
+@pytest.mark.parametrize("runs", [6, 12])
 def test_the_budget_is_kept(tmp_path: Path, runs: int) -> None:
     loop = LoopSettings(mpm_runs=runs)
-    case = wedge(tmp_path, truth=42.0, steepness=1.0 / 3.0, offset=1.1, scatter=0.003, loop=loop)
-    result = case.solve(tmp_path)
-    assert len(result.checks) <= runs
-    if runs == 1:
-        assert result.verdict is Verdict.UNCONFIRMED
-        with pytest.raises(WorkFailed, match="unconfirmed"):
-            print_outcome(result, tmp_path)
+    result = wedge(tmp_path, truth=42.0, scatter=0.003, loop=loop).solve(tmp_path)
+    assert len(result.mpm_runs) <= runs
 
 
-@pytest.mark.parametrize(
-    ("make", "hard", "after"),
-    [
-        (wedge, {"truth": 42.0, "steepness": 1.0 / 3.0, "offset": 1.1}, 1),
-        (wedge, {"truth": 42.0, "steepness": 1.0 / 3.0, "offset": 1.1}, 9),
-        (layers, {"count": 4, "scatter": 0.002, "bend": 0.05, "shift": 0.03}, 20),
-    ],
-)
-def test_what_ran_before_a_kill_is_not_run_again(tmp_path: Path, make: Any, hard: dict[str, Any], after: int) -> None:
+HARD: list[tuple[Callable[..., Case], dict[str, Any], int]] = [
+    (wedge, {"truth": 42.0, "scatter": 0.003}, 1),
+    (wedge, {"truth": 42.0, "scatter": 0.003}, 17),
+    (layers, {"count": 4, "scatter": 0.002, "bend": 0.05}, 24),
+]
+
+
+@pytest.mark.parametrize(("make", "hard", "after"), HARD)
+def test_what_ran_before_a_kill_is_not_run_again(
+    tmp_path: Path, make: Callable[..., Case], hard: dict[str, Any], after: int
+) -> None:
     whole, case = make(tmp_path, **hard), make(tmp_path, **hard)
     unbroken = whole.solve(tmp_path / "whole")
     case.mpm.killed_after = after
@@ -158,6 +165,7 @@ def test_what_ran_before_a_kill_is_not_run_again(tmp_path: Path, make: Any, hard
     case.mpm.killed_after = 10**6
     resumed = case.solve(tmp_path / "killed")
     np.testing.assert_array_equal(resumed.answer, unbroken.answer)
+    np.testing.assert_array_equal(resumed.samples, unbroken.samples)
     assert (resumed.certainty, resumed.verdict) == (unbroken.certainty, unbroken.verdict)
     # What a kill left of one call is lost, every finished call is stored.
     assert len(case.mpm.scenes) == len(whole.mpm.scenes) + after - stored
@@ -168,7 +176,7 @@ def test_what_ran_before_a_kill_is_not_run_again(tmp_path: Path, make: Any, hard
 
 @pytest.mark.parametrize("kind", ["front", "profile"])
 def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kind: str) -> None:
-    case = wedge(tmp_path, truth=24.0, steepness=0.5, kind=kind)
+    case = wedge(tmp_path, truth=24.0, kind=kind, scatter=0.001)
     found = case.solve(tmp_path / "first")
     # Saved elsewhere: complete.
     out = tmp_path / "saved"
@@ -177,25 +185,32 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert result.keys() == RESULT_KEYS
     (answer,) = result["answers"]
     assert (answer["unknowns"], answer["half_widths"]) == (result["unknowns"], result["certainty"])
-    assert (answer["weight"], answer["misfit"]) == (1.0, result["loss"]["mpm"])
+    assert (answer["weight"], answer["misfit"]) == (pytest.approx(1.0), result["loss"]["mpm"])
     assert result["verdict"] == "confirmed"
     assert result["truth"] == {"friction_deg": 24.0}
     error = 100.0 * abs(result["unknowns"]["friction_deg"] - 24.0) / 24.0
     assert result["error_pct"]["friction_deg"] == pytest.approx(error)
-    assert abs(result["error_pct"]["front"]) < 0.5
-    assert result["seconds"].keys() == {"forward", "backward", "per_iteration", "mpm", "total"}
-    assert result["loss"]["mpm"] < result["loss"]["initial"]
-    assert len(result["iterations"]) == len(found.evaluations)
-    numbers = [result["observation"][name] for name in ("target", "surrogate", "mpm")]
+    assert result["seconds"].keys() == {"mpm", "total"}
+    assert [each["mpm_runs"] for each in result["iterations"]] == sorted(
+        each.runs for each in found.outcome.state.waves
+    )
+    numbers = [result["observation"][name] for name in ("target", "mpm")]
     assert all(isinstance(number, float if kind == "front" else list) for number in numbers)
+    with np.load(out / "posterior.npz", allow_pickle=False) as file:
+        assert file["names"].tolist() == ["friction_deg"]
+        assert file["weights"].sum() == pytest.approx(1.0)
+        mean = float(file["weights"] @ file["samples"][:, 0])
+        assert len(file["samples"]) == len(file["weights"])
+    assert mean == pytest.approx(result["unknowns"]["friction_deg"], abs=result["certainty"]["friction_deg"])
     for run in found.mpm_runs:
         trajectory = Trajectory.load(out / run.file)
         assert trajectory.scene.material.friction_deg == run.unknowns["friction_deg"]
         np.testing.assert_allclose(case.target.observation.observe(trajectory), run.observation)
-        assert len(trajectory.time) == (1 if run.purpose is Purpose.ENSEMBLE else 2)
+        assert len(trajectory.time) == 1
+    assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     report = (out / "report.md").read_text()
     assert "The MPM confirms" in report
-    for picture in ("deposit.png", "iterations.png", "stages.png"):
+    for picture in ("deposit.png", "predictive.png", "posterior.png", "waves.png"):
         assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     figure = found.plot()
@@ -204,7 +219,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
 
 
 def test_neither_truth_nor_the_scenes_own_value_is_used(tmp_path: Path) -> None:
-    case = wedge(tmp_path, truth=24.0, steepness=0.5)
+    case = wedge(tmp_path, truth=24.0, scatter=0.001)
     known = case.solve(tmp_path / "known")
     blind = dataclasses.replace(case, target=dataclasses.replace(case.target, truth=None)).solve(tmp_path / "blind")
     other = dataclasses.replace(case.problem, scene=case.problem.scene.with_friction_deg(50.0))
@@ -214,78 +229,47 @@ def test_neither_truth_nor_the_scenes_own_value_is_used(tmp_path: Path) -> None:
 
 
 def test_a_measured_number_and_a_measured_profile_are_enough(tmp_path: Path) -> None:
-    result = wedge(tmp_path, target=TargetSettings(value=0.79), steepness=0.5).solve(tmp_path / "number")
+    result = wedge(tmp_path, target=TargetSettings(value=0.79), scatter=0.001).solve(tmp_path / "number")
     assert result.verdict is Verdict.CONFIRMED
-    case = wedge(tmp_path, truth=24.0, kind="profile")
+    case = wedge(tmp_path, truth=24.0, kind="profile", scatter=0.001)
     observation: Any = case.target.observation
     rows = zip(observation.stations, observation.heights(case.target.deposit), strict=True)
     (tmp_path / "seen.csv").write_text("x,height\n" + "".join(f"{x},{height}\n" for x, height in rows))
-    measured = wedge(tmp_path, kind="profile", target=TargetSettings(csv="seen.csv"), steepness=0.5)
+    measured = wedge(tmp_path, kind="profile", target=TargetSettings(csv="seen.csv"), scatter=0.001)
     result = measured.solve(tmp_path / "profile")
     assert result.verdict is Verdict.CONFIRMED
-    assert result.unknowns["friction_deg"] == pytest.approx(24.0, rel=0.01)
+    assert result.unknowns["friction_deg"] == pytest.approx(24.0, rel=0.02)
 
 
-def test_what_a_toe_does_not_constrain_is_not_identifiable(tmp_path: Path) -> None:
-    """The furthest tenth of the particles is the last layer's: it does not depend on the first."""
-    result = layers(tmp_path, count=4, kind="toe", scatter=0.002, shift=0.05).solve(tmp_path)
-    assert result.verdict is Verdict.NOT_IDENTIFIABLE
-    assert result.loss_mpm is not None
-    assert np.sqrt(result.loss_mpm) <= 0.32 * 0.05
-    assert result.certainty is not None
-    assert result.certainty["masses[0].velocity_x"] == pytest.approx(WIDTH)
-    assert result.identifiability is not None
-    assert sum(combination.identifiable for combination in result.identifiability.combinations) == 1
-    best, *_, worst = result.identifiability.combinations
-    assert best.weights["masses[3].velocity_x"] > 0.8
-    assert best.singular_value > 2.0 > worst.singular_value
-
-
-def test_one_number_of_three_parameters_is_fitted(tmp_path: Path) -> None:
-    result = layers(tmp_path, count=3, kind="front", scatter=0.0005, shift=0.05).solve(tmp_path)
-    assert result.verdict is Verdict.NOT_IDENTIFIABLE
-    assert abs(result.front_error_pct or 0.0) <= 0.3
+def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
+    """Cells of 10 mm shorten the deposit by 2 %; one that was measured was not made of cells."""
+    twin = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001)).solve(tmp_path / "twin")
+    true = length(24.0) * float(np.quantile(1.0 - np.sqrt(1.0 - (np.arange(600) + 0.5) / 600), 0.995))
+    measured = wedge(tmp_path, target=TargetSettings(value=true), mpm=Coarse(scatter=0.001)).solve(tmp_path / "seen")
+    assert measured.certainty is not None
+    assert twin.certainty is not None
+    assert twin.certainty["friction_deg"] < 0.4
+    assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
+    # 16 mm in a slope of 16 mm a degree.
+    assert 0.8 < abs(measured.unknowns["friction_deg"] - 24.0) < measured.certainty["friction_deg"] < 4.0
+    measured.save(tmp_path / "seen")
+    assert "Cells twice as large change the observation" in (tmp_path / "seen" / "report.md").read_text()
 
 
 @pytest.mark.parametrize(("improvable", "expected"), [(True, Verdict.CONFIRMED), (False, Verdict.UNCONFIRMED)])
 def test_a_design_is_confirmed_where_the_mpm_shows_it_is_better(
     tmp_path: Path, improvable: bool, expected: Verdict
 ) -> None:
-    target = TargetSettings(minimise=True)
-    lower, mixing = (-1.0, 0.2) if improvable else (0.0, 0.0)
-    case = layers(tmp_path, count=3, kind="passed", target=target, scatter=0.002, mixing=mixing, lower=lower)
+    lower = -1.0 if improvable else 0.0
+    case = layers(tmp_path, count=3, kind="passed", target=TargetSettings(minimise=True), scatter=0.002, lower=lower)
     result = case.solve(tmp_path)
     assert result.verdict is expected
-    assert result.begun is not None
-    assert len(result.checks) <= 8
+    begun = float(np.mean([each.observation[0] for each in result.begun]))
+    found = float(result.outcome.answers[0].observation[0])
+    assert len(result.mpm_runs) <= case.problem.loop.budget(3)
     if improvable:
-        assert result.found.observation[0] < 0.9 * result.begun.observation[0]
+        assert found < 0.9 * begun
         assert result.certainty is not None
         assert all(0.0 < width <= WIDTH for width in result.certainty.values())
         result.write(tmp_path)
         assert "NaN" not in (tmp_path / "result.json").read_text()
-
-
-def test_of_multiple_starts_the_best_is_followed_and_others_are_reported(tmp_path: Path) -> None:
-    settings = OptimiserSettings(starts=6, max_iterations=30, stop_below=1e-12)
-    result = layers(tmp_path, optimiser=settings, lower=-2.0, mixing=0.0, folded=True).solve(tmp_path)
-    assert {stage.start for stage in [result.rounds[0], *result.other_starts]} == set(range(6))
-    assert 1 <= len(result.other_minima) <= 3
-    first = min(result.rounds[0].evaluations, key=lambda each: each.loss)
-    assert all(minimum.loss >= first.loss for minimum in result.other_minima)
-    assert all(np.max(np.abs(each.parameters - first.parameters)) > 0.02 * WIDTH for each in result.other_minima)
-    result.write(tmp_path)
-    stored = json.loads((tmp_path / "result.json").read_text())
-    initial = next(each for each in stored["iterations"] if (each["round"], each["start"]) == (0, 0))
-    assert stored["loss"]["initial"] == pytest.approx(initial["loss"])
-
-
-@pytest.mark.parametrize(
-    ("method", "kind", "expected"),
-    [(Method.GAUSS_NEWTON, "toe", Verdict.NOT_IDENTIFIABLE), (Method.ADAM, "deposit", Verdict.CONFIRMED)],
-)
-def test_the_problems_own_optimiser_comes_first(tmp_path: Path, method: Method, kind: str, expected: Verdict) -> None:
-    settings = OptimiserSettings(method=method, max_iterations=25)
-    result = layers(tmp_path, kind=kind, optimiser=settings).solve(tmp_path)
-    assert result.verdict is expected
-    assert len(result.rounds[0].evaluations) <= 25

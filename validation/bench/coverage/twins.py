@@ -110,7 +110,9 @@ def drawn(family: Family, number: int) -> tuple[Problem, Target]:
         truth=made.truth,
     )
     # A flow on other cells is a measurement to the loop.
-    settings = TargetSettings(twin=True, truth=truth) if family.finer == 1.0 else TargetSettings(value=float(values[-1]))
+    settings = (
+        TargetSettings(twin=True, truth=truth) if family.finer == 1.0 else TargetSettings(value=float(values[-1]))
+    )
     if family.finer != 1.0 and not made.observation.scalar:
         settings = TargetSettings(trajectory="elsewhere.npz")
     return dataclasses.replace(asked, scene=scene, target=settings), target
