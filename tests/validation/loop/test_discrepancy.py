@@ -55,14 +55,15 @@ def test_a_rough_profile_has_an_answer_with_a_wider_half_width(tmp_path: Path, r
     rows = "".join(f"{a:.6g},{b:.6g}\n" for a, b in zip(x, height, strict=True))
     (tmp_path / "seen.csv").write_text("x,height\n" + rows)
     target = TargetSettings(csv="seen.csv", noise="3%")
-    case = wedge(tmp_path, kind="profile", target=target, steepness=0.5, scatter=0.002)
+    case = wedge(tmp_path, kind="profile", target=target, scatter=0.002)
     result = case.solve(tmp_path / "out")
     assert result.verdict in (Verdict.CONFIRMED, Verdict.UNCONFIRMED)
     assert result.certainty is not None
     assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"]
-    assert result.discrepancy is not None
+    fit = result.outcome.discrepancy
+    assert fit is not None
     # The rows' own scatter is counted before the model is compared with them.
-    assert 1.0 <= result.discrepancy < 1.6
+    assert 1.0 <= fit.factor < 1.6
     if rough:
         assert 1.5 < case.target.roughness < 5.0
         assert result.certainty["friction_deg"] > 0.5

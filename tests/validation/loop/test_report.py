@@ -9,23 +9,21 @@ from matplotlib.image import imread
 
 from datasets.exchange.vtk import SERIES
 from inverse.report import pictures
-from inverse.settings import OptimiserSettings, TargetSettings
-from tests.validation.loop.flows import Case, layers, wedge
+from inverse.settings import TargetSettings
+from tests.validation.loop.flows import Case, Folded, layers, wedge
 from validation.loop import report
 from validation.loop.result import Result
 
 KINDS: dict[str, Callable[[Path], Case]] = {
-    "front": lambda folder: wedge(folder, steepness=0.5, scatter=0.001),
+    "front": lambda folder: wedge(folder, scatter=0.001),
     "number": lambda folder: wedge(folder, target=TargetSettings(value=0.79), kind="runout", scatter=0.001),
-    "layers": lambda folder: layers(folder, count=5, scatter=0.002),
-    "toe": lambda folder: layers(folder, count=3, kind="toe", scatter=0.002, shift=0.05),
+    "layers": lambda folder: layers(folder, count=6, scatter=0.002),
+    "toe": lambda folder: layers(folder, count=3, kind="toe", scatter=0.002),
     "design": lambda folder: layers(
-        folder, count=3, kind="passed", target=TargetSettings(minimise=True), scatter=0.002, mixing=0.2
+        folder, count=3, kind="passed", target=TargetSettings(minimise=True), scatter=0.002
     ),
-    "unreachable": lambda folder: wedge(folder, target=TargetSettings(value=0.05)),
-    "starts": lambda folder: layers(
-        folder, mixing=0.0, folded=True, lower=-2.0, optimiser=OptimiserSettings(starts=4, max_iterations=20)
-    ),
+    "unreachable": lambda folder: wedge(folder, target=TargetSettings(value=0.05), scatter=0.001),
+    "folded": lambda folder: wedge(folder, truth=22.0, mpm=Folded(scatter=0.002)),
 }
 
 
@@ -56,16 +54,16 @@ def test_a_report_begins_with_its_conclusion_and_shows_every_parameter(outcome: 
             assert f"± {each.kind.text(result.certainty[each.name])}" in row
         if result.target.truth:
             assert each.kind.text(result.target.truth[each.name]) in row
-    expected = {"deposit.png", "iterations.png", "stages.png"}
+    expected = {"deposit.png", "predictive.png", "posterior.png", "waves.png"}
     expected |= {"unknowns.png"} if len(result.unknowns) > 2 else set()
     assert {path.name for path in folder.glob("*.png")} == expected
     for picture in expected:
         assert f"]({picture})" in text
         assert imread(folder / picture)[..., :3].std() > 0.01
     assert ("may move by" in text) == (kind == "design")
-    assert ("**Not identifiable**" in text) == (kind == "toe")
-    assert ("## Uncertainty" in text) == (kind != "unreachable")
-    assert ("Other minima of the surrogate" in text) == (kind == "starts")
+    assert ("- **Not identifiable**" in text) == (kind == "toe")
+    assert ("## Every separate answer" in text) == (kind == "folded")
+    assert ("## What a further measurement would decide" in text) == (kind in ("toe", "folded"))
     assert "nan" not in text
     assert str(result.verdict) in report.summary(result)
 

@@ -66,7 +66,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
             problem=dataclasses.replace(case.problem, scene=dataclasses.replace(case.problem.scene, seed=5000 + seed)),
         )
         inside += len(case.solve(tmp_path / str(seed)).inside)
-    assert 26 <= inside
+    assert inside >= 26
 
 
 @pytest.mark.parametrize(("count", "seed"), [(2, 3), (4, 5), (10, 4)])
