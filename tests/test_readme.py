@@ -32,8 +32,7 @@ kind = "front"
 [target]
 twin = true
 [loop]
-seeds = 4
-mpm_runs = 3
+mpm_runs = 8
 """
 RUN = {
     "mpm.run": ["scene.toml"],

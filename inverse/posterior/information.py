@@ -50,10 +50,10 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
     heights = np.histogram2d(deposit[:, 0], across, bins=(edges, rows), weights=volumes)[0]
     heights /= (edges[1] - edges[0]) * (rows[1] - rows[0])
     for row, column in np.ndindex(heights.shape):
-        place = f"x = {0.5 * (edges[row] + edges[row + 1]):.3g} m"
+        location = f"x = {0.5 * (edges[row] + edges[row + 1]):.3g} m"
         if scene.dimension == 3:
-            place += f", z = {0.5 * (rows[column] + rows[column + 1]):.3g} m"
-        found[f"the height around {place}"] = float(heights[row, column])
+            location += f", z = {0.5 * (rows[column] + rows[column + 1]):.3g} m"
+        found[f"the height around {location}"] = float(heights[row, column])
     return found
 
 

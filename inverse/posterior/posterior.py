@@ -148,9 +148,9 @@ def posterior(
 ) -> Posterior:
     """The posterior given runs at points [n, U] that show `numbers` [n, M].
 
-    scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds the runs
-    that count, the whole box where absent; factor: F; discretisation: change of the numbers by the cells [M], whose square D is; trends: of which the one is
-    used that predicts the components of runs best which are left out one by one.
+    scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
+    the runs that count, the whole box where absent; factor: F; discretisation: change of the numbers by the cells [M],
+    whose square D is; trends: the one is used that predicts the runs best which are left out one by one.
     """
     unknowns = points.shape[1]
     region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))

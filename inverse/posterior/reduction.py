@@ -64,7 +64,7 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     return Reduction(mean=mean, weights=weights, basis=basis, expected_scatter=expected, noise=covariance)
 
 
-def directions(rows: Matrix, most: int, least: float) -> Matrix:
-    """Orthonormal directions in which `rows` [k, M] extend by more than `least`, at most so many, shape [M, r]."""
+def directions(rows: Matrix, most: int, minimum: float) -> Matrix:
+    """Orthonormal directions in which `rows` [k, M] extend by more than `minimum`, at most so many, shape [M, r]."""
     values, basis = np.linalg.svd(rows, full_matrices=False)[1:]
-    return np.asarray(basis[:most][values[:most] > least].T)
+    return np.asarray(basis[:most][values[:most] > minimum].T)

@@ -136,9 +136,9 @@ def moved(
             step = scale[:, None] * (points[other[first]] - points[other[second]])
             proposed = reflected(points[own] + step + jitter * rng.standard_normal((len(own), unknowns)))
             there = log_likelihood(proposed)
-            taken = np.log(rng.random(len(own))) < exponent * (there - likelihood[own])
-            points[own[taken]], likelihood[own[taken]] = proposed[taken], there[taken]
-            accepted += int(taken.sum())
+            moves = np.log(rng.random(len(own))) < exponent * (there - likelihood[own])
+            points[own[moves]], likelihood[own[moves]] = proposed[moves], there[moves]
+            accepted += int(moves.sum())
             tried += len(own)
         if accepted >= CONSTANTS.moves * size:
             break

@@ -64,7 +64,7 @@ class Constants:
     settled: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
     margin: float = 0.25
-    """Of the extent of the samples, on either side, up to which the next ones lie and runs count for the next emulator."""
+    """Of the extent of the samples, on either side, up to which the next ones lie and runs count."""
     at_edge: float = 0.3
     """Share of samples in the outermost tenth of that extent on a side, above which it was too narrow: three times that
     of even ones."""

@@ -95,10 +95,10 @@ class Task:
 
     def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[Check, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
-        places = self.at(points)
-        scenes = [self.problem.scene_at(each, self.seed(first + index)) for index, each in enumerate(places)]
+        locations = self.at(points)
+        scenes = [self.problem.scene_at(each, self.seed(first + index)) for index, each in enumerate(locations)]
         flows = RunStore(self.folder, self.simulate, label=f"{purpose}-")(scenes, record=self.recorded)
-        return tuple(self.compare(place, flow, purpose) for place, flow in zip(places, flows, strict=True))
+        return tuple(self.compare(location, flow, purpose) for location, flow in zip(locations, flows, strict=True))
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""

@@ -78,8 +78,8 @@ def draw_predictive(path: Path, result: Result) -> None:
     scene, state, target = result.problem.scene, result.outcome.state, result.target
     profile = Profile(scene, 2.0 * scene.domain.cell)
     log_likelihood = state.posterior.likelihood(state.points)
-    least = float(np.quantile(state.posterior.samples.log_likelihood, 0.05))
-    inside = [run for run, each in zip(state.runs, log_likelihood, strict=True) if each >= least]
+    threshold = float(np.quantile(state.posterior.samples.log_likelihood, 0.05))
+    inside = [run for run, each in zip(state.runs, log_likelihood, strict=True) if each >= threshold]
     inside = inside or list(result.outcome.answers[0].checks)
     heights = np.stack([profile.heights(run.trajectory.positions[-1]) for run in inside])
     figure, (above, below) = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, layout="constrained")

@@ -14,9 +14,10 @@ from inverse.parameters import Kind
 from inverse.posterior.information import Information, information, measurements
 from inverse.report import pictures
 from inverse.report.markdown import OBSERVATION, answer, found_picture, markdown_table, observation_row, question
-from inverse.result import Combination, Purpose, Verdict, peak_memory_mib
+from inverse.result import Purpose, Verdict, peak_memory_mib
 from validation.loop.pictures import draw_posterior, draw_predictive, draw_waves
 from validation.loop.result import Result
+from validation.loop.uncertainty_report import mix, uncertainty
 from validation.loop.verdict import Answer, unidentified
 from validation.report.machine import GNS, MPM
 from validation.report.page import Page
@@ -27,8 +28,6 @@ EVERY = 4
 """A movie has every so many frames: a hundredth of a second each."""
 RATE = 25
 """Frames of the movie a second: a quarter of real speed."""
-MAIN = 0.3
-"""A parameter with less than this share of the greatest weight is not named as part of a combination."""
 SUGGESTED = 3
 """Measurements that are named."""
 
@@ -94,7 +93,8 @@ def page(result: Result, folder: Path) -> Page:
 
 def conclusion(result: Result, further: Sequence[Information]) -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
-    price = f"Cost: {len(result.mpm_runs)} MPM runs, {result.mpm_seconds:.1f} s in the MPM, {result.total_seconds:.1f} s in all."
+    seconds = f"{result.mpm_seconds:.1f} s in the MPM, {result.total_seconds:.1f} s in all"
+    price = f"Cost: {len(result.mpm_runs)} MPM runs, {seconds}."
     return [verdict(result), parameters(result), equifinality(result, further), quality(result), price]
 
 
@@ -172,7 +172,8 @@ def equifinality(result: Result, further: Sequence[Information]) -> str:
         known = [f"{mix(each)} to ± {100.0 * each.half_width:.2g} % of the range" for each in result.combinations]
         known = [text for text, each in zip(known, result.combinations, strict=True) if each.identifiable]
         parts.append(
-            f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; constrained: {'; '.join(known) or 'nothing'}"
+            f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; "
+            f"constrained: {'; '.join(known) or 'nothing'}"
         )
     if further:
         best = ", ".join(each.name for each in further[:SUGGESTED])
@@ -253,63 +254,6 @@ def brief(values: Values) -> str:
     if len(values) <= 3:
         return ", ".join(f"{value:.4g}" for value in values)
     return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
-
-
-def uncertainty(result: Result) -> list[str]:
-    """What the half-widths are made of."""
-    state, first = result.outcome.state, result.outcome.answers[0]
-    found, observation = state.posterior, result.target.observation
-    scatter = observation.distance_text(first.scatter(state.task))
-    parts = [
-        f"An emulator of {int(found.near.sum())} of the {len(state.runs)} MPM runs, each with a jitter seed of its own, "
-        f"gives the posterior over the whole box (uniform prior between the bounds). Two runs at the answer differ by "
-        f"{scatter} (root mean square); the target scatters like one. What the emulator does not know is "
-        f"{100.0 * found.unsettled:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
-        f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
-    ]
-    if result.problem.target.minimise:
-        parts[0] = (
-            "A design has no truth. Each parameter may move by its half-width, the others with it, before the MPM "
-            f"distinguishes what passes from its scatter; {parts[0][0].lower()}{parts[0][1:]}"
-        )
-        return parts
-    if result.target.roughness > 1.0:
-        parts.append(
-            f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
-            "noise: so much noise is counted."
-        )
-    if state.discretisation is not None:
-        change = observation.distance_text(
-            observation.distance(first.observation + state.discretisation, first.observation)
-        )
-        parts.append(
-            f"Cells twice as large change the observation by {change}; so much is counted as the error of the cells, as "
-            "the target is no flow on them."
-        )
-    fit = result.outcome.discrepancy
-    if fit is not None:
-        text = f"The residuals of {fit.numbers} numbers are {fit.ratio:.2g} times what noise and scatter explain"
-        text = f"{text} (p = {fit.probability:.2g})" if fit.factor == 1.0 else f"**{text}** (p = {fit.probability:.1g})"
-        parts.append(f"{text}: {'the half-widths stay' if fit.factor == 1.0 else 'errors are counted so much larger'}.")
-    if len(result.unknowns) > 1:
-        lines = [
-            f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "
-            f"to ± {100.0 * each.half_width:.2g} % of the range."
-            for each in result.combinations
-        ]
-        parts.append("\n".join(lines))
-    return parts
-
-
-def mix(combination: Combination) -> str:
-    """A combination in words: which parameters go up, and which go down with them."""
-    greatest = max(abs(weight) for weight in combination.weights.values())
-    heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
-    up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
-    down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
-    if not down:
-        return " and ".join(up) + (" up or down together" if len(up) > 1 else "")
-    return f"{' and '.join(up)} up while {' and '.join(down)} down"
 
 
 def informative(result: Result) -> list[Information]:

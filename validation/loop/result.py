@@ -182,9 +182,9 @@ class Result(Found):
             axis.plot([0.0, 1.0], [row, row], color="lightgrey", zorder=0)
             for number, answer in enumerate(self.outcome.answers):
                 value, width = float(answer.parameters[row]), float(answer.half_widths[row])
-                place = row + 0.25 * (number - 0.5 * (count - 1)) / max(1, count)
+                height = row + 0.25 * (number - 0.5 * (count - 1)) / max(1, count)
                 share = (value - each.lower) / each.range
-                axis.errorbar(share, place, xerr=width / each.range, fmt="o", color=FOUND, capsize=4)
+                axis.errorbar(share, height, xerr=width / each.range, fmt="o", color=FOUND, capsize=4)
             if each.name in truth:
                 axis.plot((truth[each.name] - each.lower) / each.range, row, "x", color=OBSERVED)
             axis.annotate(

@@ -27,7 +27,7 @@ from inverse.observations import Target
 from inverse.posterior.emulator import Emulator, Matrix, fitted, linear
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.settings import Surrogate as Wanted
+from inverse.settings import Surrogate as Requested
 from validation.loop.check import Task
 
 Load = Callable[[Problem, Target, Path | None], tuple[Forward | None, str]]
@@ -71,8 +71,8 @@ def asked(task: Task, forward: Forward, *, count: int, first: float) -> Surrogat
     """Predictions of `forward` at `count` points that fill the box; first: seconds of one."""
     unknowns = len(task.problem.parameters)
     points = qmc.LatinHypercube(unknowns, rng=task.generator(1), optimization="random-cd").random(count)
-    places = tqdm(task.at(points), desc="surrogate", unit="prediction", leave=False, disable=None)
-    numbers = [forward.observe([each])[0] for each in places]
+    locations = tqdm(task.at(points), desc="surrogate", unit="prediction", leave=False, disable=None)
+    numbers = [forward.observe([each])[0] for each in locations]
     return Surrogate(points=points, numbers=np.stack(numbers), seconds=first)
 
 
@@ -82,14 +82,14 @@ def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) ->
     mpm_seconds: of a run of the MPM; model: weights, those that ship where absent; load: `learned`. Raises InputError
     for a problem that asks for one that there is none of.
     """
-    wanted = task.problem.surrogate
-    if wanted is Wanted.NONE:
+    requested = task.problem.surrogate
+    if requested is Requested.NONE:
         return None, "the problem asks for none"
     if task.problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
     forward, reason = load(task.problem, task.target, model)
     if forward is None:
-        if wanted is Wanted.GNS:
+        if requested is Requested.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
     began = time.perf_counter()
@@ -99,7 +99,7 @@ def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) ->
     count = AT_LEAST + PER_UNKNOWN * unknowns
     saved = CONSTANTS.wave + CONSTANTS.first_per_unknown * unknowns
     price = f"{count} predictions of {first:.2f} s for {saved} runs of {mpm_seconds:.2f} s"
-    if wanted is Wanted.GNS:
+    if requested is Requested.GNS:
         return asked(task, forward, count=count, first=first), f"the problem asks for it ({price})"
     if count * first > SAVES * saved * mpm_seconds:
         return None, f"it would cost more than it saves ({price})"

@@ -112,17 +112,17 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and once more where the answers have moved by what these showed."""
     for _ in range(CONSTANTS.rounds):
         found = separate(state)
-        places = [each.point for each in found if not close_checks(state, each)]
-        if not places:
+        locations = [each.point for each in found if not close_checks(state, each)]
+        if not locations:
             answers = answers_of(state, found)
             if any(each.confirms(state.task) for each in answers):
                 break
             # Where the mean of few runs is not near enough, that of more may be.
-            places = [state.task.unit(answers[0].parameters)]
-        if state.left < len(places):
+            locations = [state.task.unit(answers[0].parameters)]
+        if state.left < len(locations):
             break
-        count = min(CONSTANTS.checks, state.left // len(places))
-        state = state.ran(np.repeat(np.stack(places), count, axis=0), Purpose.CHECK).inferred()
+        count = min(CONSTANTS.checks, state.left // len(locations))
+        state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
     return state, answers_of(state, separate(state))
 
 
@@ -140,11 +140,11 @@ def close_checks(state: Search, part: Part) -> list[Check]:
     own = [each for each in state.runs if each.purpose is Purpose.CHECK]
     if not own:
         return []
-    places = state.task.unit(np.stack([each.parameters for each in own]))
-    near = np.all(np.abs(places - part.point) <= CLOSE * np.maximum(part.half_widths, 1e-6), axis=1)
+    locations = state.task.unit(np.stack([each.parameters for each in own]))
+    near = np.all(np.abs(locations - part.point) <= CLOSE * np.maximum(part.half_widths, 1e-6), axis=1)
     if not near.any() and part.half_widths.max() > IDENTIFIABLE:
-        within = (places >= part.points.min(axis=0)) & (places <= part.points.max(axis=0))
-        near = np.all(within, axis=1) & (state.posterior.likelihood(places) >= part.threshold)
+        within = (locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0))
+        near = np.all(within, axis=1) & (state.posterior.likelihood(locations) >= part.threshold)
     return [each for each, close in zip(own, near, strict=True) if close]
 
 
@@ -153,11 +153,11 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
     task, answers = state.task, []
     for part in found:
         near = close_checks(state, part) or nearest_runs(state, part)
-        place = near[-1].parameters
-        own = tuple(each for each in near if np.array_equal(each.parameters, place))
+        location = near[-1].parameters
+        own = tuple(each for each in near if np.array_equal(each.parameters, location))
         share = np.full(len(part.points), 1.0 / len(part.points))
-        widths = half_widths(part.points, share, task.unit(place)) * task.bounds.range
-        answers.append(Answer(parameters=place, half_widths=widths, weight=part.weight, checks=own))
+        widths = half_widths(part.points, share, task.unit(location)) * task.bounds.range
+        answers.append(Answer(parameters=location, half_widths=widths, weight=part.weight, checks=own))
     return tuple(answers)
 
 
@@ -184,8 +184,8 @@ def cells_change(task: Task, answer: Answer) -> Values | None:
     """What the MPM's cells do to the numbers at an answer [M], for a target that no flow on the same cells has made.
 
     The difference from runs on cells twice as large is, to first order, the error of the cells used (Roache,
-    Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). None for a twin, and
-    where the box does not divide into such cells.
+    Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413).
+    None for a twin, and where the box does not divide into such cells.
     """
     scene = task.problem.scene_at(answer.parameters)
     if task.problem.target.twin or task.observation.every_particle:
@@ -226,8 +226,8 @@ def judge(task: Task, answers: Sequence[Answer], *, excluded: bool) -> Verdict:
 
 def is_out_of_bounds(task: Task, answer: Answer) -> bool:
     """Whether an answer that does not fit lies at a bound, or misses by more than the numbers are themselves."""
-    place = task.unit(answer.parameters)
-    at_bound = bool(np.any((place < AT_BOUND) | (place > 1.0 - AT_BOUND)))
+    location = task.unit(answer.parameters)
+    at_bound = bool(np.any((location < AT_BOUND) | (location > 1.0 - AT_BOUND)))
     return at_bound
 
 
@@ -249,14 +249,14 @@ def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
 def of_design(state: Search) -> Outcome:
     """The design of the least number expected, and how far parameters may move before it shows beyond the scatter."""
     task, found = state.task, state.posterior
-    least = found.samples.points[int(np.argmin(expected(state, found.samples.points)))]
-    state = state.ran(np.repeat(least[None], CONSTANTS.checks, axis=0), Purpose.CHECK)
+    design = found.samples.points[int(np.argmin(expected(state, found.samples.points)))]
+    state = state.ran(np.repeat(design[None], CONSTANTS.checks, axis=0), Purpose.CHECK)
     state = state.ran(np.repeat(task.unit(task.problem.initial)[None], CONSTANTS.checks, axis=0), Purpose.START)
     runs = [each for each in state.runs if each.purpose is Purpose.CHECK]
     share = found.samples.weights
     answer = Answer(
         parameters=runs[0].parameters,
-        half_widths=half_widths(found.samples.points, share, least) * task.bounds.range,
+        half_widths=half_widths(found.samples.points, share, design) * task.bounds.range,
         weight=1.0,
         checks=tuple(runs),
     )

@@ -1,4 +1,4 @@
-"""The loop on flows whose truth is a formula: it finds every answer, says how certain each is, or that there is none."""
+"""The loop on flows whose truth is a formula: every answer, how certain each is, or that there is none."""
 
 import dataclasses
 import json
@@ -70,7 +70,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("count", "seed"), [(2, 3), (4, 5), (10, 4)])
-def test_layers_that_overlap_are_told_apart(tmp_path: Path, count: int, seed: int) -> None:
+def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: int) -> None:
     result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, seed=seed).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert result.certainty is not None
@@ -117,9 +117,9 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     assert "Most would be decided by" in said
     assert "the height around x =" in said
     # The profile tells the two apart.
-    told = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002), kind="profile").solve(tmp_path / "profile")
-    assert told.verdict is Verdict.CONFIRMED
-    assert told.unknowns["friction_deg"] == pytest.approx(22.0, abs=1.0)
+    identified = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002), kind="profile").solve(tmp_path / "profile")
+    assert identified.verdict is Verdict.CONFIRMED
+    assert identified.unknowns["friction_deg"] == pytest.approx(22.0, abs=1.0)
 
 
 @pytest.mark.parametrize("kind", ["toe", "front"])

@@ -8,9 +8,9 @@ from scipy.stats import chisquare, kstest
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from validation.bench.coverage.twins import FAMILIES, Family, Twin, solved
+from validation.bench.coverage.twins import FAMILIES, Family, Twin, twin
 from validation.report.machine import GNS, MPM
-from validation.report.page import Page, percent
+from validation.report.page import Page
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.4, 0.6), 0.95: (0.9, 0.99)}
@@ -41,12 +41,12 @@ def bench(out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[st
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
     if twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
-    wanted = list(FAMILIES)[:1] if quick else only or FAMILIES
-    for name in wanted:
+    requested = list(FAMILIES)[:1] if quick else only or FAMILIES
+    for name in requested:
         for number in tqdm(range(2 if quick else twins), desc=name, unit="twin", leave=False, disable=None):
-            solved(FAMILIES[name], number, keep / name)
+            twin(FAMILIES[name], number, keep / name)
     found = {
-        name: [solved(family, int(path.stem), keep / name) for path in sorted((keep / name).glob("*.json"))]
+        name: [twin(family, int(path.stem), keep / name) for path in sorted((keep / name).glob("*.json"))]
         for name, family in FAMILIES.items()
     }
     return page({FAMILIES[name]: each for name, each in found.items() if each}, twins, quick=quick).write(
@@ -68,8 +68,8 @@ def page(found: dict[Family, Sequence[Twin]], twins: int, *, quick: bool) -> Pag
         conclusion=[
             f"{sum(map(len, found.values()))} twin experiments of {len(found)} kinds, truths drawn from the prior.",
             *(
-                f"{100 * level:g} % regions hold {percent(float(np.mean([held(each, level) for each in found.values()])))}"
-                f" of the truths; outside of {100 * WITHIN[level][0]:g} to {100 * WITHIN[level][1]:g} %: "
+                f"{100 * level:g} % regions hold {share(np.mean([held(each, level) for each in found.values()]))} of "
+                f"the truths; outside of {100 * WITHIN[level][0]:g} to {100 * WITHIN[level][1]:g} %: "
                 f"{', '.join(names) or 'none'}."
                 for level, names in tested.items()
             ),
@@ -108,6 +108,11 @@ def ranks(found: Sequence[Twin]) -> float:
     return min(1.0, len(names) * float(min(values)))
 
 
+def share(value: float | np.floating) -> str:
+    """0.95 as 95 %."""
+    return f"{100.0 * value:.0f} %"
+
+
 def row(family: Family, found: Sequence[Twin]) -> dict[str, object]:
     """A line of the table."""
     verdicts = [each.verdict for each in found]
@@ -116,10 +121,10 @@ def row(family: Family, found: Sequence[Twin]) -> dict[str, object]:
         "twins of": family.title,
         "problem": f"`{family.problem}`",
         "twins": str(len(found)),
-        **{f"in the {100 * level:g} % region": percent(held(found, level)) for level in REGIONS},
+        **{f"in the {100 * level:g} % region": share(held(found, level)) for level in REGIONS},
         "p, regions": f"{uniformity(found):.2g}",
         "p, ranks": f"{ranks(found):.2g}",
-        "true values within half-widths": percent(sum(each.inside for each in found) / (count * len(found))),
+        "true values within half-widths": share(sum(each.inside for each in found) / (count * len(found))),
         "verdicts": ", ".join(f"{verdicts.count(each)} {each}" for each in dict.fromkeys(verdicts)),
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
         "seconds": f"{np.median([each.seconds for each in found]):.0f}",

@@ -74,7 +74,7 @@ class Twin(Record):
     seconds: float
 
 
-def solved(family: Family, number: int, folder: Path) -> Twin:
+def twin(family: Family, number: int, folder: Path) -> Twin:
     """The twin of this number, from `folder` where it was solved before."""
     path = folder / f"{number:03d}.json"
     if (known := read_json(path)) is not None:
@@ -82,9 +82,9 @@ def solved(family: Family, number: int, folder: Path) -> Twin:
     problem, target = drawn(family, number)
     with tempfile.TemporaryDirectory() as runs:
         result = run(Task(problem=problem, target=target, folder=Path(runs), simulate=simulate_many))
-    twin = located(result, FIRST_SEED + number)
-    write_json(path, dataclasses.asdict(twin))
-    return twin
+    found = located(result, FIRST_SEED + number)
+    write_json(path, dataclasses.asdict(found))
+    return found
 
 
 def drawn(family: Family, number: int) -> tuple[Problem, Target]:

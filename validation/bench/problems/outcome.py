@@ -13,7 +13,6 @@ from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
 from gns.inference import shipped
 from inverse.problem import Problem
-from inverse.result import Purpose
 from validation.report.machine import GNS, MPM, machine
 
 RESULT, ORIGIN = "result.json", "origin.json"
@@ -73,11 +72,6 @@ class Outcome:
     def inside(self) -> list[str]:
         """The parameters whose true value is within their half-width."""
         return [name for name, error in self.errors.items() if error <= self.half_widths.get(name, -1.0)]
-
-    @property
-    def checks(self) -> list[dict[str, Any]]:
-        """MPM runs that count against the budget; the first is at the minimum of the surrogate as it is."""
-        return [run for run in self.result["mpm_runs"] if run["purpose"] == Purpose.CHECK]
 
     @property
     def front_error_pct(self) -> float | None:

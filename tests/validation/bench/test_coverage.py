@@ -1,0 +1,75 @@
+"""`python -m validation.bench coverage`: twins are solved once, counted right, and uneven ranks are named."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from inverse.problem import read_problem
+from tests.validation.loop.flows import FakeMpm, wedge
+from validation.bench.__main__ import main
+from validation.bench.coverage import twins
+from validation.bench.coverage.bench import held, page, ranks, row, uniformity
+from validation.bench.coverage.twins import FAMILIES, Family, Twin, drawn
+
+FAMILY = Family(title="Wedges", problem="wedge", noise=0.01)
+
+
+@pytest.fixture
+def mpm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeMpm:
+    case = wedge(tmp_path, scatter=0.002)
+    monkeypatch.setattr(twins, "read_problem", lambda name: case.problem)
+    monkeypatch.setattr(twins, "simulate_many", case.mpm)
+    return case.mpm
+
+
+def test_truths_are_drawn_from_the_prior_and_known_to_the_twin_alone(mpm: FakeMpm) -> None:
+    truths = [(drawn(FAMILY, number)[1].truth or {})["friction_deg"] for number in range(200)]
+    assert min(truths) < 14.0
+    assert max(truths) > 50.0
+    assert np.mean(truths) == pytest.approx(32.0, abs=2.5)
+    problem, target = drawn(FAMILY, 3)
+    assert target.noise == pytest.approx(0.01 * target.front, rel=0.05)
+    assert target.deposit is None
+    assert problem.scene.seed != drawn(FAMILY, 4)[0].scene.seed
+
+
+def test_a_twin_is_made_once(mpm: FakeMpm, tmp_path: Path) -> None:
+    found = twins.twin(FAMILY, 0, tmp_path)
+    assert 0.0 <= found.denser <= 1.0
+    assert 0.0 <= found.below["friction_deg"] <= 1.0
+    assert found.inside in (0, 1)
+    made = len(mpm.scenes)
+    assert twins.twin(FAMILY, 0, tmp_path) == found
+    assert len(mpm.scenes) == made
+
+
+def twin(denser: float, below: float) -> Twin:
+    values: dict[str, Any] = {"seed": 1, "inside": 1, "answers": 1, "verdict": "confirmed", "runs": 20, "seconds": 5.0}
+    return Twin(denser=denser, below={"friction_deg": below}, **values)
+
+
+def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
+    even = [twin((number + 0.5) / 40.0, (number + 0.5) / 40.0) for number in range(40)]
+    narrow = [twin(0.5 + 0.5 * each.denser, float(each.below["friction_deg"] > 0.5)) for each in even]
+    assert held(even, 0.95) == pytest.approx(0.95)
+    assert min(uniformity(even), ranks(even)) > 0.9
+    assert max(uniformity(narrow), ranks(narrow)) < 1e-4
+    assert row(FAMILY, even)["in the 95 % region"] == "95 %"
+    other = Family(title="Too narrow", problem="wedge")
+    text = page({FAMILY: even, other: narrow}, 40, quick=False).conclusion
+    assert "outside of 40 to 60 %: Too narrow." in text
+    assert "Ranks are not uniform (p below 0.01) for Too narrow." in text
+
+
+def test_the_command(mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 0
+    assert "2 twin experiments of 1 kinds" in capsys.readouterr().out
+    assert len(list((tmp_path / "keep" / "front").glob("*.json"))) == 2
+    assert main(["coverage", "--out", str(tmp_path), "--only", "nothing"]) == 2
+    assert main(["coverage", "--out", str(tmp_path), "--twins", "0"]) == 2
+
+
+def test_every_family_is_of_a_shipped_problem() -> None:
+    assert all(read_problem(each.problem).target.twin for each in FAMILIES.values())
