@@ -172,7 +172,6 @@ def check_search(
         ("optimiser.max_iterations", optimiser.max_iterations, 1),
         ("optimiser.max_trials", optimiser.max_trials, 1),
         ("optimiser.seed", optimiser.seed, 0),
-        ("optimiser.starts", optimiser.starts, 1),
         ("loop.mpm_runs", loop.budget(len(parameters)), len(parameters) + FEWEST_RUNS),
     ):
         require(number >= minimum, key, f"an integer of at least {minimum}", number)

@@ -172,6 +172,7 @@ def read_problem(name: str) -> Problem:
 
 _UNUSED = (
     ("optimiser", "start", "the surrogate begins at rest"),
+    ("optimiser", "starts", "the loop looks over the whole box"),
     ("loop", "seeds", "every MPM run has a jitter seed of its own"),
     ("loop", "trust", "MPM runs fill the box"),
 )

@@ -205,8 +205,6 @@ class OptimiserSettings(Record):
 
     Where absent, the paper's 500 deg^2/m^2 for gradient descent, for Adam a fiftieth of each unknown's range.
     """
-    starts: int = 1
-    """Points from which the surrogate is inverted: `initial` and, for problems with more than one answer, others."""
     sampler: Sampler = Sampler.TPE
     """Of a search without gradients (`--gradient none`)."""
     max_trials: int = 100
