@@ -185,16 +185,34 @@ class Emulator:
         prior += functions @ (self._of_trend[2] + nugget * self._of_trend[3]) @ functions.T
         return scale * (prior - (contrasts / (values + nugget)) @ contrasts.T), scale * nugget
 
-    def left_out(self) -> Matrix:
-        """Error of each run's components as predicted by all others, shape [n, r]: what a trend is chosen by."""
-        weights, _, _ = self._quadrature
+    @cached_property
+    def left_out(self) -> tuple[Matrix, Matrix]:
+        """Error of each run's components as predicted by all others, and its variance, both [n, r]."""
+        weights, variance, _ = self._quadrature
         _, contrasts, values, roots = self._decomposed
-        errors = np.zeros_like(self.numbers)
-        for nugget, share in zip(CONSTANTS.nuggets, weights, strict=True):
+        errors, variances = np.zeros_like(self.numbers), np.zeros_like(self.numbers)
+        for nugget, share, each in zip(CONSTANTS.nuggets, weights, variance, strict=True):
             precision = 1.0 / (values + nugget)
-            own = (contrasts**2 @ precision)[:, None]
-            errors += share * (contrasts @ (precision[:, None] * roots)) / np.maximum(own, 1e-300)
-        return errors
+            own = np.maximum(contrasts**2 @ precision, 1e-300)[:, None]
+            errors += share * (contrasts @ (precision[:, None] * roots)) / own
+            variances += share * each / own
+        return errors, variances
+
+    def misjudged(self, points: Matrix) -> Matrix:
+        """By which factor the variances around points [S, U] are larger than stated, shape [S, r].
+
+        The mean squared error of the runs around that are left out, over its variance: where the flow changes more
+        abruptly or scatters more than elsewhere, they show it. Weights by Scott's rule (Multivariate density
+        estimation, 1992); `trusted` runs that are predicted as stated count besides them.
+        """
+        count, unknowns = self.points.shape
+        errors, variances = self.left_out
+        width = np.maximum(self.points.std(axis=0), 1e-9) * count ** (-1.0 / (unknowns + 4.0))
+        one, other = points / width, self.points / width
+        square = (one**2).sum(1)[:, None] + (other**2).sum(1)[None] - 2.0 * one @ other.T
+        near = np.exp(-0.5 * np.maximum(square, 0.0))
+        ratio = near @ (errors**2 / np.maximum(variances, 1e-300)) + CONSTANTS.trusted
+        return np.asarray(np.maximum(ratio / (near.sum(axis=1) + CONSTANTS.trusted)[:, None], CONSTANTS.best_judged))
 
 
 def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear) -> Emulator:

@@ -1,10 +1,11 @@
 """The posterior of the parameters over the whole box, by an emulator of the MPM.
 
-    p(v | y*) ~ t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag V(v)
+    p(v | y*) ~ t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
 
 | symbol | variable | meaning |
 |---|---|---|
 | m, V | `Emulator.predict` | mean of the MPM over jitter seeds, and how little of it is known |
+| k | `Emulator.misjudged` | how much more than stated it errs around v |
 | S | `Emulator.scatter` | scatter of one flow, as the target is one |
 | N | `Reduction.noise` | errors of the measurement |
 | D | `discretisation` | what the MPM's cells change, where the target is no flow on the same cells |
@@ -101,7 +102,9 @@ class Likelihood:
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
         mean, variance = self.emulator.predict(points)
-        return student(self.target - mean, self.fixed, variance, self.freedom)
+        factor = self.emulator.misjudged(points)
+        single = np.diag(self.emulator.scatter)
+        return student(self.target - mean, self.fixed, factor * variance + (factor - 1.0) * single, self.freedom)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +166,7 @@ def posterior(
         for trend in trends
         if near.sum() > trend(points[:1]).shape[1] + 1
     ]
-    emulator = min(made, key=lambda each: float(np.mean(each.left_out() ** 2)))
+    emulator = min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2)))
     single = emulator.scatter + np.diag((CONSTANTS.least_scatter * reduced.expected_scatter) ** 2)
     known = reduced.noise
     if discretisation is not None:

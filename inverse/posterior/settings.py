@@ -23,6 +23,10 @@ class Constants:
     """Degrees of freedom that all components together add to the scatter of each."""
     least_scatter: float = 0.02
     """Of the scatter that is expected, where runs show none: no flow is known better than to rounding and step."""
+    trusted: float = 4.0
+    """Runs that are predicted as stated, besides those around: the squares of few errors are uncertain."""
+    best_judged: float = 0.7
+    """Factor of a variance at least, however well the runs around are predicted."""
     separate_lengths: int = 8
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
     nuggets: tuple[float, ...] = (1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4)

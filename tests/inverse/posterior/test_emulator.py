@@ -59,7 +59,7 @@ def test_it_is_the_textbooks_universal_kriging() -> None:
     try:
         own_mean, own_variance = made.predict(where)
         covariance, scatter = made.covariance(where, 0)
-        left_out = made.left_out()
+        left_out, left_out_variance = made.left_out
     finally:
         patch.undo()
     np.testing.assert_allclose(own_mean, mean, atol=1e-8)
@@ -72,6 +72,10 @@ def test_it_is_the_textbooks_universal_kriging() -> None:
     trend = np.linalg.solve(basis[others].T @ alone @ basis[others], basis[others].T @ alone @ numbers[others])
     expected = basis[5] @ trend + whole[5, others] @ alone @ (numbers[others] - basis[others] @ trend)
     np.testing.assert_allclose(left_out[5], numbers[5] - expected, atol=1e-8)
+    short = basis[5] - whole[5, others] @ alone @ basis[others]
+    gained = short @ np.linalg.solve(basis[others].T @ alone @ basis[others], short)
+    own = whole[5, 5] - whole[5, others] @ alone @ whole[others, 5] + gained
+    np.testing.assert_allclose(left_out_variance[5], own * scale, rtol=1e-6)
 
 
 def test_its_intervals_hold_what_they_should() -> None:
@@ -96,9 +100,20 @@ def test_a_surrogate_in_the_trend_is_used_where_it_helps() -> None:
     truth = 2.0 * np.sin(6.0 * where[:, :1] * where[:, 1:]) + where[:, :1]
     plain, helped = (fitted(points, numbers, np.array([1e-3]), trend=trend) for trend in (linear, with_surrogate))
     assert np.std(helped.mean(where) - truth) < 0.1 * np.std(plain.mean(where) - truth)
-    assert np.std(helped.left_out()) < np.std(plain.left_out())
+    assert np.std(helped.left_out[0]) < np.std(plain.left_out[0])
 
 
 def test_fewer_runs_than_functions_are_refused() -> None:
     with pytest.raises(ValueError, match="more runs than functions"):
         fitted(spread(3, 2), spread(3, 1), np.ones(1))
+
+
+def test_where_it_errs_more_than_it_states_its_variance_grows() -> None:
+    """Flat on one side, steps on the other."""
+    points = np.linspace(0.0, 1.0, 40)[:, None]
+    numbers = np.where(points > 0.6, np.sign(np.sin(60.0 * points)), 0.01 * np.sin(7.0 * points))
+    made = fitted(points, numbers, np.array([0.05]))
+    calm, wild = made.misjudged(np.array([[0.2], [0.8]]))[:, 0]
+    assert calm < 0.9
+    assert wild > 1.3
+    assert made.misjudged(np.array([[50.0]]))[0, 0] == pytest.approx(1.0)
