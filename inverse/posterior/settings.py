@@ -25,7 +25,7 @@ class Constants:
     """Of the scatter that is expected, where runs show none: no flow is known better than to rounding and step."""
     trusted: float = 4.0
     """Runs that are predicted as stated, besides those around: the squares of few errors are uncertain."""
-    best_judged: float = 0.7
+    best_judged: float = 0.9
     """Factor of a variance at least, however well the runs around are predicted."""
     separate_lengths: int = 8
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""

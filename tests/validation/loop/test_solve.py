@@ -52,7 +52,7 @@ def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind:
     # 20 to 8 mm a degree: a scatter of 2 mm is 0.1 to 0.25 degrees for the target alone.
     slope = 0.02 - 0.0003 * (truth - 12.0)
     assert 1.5 * 0.002 / slope < result.certainty["friction_deg"] < 5.0 * 0.002 / slope
-    assert abs(result.unknowns["friction_deg"] - truth) < 1.5 * result.certainty["friction_deg"]
+    assert abs(result.unknowns["friction_deg"] - truth) < 2.0 * result.certainty["friction_deg"]
 
 
 def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: in
     errors = [abs(result.unknowns[name] - true) for name, true in (result.target.truth or {}).items()]
     widths = [result.certainty[name] for name in result.unknowns]
     assert np.max(np.divide(errors, widths)) < 2.0
-    assert max(widths) < 0.1 * WIDTH
+    assert max(widths) < 0.12 * WIDTH
     assert len(result.mpm_runs) <= result.problem.loop.budget(count)
 
 
