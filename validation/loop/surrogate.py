@@ -38,6 +38,8 @@ PER_UNKNOWN, AT_LEAST = 6, 6
 """Predictions over the box."""
 SAVES = 0.5
 """Share of the price of the runs that it may save, which its own may be."""
+QUICKEST = 0.1
+"""Seconds of a prediction at least: where even that costs too much, no weights are read."""
 EXACT = 1e-3
 """Scatter of its components, in standard deviations over the box: only rounding."""
 
@@ -87,6 +89,11 @@ def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) ->
         return None, "the problem asks for none"
     if task.problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
+    unknowns = len(task.problem.parameters)
+    count = AT_LEAST + PER_UNKNOWN * unknowns
+    saved = CONSTANTS.wave + CONSTANTS.first_per_unknown * unknowns
+    if requested is Requested.AUTO and count * QUICKEST > SAVES * saved * mpm_seconds:
+        return None, f"it would cost more than it saves ({saved} runs of {mpm_seconds:.2f} s)"
     forward, reason = load(task.problem, task.target, model)
     if forward is None:
         if requested is Requested.GNS:
@@ -95,9 +102,6 @@ def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) ->
     began = time.perf_counter()
     forward.observe([task.problem.initial])
     first = time.perf_counter() - began
-    unknowns = len(task.problem.parameters)
-    count = AT_LEAST + PER_UNKNOWN * unknowns
-    saved = CONSTANTS.wave + CONSTANTS.first_per_unknown * unknowns
     price = f"{count} predictions of {first:.2f} s for {saved} runs of {mpm_seconds:.2f} s"
     if requested is Requested.GNS:
         return asked(task, forward, count=count, first=first), f"the problem asks for it ({price})"

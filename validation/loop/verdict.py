@@ -225,10 +225,9 @@ def judge(task: Task, answers: Sequence[Answer], *, excluded: bool) -> Verdict:
 
 
 def is_out_of_bounds(task: Task, answer: Answer) -> bool:
-    """Whether an answer that does not fit lies at a bound, or misses by more than the numbers are themselves."""
+    """Whether an answer that does not fit lies at a bound."""
     location = task.unit(answer.parameters)
-    at_bound = bool(np.any((location < AT_BOUND) | (location > 1.0 - AT_BOUND)))
-    return at_bound
+    return bool(np.any((location < AT_BOUND) | (location > 1.0 - AT_BOUND)))
 
 
 def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
