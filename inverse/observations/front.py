@@ -52,8 +52,8 @@ class Front(DepositObservation):
         return float(np.abs(values - target).sum() / np.abs(target).sum())
 
     def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        """Without the scatter: runs are averaged."""
-        return loop.confirm_within
+        """Or half of the scatter: twice the standard error of a mean of eight runs, which decides no finer."""
+        return max(loop.confirm_within, 0.5 * scatter)
 
 
 class FrontOverTime(Observation):

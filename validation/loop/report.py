@@ -131,7 +131,7 @@ def distance(result: Result, found: Answer) -> str:
     allowed = observation.tolerance(loop, cell, result.target, scatter)
     text += f"; {observation.distance_text(allowed)} is allowed"
     if allowed > observation.tolerance(loop, cell, result.target, 0.0):
-        text += ", twice the difference of two MPM runs"
+        text += ", by the difference of two MPM runs"
     most = observation.front_tolerance(loop, result.target, found.front_scatter)
     if not observation.scalar and math.isfinite(most) and math.isfinite(found.front_error):
         text += f"; its front is off by {100.0 * found.front_error:+.2f} %, {100.0 * most:.2g} % is allowed"
