@@ -82,7 +82,7 @@ class Constants:
     far from it would have most of the leverage."""
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
-    rounds: int = 3
+    rounds: int = 4
     """Times that an answer may move after its checks."""
 
 

@@ -112,7 +112,7 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and once more where the answers have moved by what these showed."""
     for _ in range(CONSTANTS.rounds):
         found = separate(state)
-        locations = [each.point for each in found if not close_checks(state, each)]
+        locations = [each.point for each in found if not is_checked(state, each)]
         if not locations:
             answers = answers_of(state, found)
             if any(each.confirms(state.task) for each in answers):
@@ -132,39 +132,46 @@ def separate(state: Search) -> list[Part]:
     return parts(found.samples, found.likelihood, state.task.generator(len(state.runs)))
 
 
-def close_checks(state: Search, part: Part) -> list[Check]:
-    """Checks near the point of a part; of one that is most of the box, those in the region and in the box of the part.
+def away(state: Search, runs: Sequence[Check], part: Part) -> Values:
+    """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
+    locations = state.task.unit(np.stack([each.parameters for each in runs]))
+    off = (locations - part.point) / np.maximum(part.half_widths, 1e-6)
+    return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
-    Such a part has no point that is better than another.
-    """
+
+def checks_of(state: Search, part: Part) -> list[Check]:
+    """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
     own = [each for each in state.runs if each.purpose is Purpose.CHECK]
     if not own:
         return []
     locations = state.task.unit(np.stack([each.parameters for each in own]))
-    near = np.all(np.abs(locations - part.point) <= CLOSE * np.maximum(part.half_widths, 1e-6), axis=1)
-    if not near.any() and part.half_widths.max() > IDENTIFIABLE:
-        within = (locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0))
-        near = np.all(within, axis=1) & (state.posterior.likelihood(locations) >= part.threshold)
-    return [each for each, close in zip(own, near, strict=True) if close]
+    within = np.all((locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0)), axis=1)
+    within &= state.posterior.likelihood(locations) >= part.threshold
+    far = np.where(within, away(state, own, part), np.inf)
+    if not within.any():
+        return []
+    nearest = own[int(np.argmin(far))].parameters
+    return [each for each in own if np.array_equal(each.parameters, nearest)]
+
+
+def is_checked(state: Search, part: Part) -> bool:
+    """Whether its checks are close to its point; a part that is most of the box has none that is better than others."""
+    found = checks_of(state, part)
+    if not found:
+        return False
+    return bool(away(state, found[:1], part)[0] <= CLOSE or part.half_widths.max() > IDENTIFIABLE)
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
-    """The answer in each part: where it was checked last, else where a run is nearest to its point."""
+    """The answer in each part: where it was checked, else where a run is nearest to its point."""
     task, answers = state.task, []
     for part in found:
-        near = close_checks(state, part) or nearest_runs(state, part)
-        location = near[-1].parameters
-        own = tuple(each for each in near if np.array_equal(each.parameters, location))
+        own = checks_of(state, part) or [state.runs[int(np.argmin(away(state, state.runs, part)))]]
+        location = own[0].parameters
         share = np.full(len(part.points), 1.0 / len(part.points))
         widths = half_widths(part.points, share, task.unit(location)) * task.bounds.range
-        answers.append(Answer(parameters=location, half_widths=widths, weight=part.weight, checks=own))
+        answers.append(Answer(parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own)))
     return tuple(answers)
-
-
-def nearest_runs(state: Search, part: Part) -> list[Check]:
-    """The run that is nearest to the point of a part, by its half-widths."""
-    far = np.abs(state.points - part.point) / np.maximum(part.half_widths, 1e-6)
-    return [state.runs[int(np.argmin(far.max(axis=1)))]]
 
 
 def matched(state: Search, before: Sequence[Answer]) -> tuple[Answer, ...]:
