@@ -68,7 +68,7 @@ def page(found: dict[Family, Sequence[Twin]], twins: int, *, quick: bool) -> Pag
         conclusion=[
             f"{sum(map(len, found.values()))} twin experiments of {len(found)} kinds, truths drawn from the prior.",
             *(
-                f"{100 * level:g} % regions hold {share(np.mean([held(each, level) for each in found.values()]))} of "
+                f"{100 * level:g} % regions hold {share(held([twin for each in found.values() for twin in each], level))} of "
                 f"the truths; outside of {100 * WITHIN[level][0]:g} to {100 * WITHIN[level][1]:g} %: "
                 f"{', '.join(names) or 'none'}."
                 for level, names in tested.items()
@@ -108,7 +108,7 @@ def ranks(found: Sequence[Twin]) -> float:
     return min(1.0, len(names) * float(min(values)))
 
 
-def share(value: float | np.floating) -> str:
+def share(value: float) -> str:
     """0.95 as 95 %."""
     return f"{100.0 * value:.0f} %"
 
