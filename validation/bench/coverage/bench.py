@@ -62,13 +62,14 @@ def page(found: dict[Family, Sequence[Twin]], twins: int, *, quick: bool) -> Pag
         for level, (low, high) in WITHIN.items()
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
+    every = [twin for each in found.values() for twin in each]
     result = Page(
         "Coverage of the posterior",
         command=f"python -m validation.bench coverage{'' if twins == 40 else f' --twins {twins}'}",
         conclusion=[
-            f"{sum(map(len, found.values()))} twin experiments of {len(found)} kinds, truths drawn from the prior.",
+            f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
             *(
-                f"{100 * level:g} % regions hold {share(held([twin for each in found.values() for twin in each], level))} of "
+                f"{100 * level:g} % regions hold {share(held(every, level))} of "
                 f"the truths; outside of {100 * WITHIN[level][0]:g} to {100 * WITHIN[level][1]:g} %: "
                 f"{', '.join(names) or 'none'}."
                 for level, names in tested.items()
