@@ -132,7 +132,7 @@ def separate(state: Search) -> list[Part]:
     return parts(found.samples, found.likelihood, state.task.generator(len(state.runs)))
 
 
-def away(state: Search, runs: Sequence[Check], part: Part) -> Values:
+def distances(state: Search, runs: Sequence[Check], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
     locations = state.task.unit(np.stack([each.parameters for each in runs]))
     off = (locations - part.point) / np.maximum(part.half_widths, 1e-6)
@@ -147,7 +147,7 @@ def checks_of(state: Search, part: Part) -> list[Check]:
     locations = state.task.unit(np.stack([each.parameters for each in own]))
     within = np.all((locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0)), axis=1)
     within &= state.posterior.likelihood(locations) >= part.threshold
-    far = np.where(within, away(state, own, part), np.inf)
+    far = np.where(within, distances(state, own, part), np.inf)
     if not within.any():
         return []
     nearest = own[int(np.argmin(far))].parameters
@@ -159,14 +159,14 @@ def is_checked(state: Search, part: Part) -> bool:
     found = checks_of(state, part)
     if not found:
         return False
-    return bool(away(state, found[:1], part)[0] <= CLOSE or part.half_widths.max() > IDENTIFIABLE)
+    return bool(distances(state, found[:1], part)[0] <= CLOSE or part.half_widths.max() > IDENTIFIABLE)
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
     """The answer in each part: where it was checked, else where a run is nearest to its point."""
     task, answers = state.task, []
     for part in found:
-        own = checks_of(state, part) or [state.runs[int(np.argmin(away(state, state.runs, part)))]]
+        own = checks_of(state, part) or [state.runs[int(np.argmin(distances(state, state.runs, part)))]]
         location = own[0].parameters
         share = np.full(len(part.points), 1.0 / len(part.points))
         widths = half_widths(part.points, share, task.unit(location)) * task.bounds.range
