@@ -41,6 +41,8 @@ class Purpose(StrEnum):
     """At an answer."""
     START = "start"
     """Of a design, at the problem's start."""
+    CELLS = "cells"
+    """At an answer on cells twice as large."""
 
 
 @dataclass(frozen=True, kw_only=True)

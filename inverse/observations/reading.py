@@ -96,6 +96,7 @@ def single(
             values=observation.observe(run),
             front=measures.front(deposit),
             noise=noise,
+            cell=run.scene.domain.cell,
             deposit=deposit,
             truth=truth,
         )
@@ -155,6 +156,7 @@ def joint(
         front=math.nan if deposit is None else measures.front(deposit),
         noise=float(np.sqrt(np.linalg.eigvalsh(whole)[-1])),
         covariance=whole,
+        cell=None if run is None else run.scene.domain.cell,
         deposit=deposit,
         roughness=roughness,
         truth=truth,

@@ -24,6 +24,8 @@ class Target:
     (below) that of the combination of them, a unit vector, whose error is largest."""
     covariance: Matrix | None = None
     """Of the values by errors of the measurement, shape [M, M]; where absent the errors are independent, of `noise`."""
+    cell: float | None = None
+    """Of the grid that the observed flow was simulated on [m]; None of a measured one."""
     deposit: NDArray[np.floating] | None = None
     """Where known: positions of the deposit [m], shape [N, D]."""
     profile: tuple[Values, Values] | None = None

@@ -36,8 +36,14 @@ class Part:
     """Share of the posterior."""
     points: Matrix
     """Samples of it, shape [S, U]."""
+    shares: Row
+    """Of each of them in it, shape [S]."""
     threshold: float
     """Logarithm of the likelihood above which parameters lie in it."""
+
+    def half_widths_about(self, point: Row) -> Row:
+        """The same about another point [U], shape [U]."""
+        return half_widths(self.points, self.shares, point)
 
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
@@ -62,7 +68,8 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     number, label = connected_components(graph, directed=False)
     every = cKDTree(points / scale).query(samples.points / scale)[1]
     shares = np.array([samples.weights[label[every] == each].sum() for each in range(number)])
-    kept = [each for each in np.argsort(-shares) if shares[each] >= CONSTANTS.least_weight]
+    heaviest, *others = np.argsort(-shares)
+    kept = [heaviest, *(each for each in others if shares[each] >= CONSTANTS.smallest_weight)]
     found = []
     for each in kept:
         own = label[every] == each
@@ -81,12 +88,13 @@ def part(points: Matrix, weights: Row, density: Row, threshold: float, log_likel
         half_widths=half_widths(points, share, centre),
         weight=float(weights.sum()),
         points=points,
+        shares=share,
         threshold=threshold,
     )
 
 
 def half_widths(points: Matrix, share: Row, centre: Row) -> Row:
-    """The least half-widths about `centre` [U] that hold 95 % of samples [S, U] of weights [S], shape [U]."""
+    """The smallest half-widths about `centre` [U] that hold 95 % of samples [S, U] of weights [S], shape [U]."""
     off = np.abs(points - centre)
     order = np.argsort(off, axis=0)
     cumulated = np.cumsum(share[order], axis=0)

@@ -49,11 +49,15 @@ def linear(points: Matrix) -> Matrix:
     return np.concatenate([np.ones((len(points), 1)), points], axis=1)
 
 
+def squared_distance(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
+    """Between points [n, U] and [m, U] in units of `lengths` [U], shape [n, m]."""
+    a, b = one / lengths, other / lengths
+    return np.asarray(np.maximum((a**2).sum(1)[:, None] + (b**2).sum(1)[None] - 2.0 * a @ b.T, 0.0))
+
+
 def correlation(one: Matrix, other: Matrix, lengths: Matrix) -> Matrix:
     """Matern's correlation of order 5/2 between points [n, U] and [m, U], shape [n, m]; lengths: [U]."""
-    a, b = one / lengths, other / lengths
-    square = (a**2).sum(1)[:, None] + (b**2).sum(1)[None] - 2.0 * a @ b.T
-    distance = np.sqrt(5.0 * np.maximum(square, 0.0))
+    distance = np.sqrt(5.0 * squared_distance(one, other, lengths))
     return np.asarray((1.0 + distance + distance**2 / 3.0) * np.exp(-distance))
 
 
@@ -198,21 +202,26 @@ class Emulator:
             variances += share * each / own
         return errors, variances
 
-    def misjudged(self, points: Matrix) -> Matrix:
+    @cached_property
+    def _left_out_ratio(self) -> tuple[Matrix, Matrix]:
+        """Squared errors of the runs that are left out over their variances [n, r], and the widths of a mean [U]."""
+        count, unknowns = self.points.shape
+        errors, variances = self.left_out
+        widths = np.maximum(self.points.std(axis=0), 1e-9) * count ** (-1.0 / (unknowns + 4.0))
+        return errors**2 / np.maximum(variances, 1e-300), widths
+
+    def variance_ratio(self, points: Matrix) -> Matrix:
         """By which factor the variances around points [S, U] are larger than stated, shape [S, r].
 
         The mean squared error of the runs around that are left out, over its variance: where the flow changes more
-        abruptly or scatters more than elsewhere, they show it. Weights by Scott's rule (Multivariate density
-        estimation, 1992); `trusted` runs that are predicted as stated count besides them.
+        abruptly or scatters more than elsewhere, they show it. Gaussian weights by Scott's rule (Multivariate density
+        estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
         """
-        count, unknowns = self.points.shape
-        errors, variances = self.left_out
-        width = np.maximum(self.points.std(axis=0), 1e-9) * count ** (-1.0 / (unknowns + 4.0))
-        one, other = points / width, self.points / width
-        square = (one**2).sum(1)[:, None] + (other**2).sum(1)[None] - 2.0 * one @ other.T
-        near = np.exp(-0.5 * np.maximum(square, 0.0))
-        ratio = near @ (errors**2 / np.maximum(variances, 1e-300)) + CONSTANTS.trusted
-        return np.asarray(np.maximum(ratio / (near.sum(axis=1) + CONSTANTS.trusted)[:, None], CONSTANTS.best_judged))
+        ratios, widths = self._left_out_ratio
+        near = np.exp(-0.5 * squared_distance(points, self.points, widths))
+        total = near.sum(axis=1) + CONSTANTS.ratio_prior
+        mean = (near @ ratios + CONSTANTS.ratio_prior) / total[:, None]
+        return np.asarray(np.maximum(mean, CONSTANTS.smallest_ratio))
 
 
 def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear) -> Emulator:

@@ -5,7 +5,7 @@
 | symbol | variable | meaning |
 |---|---|---|
 | m, V | `Emulator.predict` | mean of the MPM over jitter seeds, and how little of it is known |
-| k | `Emulator.misjudged` | how much more than stated it errs around v |
+| k | `Emulator.variance_ratio` | how much more than stated it errs around v |
 | S | `Emulator.scatter` | scatter of one flow, as the target is one |
 | N | `Reduction.noise` | errors of the measurement |
 | D | `discretisation` | what the MPM's cells change, where the target is no flow on the same cells |
@@ -41,9 +41,9 @@ SMALLEST = 1e-4
 """Extent of a region at least, as a fraction of the range."""
 
 
-def enough(unknowns: int) -> int:
-    """Different places of runs that an emulator of so many parameters has at least."""
-    return math.ceil(CONSTANTS.fewest * (1 + unknowns)) + 2
+def fewest_runs(unknowns: int) -> int:
+    """Runs at different parameters that an emulator of so many of them has at least."""
+    return math.ceil(CONSTANTS.runs_per_coefficient * (1 + unknowns)) + 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,12 +57,12 @@ class Region:
 
     @staticmethod
     def around(samples: Samples) -> "Region":
-        """Around samples: their extent with `margin`; of more than `few` parameters `many` standard deviations."""
+        """Around samples: their extent with `margin`; of more than `few_parameters` some standard deviations."""
         low, high = samples.points.min(axis=0), samples.points.max(axis=0)
         more = CONSTANTS.margin * np.maximum(high - low, SMALLEST)
         low, high = low - more, high + more
-        if len(low) > CONSTANTS.few:
-            wide = CONSTANTS.many * np.sqrt(np.diag(samples.covariance)) + SMALLEST
+        if len(low) > CONSTANTS.few_parameters:
+            wide = CONSTANTS.region_deviations * np.sqrt(np.diag(samples.covariance)) + SMALLEST
             low, high = np.maximum(low, samples.mean - wide), np.minimum(high, samples.mean + wide)
         return Region(low=np.maximum(low, 0.0), high=np.minimum(high, 1.0))
 
@@ -74,8 +74,10 @@ class Region:
     def holds(self, points: Matrix) -> bool:
         """Whether few of the samples [S, U] lie at an edge that is no bound of the prior."""
         share = (points - self.low) / (self.high - self.low)
-        below = (np.mean(share < OUTERMOST, axis=0) > CONSTANTS.at_edge) & (self.low > 0.0)
-        above = (np.mean(share > 1.0 - OUTERMOST, axis=0) > CONSTANTS.at_edge) & (self.high < 1.0)
+        few = len(self.low) <= CONSTANTS.few_parameters
+        most = CONSTANTS.at_edge if few else CONSTANTS.at_edge_of_many
+        below = (np.mean(share < OUTERMOST, axis=0) > most) & (self.low > 0.0)
+        above = (np.mean(share > 1.0 - OUTERMOST, axis=0) > most) & (self.high < 1.0)
         return not bool(np.any(below | above))
 
     def inside(self, points: Matrix) -> NDArray[np.bool_]:
@@ -84,7 +86,7 @@ class Region:
 
     def suffices(self, points: Matrix) -> bool:
         """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
-        return len(np.unique(points[self.inside(points)], axis=0)) >= enough(points.shape[1])
+        return len(np.unique(points[self.inside(points)], axis=0)) >= fewest_runs(points.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,10 +103,13 @@ class Likelihood:
 
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
+        return student(*self.residual(points), self.freedom)
+
+    def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
         mean, variance = self.emulator.predict(points)
-        factor = self.emulator.misjudged(points)
-        single = np.diag(self.emulator.scatter)
-        return student(self.target - mean, self.fixed, factor * variance + (factor - 1.0) * single, self.freedom)
+        ratio = self.emulator.variance_ratio(points)
+        return self.target - mean, self.fixed, ratio * variance + (ratio - 1.0) * np.diag(self.emulator.scatter)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +129,12 @@ class Posterior:
         """Of the components."""
         return self.likelihood.emulator
 
+    def expected(self, points: Matrix) -> Matrix:
+        """The numbers that runs at points [S, U] are expected to show, shape [S, M]."""
+        return self.reduction.numbers(self.emulator.mean(points))
+
     @cached_property
-    def unsettled(self) -> float:
+    def emulator_share(self) -> float:
         """Share of the emulator in the variance of the residuals, over samples and components [-]."""
         every = max(1, len(self.samples.points) // 500)
         _, variance = self.emulator.predict(self.samples.points[::every])
@@ -134,7 +143,7 @@ class Posterior:
     @property
     def next_region(self) -> Region:
         """Around the samples, where the emulator hides most of the posterior; else as before: its slopes need room."""
-        return Region.around(self.samples) if self.unsettled > CONSTANTS.narrowed else self.region
+        return Region.around(self.samples) if self.emulator_share > CONSTANTS.narrow_above else self.region
 
 
 def posterior(
@@ -167,7 +176,7 @@ def posterior(
         if near.sum() > trend(points[:1]).shape[1] + 1
     ]
     emulator = min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2)))
-    single = emulator.scatter + np.diag((CONSTANTS.least_scatter * reduced.expected_scatter) ** 2)
+    single = emulator.scatter + np.diag((CONSTANTS.smallest_scatter * reduced.expected_scatter) ** 2)
     known = reduced.noise
     if discretisation is not None:
         shift = (discretisation * reduced.weights) @ reduced.basis
@@ -201,9 +210,9 @@ def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> Row:
     """Standard deviation from flow to flow of each component [n, r], by runs at the same of the points [n, U].
 
-    Repeated runs are few: each component counts with `shared` further degrees of freedom of all together, as all are in
-    units of the scatter that was expected. It is `least_scatter` of that, `expected` [r], at least; and that where no
-    runs are repeated.
+    Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
+    are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
+    where no runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
@@ -212,8 +221,10 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> Row:
     means = np.zeros((len(count), components.shape[1]))
     np.add.at(means, label, components)
     square = ((components - (means / count[:, None])[label]) ** 2).sum(axis=0)
-    total = square + CONSTANTS.shared * square.mean() / freedom
-    return np.asarray(np.maximum(np.sqrt(total / (freedom + CONSTANTS.shared)), CONSTANTS.least_scatter * expected))
+    total = square + CONSTANTS.scatter_prior * square.mean() / freedom
+    return np.asarray(
+        np.maximum(np.sqrt(total / (freedom + CONSTANTS.scatter_prior)), CONSTANTS.smallest_scatter * expected)
+    )
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:
@@ -221,9 +232,9 @@ def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matri
 
     One after the other where it is largest, given those before (MacKay, Information-based objective functions for
     active data selection, Neural Comput. 4 (1992) 590-604); over all components, each by its scatter and noise. Of more
-    than `few` parameters evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
+    than `few_parameters` evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
     """
-    if found.samples.points.shape[1] > CONSTANTS.few:
+    if found.samples.points.shape[1] > CONSTANTS.few_parameters:
         region = found.next_region
         cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
         return np.asarray(region.low + (region.high - region.low) * cube)

@@ -43,6 +43,10 @@ class Reduction:
         """Components [..., r] of numbers [..., M]."""
         return np.asarray(((numbers - self.mean) * self.weights) @ self.basis)
 
+    def numbers(self, components: Matrix) -> Matrix:
+        """The numbers [..., M] that components [..., r] stand for."""
+        return np.asarray(components @ self.basis.T / self.weights + self.mean)
+
 
 def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) -> Reduction:
     """By runs at points [n, U] that show `numbers` [n, M]; scatter: expected deviation of each number per flow [M]."""

@@ -19,13 +19,13 @@ class Constants:
     scatter_spread: float = 0.7
     """Standard deviation of the logarithm of a component's scatter around that of runs that are repeated: a factor of
     two."""
-    shared: float = 2.0
+    scatter_prior: float = 2.0
     """Degrees of freedom that all components together add to the scatter of each."""
-    least_scatter: float = 0.02
+    smallest_scatter: float = 0.02
     """Of the scatter that is expected, where runs show none: no flow is known better than to rounding and step."""
-    trusted: float = 4.0
-    """Runs that are predicted as stated, besides those around: the squares of few errors are uncertain."""
-    best_judged: float = 0.9
+    ratio_prior: float = 4.0
+    """Runs predicted as stated that count besides those around: the squares of few errors are uncertain."""
+    smallest_ratio: float = 0.9
     """Factor of a variance at least, however well the runs around are predicted."""
     separate_lengths: int = 8
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
@@ -49,7 +49,7 @@ class Constants:
     """Of every interval and region."""
     neighbours: int = 15
     """Samples that each is joined with, where the segment between them stays in the region."""
-    least_weight: float = 0.02
+    smallest_weight: float = 0.02
     """Weight of a separate part of the region below which it is no answer."""
     most_of_the_prior: float = 0.6
     """Length of an interval over the range between the bounds, above which a parameter is not identifiable."""
@@ -58,26 +58,27 @@ class Constants:
     first_runs: int = 6
     """Runs that fill the box evenly, besides `first_per_unknown`."""
     first_per_unknown: int = 2
-    """Of each parameter: a line through its ends."""
+    """Of each parameter: as many as a straight line has coefficients."""
     wave: int = 2
     """Runs of a wave besides one for each parameter and `repeats`: as many as two cores make in a second."""
     repeats: int = 3
-    """Runs of a wave at one place, the mean of the posterior so far: their scatter is the flow's alone."""
-    narrowed: float = 0.5
+    """Runs of a wave at the same parameters, the mean of the posterior so far: their scatter is the flow's alone."""
+    narrow_above: float = 0.5
     """Share of the emulator in the variance of the residuals, above which the region narrows."""
-    settled: float = 0.15
+    converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
     margin: float = 0.25
     """Of the extent of the samples, on either side, up to which the next ones lie and runs count."""
-    at_edge: float = 0.3
-    """Share of samples in the outermost tenth of that extent on a side, above which it was too narrow: three times that
-    of even ones."""
-    few: int = 6
+    at_edge: float = 0.02
+    """Share of samples in the outermost tenth of that extent on a side, above which it was too narrow."""
+    at_edge_of_many: float = 0.3
+    """The same of more than `few_parameters`, whose region is narrow on purpose: three times that of even samples."""
+    few_parameters: int = 6
     """Parameters up to which runs go where the emulator's variance is largest; of more they fill the region evenly."""
-    many: float = 2.5
-    """Standard deviations within which the next samples of more than `few` parameters lie: what is unknown between few
+    region_deviations: float = 2.5
+    """Standard deviations within which the next samples of more than `few_parameters` lie: what is unknown between few
     runs fills most of a box of many dimensions, and the emulator is the simpler the smaller that is."""
-    fewest: float = 2.0
+    runs_per_coefficient: float = 2.0
     """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator: runs
     far from it would have most of the leverage."""
     checks: int = 4

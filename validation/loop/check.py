@@ -1,6 +1,5 @@
 """Runs of the MPM at chosen parameters, compared with the target; and what a loop is given."""
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ from inverse.observations import Observation, Target, Values
 from inverse.optimise import Bounds
 from inverse.parameters import Vector
 from inverse.posterior.emulator import Matrix
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.result import Purpose
 from mpm import ALL, LAST, Recording, simulate_many
@@ -82,32 +82,34 @@ class Task:
         """Parameters [..., U] in fractions of their ranges."""
         return np.asarray((parameters - self.bounds.lower) / self.bounds.range)
 
+    def values(self, points: Matrix) -> Matrix:
+        """Parameters at points [..., U] of the unit box."""
+        return np.asarray(self.bounds.lower + points * self.bounds.range)
+
     def at(self, points: Matrix) -> list[Vector]:
         """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
         digits = 6 - np.ceil(np.log10(self.bounds.range)).astype(int)
-        values = self.bounds.lower + points * self.bounds.range
         return [
             self.bounds.clip(
                 np.array([round(float(each), int(count)) for each, count in zip(row, digits, strict=True)])
             )
-            for row in values
+            for row in self.values(points)
         ]
 
     def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[Check, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
         locations = self.at(points)
         scenes = [self.problem.scene_at(each, self.seed(first + index)) for index, each in enumerate(locations)]
+        return self.compared(locations, scenes, purpose)
+
+    def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[Check, ...]:
+        """Runs of `scenes`, which have the parameters `locations`, compared with the target."""
         flows = RunStore(self.folder, self.simulate, label=f"{purpose}-")(scenes, record=self.recorded)
         return tuple(self.compare(location, flow, purpose) for location, flow in zip(locations, flows, strict=True))
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""
         return int(np.random.SeedSequence([self.problem.scene.seed, number]).generate_state(1)[0])
-
-    def observed(self, scenes: Sequence[Scene]) -> list[Values]:
-        """What runs of `scenes` show, which count neither as checks nor for the emulator."""
-        runs = RunStore(self.folder, self.simulate, label="coarse-")(scenes, record=self.recorded)
-        return [self.observation.observe(each) for each in runs]
 
     def compare(self, parameters: Vector, trajectory: Trajectory, purpose: Purpose) -> Check:
         """A run at `parameters`, compared with the target."""
@@ -127,6 +129,7 @@ class Task:
         """Random numbers of a step, the same after a restart."""
         return np.random.default_rng([self.problem.optimiser.seed, number])
 
-    def with_target(self, value: float) -> Target:
-        """Of a design: the target with the least value that is expected anywhere."""
-        return dataclasses.replace(self.target, values=np.array([value]))
+    @property
+    def checks(self) -> int:
+        """Runs of the budget that are left for an answer; of a design as many at its start."""
+        return CONSTANTS.checks * (2 if self.problem.target.minimise else 1)

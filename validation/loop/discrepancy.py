@@ -73,7 +73,7 @@ def discrepancy(task: Task, found: Sequence[Check], around: Sequence[Check]) -> 
         return None
     across = numbers - basis @ np.linalg.lstsq(basis, numbers, rcond=None)[0]
     spread = across * math.sqrt((len(points) - 1) / free)
-    noise = np.hypot(noise, CONSTANTS.least_scatter * float(task.scatter.mean()))
+    noise = np.hypot(noise, CONSTANTS.smallest_scatter * float(task.scatter.mean()))
     return compare(residual, noise, spread, len(task.problem.parameters), runs=len(found))
 
 

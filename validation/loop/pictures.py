@@ -7,6 +7,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from inverse.observations.profile import Profile
+from inverse.posterior.settings import CONSTANTS
 from inverse.report.pictures import COLOURS, WIDTH, save
 from validation.loop.result import Result
 
@@ -78,7 +79,7 @@ def draw_predictive(path: Path, result: Result) -> None:
     scene, state, target = result.problem.scene, result.outcome.state, result.target
     profile = Profile(scene, 2.0 * scene.domain.cell)
     log_likelihood = state.posterior.likelihood(state.points)
-    threshold = float(np.quantile(state.posterior.samples.log_likelihood, 0.05))
+    threshold = float(np.quantile(state.posterior.samples.log_likelihood, 1.0 - CONSTANTS.credible))
     inside = [run for run, each in zip(state.runs, log_likelihood, strict=True) if each >= threshold]
     inside = inside or list(result.outcome.answers[0].checks)
     heights = np.stack([profile.heights(run.trajectory.positions[-1]) for run in inside])

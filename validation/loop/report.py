@@ -1,17 +1,14 @@
 """`report.md` of a loop: conclusion, answers, comparison with the target, uncertainty, what would decide, cost."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from datasets import measures
 from datasets.exchange.vtk import SERIES, frames_of, write_vtk
 from inverse.observations import Values
 from inverse.observations.joint import Joint
 from inverse.parameters import Kind
-from inverse.posterior.information import Information, information, measurements
 from inverse.report import pictures
 from inverse.report.markdown import OBSERVATION, answer, found_picture, markdown_table, observation_row, question
 from inverse.result import Purpose, Verdict, peak_memory_mib
@@ -29,7 +26,7 @@ EVERY = 4
 RATE = 25
 """Frames of the movie a second: a quarter of real speed."""
 SUGGESTED = 3
-"""Measurements that are named."""
+"""Measurements that the conclusion names."""
 
 
 def write(result: Result, folder: Path) -> None:
@@ -41,11 +38,11 @@ def write(result: Result, folder: Path) -> None:
 def page(result: Result, folder: Path) -> Page:
     """The report; `folder` is where its pictures are."""
     problem = result.problem
-    further = informative(result)
+    further = result.further
     report = Page(
         f"{problem.name}: {result.verdict}",
         command=f"python -m validation.loop {problem.name} --out {folder}",
-        conclusion=[sentence for sentence in conclusion(result, further) if sentence],
+        conclusion=[sentence for sentence in conclusion(result) if sentence],
         packages=MPM | GNS,
     )
     report.text(question(problem))
@@ -77,7 +74,15 @@ def page(result: Result, folder: Path) -> Page:
     runs = [sum(each.purpose is purpose for each in result.mpm_runs) for purpose in Purpose]
     report.text(
         markdown_table(
-            ["MPM runs in waves", "at answers", "at the start", "seconds in the MPM", "in all", "peak memory"],
+            [
+                "MPM runs in waves",
+                "at answers",
+                "at the start",
+                "on larger cells",
+                "seconds in the MPM",
+                "in all",
+                "peak memory",
+            ],
             [
                 [
                     *map(str, runs),
@@ -91,11 +96,11 @@ def page(result: Result, folder: Path) -> Page:
     return report
 
 
-def conclusion(result: Result, further: Sequence[Information]) -> list[str]:
+def conclusion(result: Result) -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     seconds = f"{result.mpm_seconds:.1f} s in the MPM, {result.total_seconds:.1f} s in all"
     price = f"Cost: {len(result.mpm_runs)} MPM runs, {seconds}."
-    return [verdict(result), parameters(result), equifinality(result, further), quality(result), price]
+    return [verdict(result), parameters(result), equifinality(result), quality(result), price]
 
 
 def verdict(result: Result) -> str:
@@ -103,7 +108,7 @@ def verdict(result: Result) -> str:
     first = result.outcome.answers[0]
     runs = len(first.checks)
     which = "the MPM run nearest to the answer" if runs == 1 else f"the mean of {runs} MPM runs at the answer"
-    if result.begun:
+    if result.problem.target.minimise:
         now, before = (
             100.0 * float(first.observation[0]),
             100.0 * float(np.mean([e.observation[0] for e in result.begun])),
@@ -113,7 +118,7 @@ def verdict(result: Result) -> str:
     count = len(result.outcome.answers)
     words = {
         Verdict.CONFIRMED: "The MPM confirms",
-        Verdict.AMBIGUOUS: f"Ambiguous: the MPM meets the target with {count} separate answers"
+        Verdict.AMBIGUOUS: f"Ambiguous: {count} separate answers"
         if count > 1
         else "Ambiguous: the MPM meets the target with a whole range of parameters",
         Verdict.UNCONFIRMED: "The MPM does not confirm",
@@ -163,7 +168,7 @@ def parameters(result: Result) -> str:
     return f"{'; or '.join(texts)} ({meaning})."
 
 
-def equifinality(result: Result, further: Sequence[Information]) -> str:
+def equifinality(result: Result) -> str:
     """What the observation does not constrain, and which measurement would."""
     if result.problem.target.minimise:
         return ""
@@ -175,8 +180,8 @@ def equifinality(result: Result, further: Sequence[Information]) -> str:
             f"Not identifiable: {', '.join(f'`{name}`' for name in names)}; "
             f"constrained: {'; '.join(known) or 'nothing'}"
         )
-    if further:
-        best = ", ".join(each.name for each in further[:SUGGESTED])
+    if result.further:
+        best = ", ".join(each.name for each in result.further[:SUGGESTED])
         parts.append(f"most would be decided by {best}")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else ""
@@ -256,32 +261,13 @@ def brief(values: Values) -> str:
     return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
 
 
-def informative(result: Result) -> list[Information]:
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
-    if result.verdict is not Verdict.AMBIGUOUS:
-        return []
-    state, scene = result.outcome.state, result.problem.scene
-    runs = [run for run, near in zip(state.runs, state.posterior.near, strict=True) if near]
-    extent = max(measures.front(run.trajectory.positions[-1]) for run in runs)
-    shown = [measurements(scene, run.trajectory.positions[-1], extent) for run in runs]
-    # That of the target is known.
-    known = {"the front"} if math.isfinite(result.target.front) else set()
-    by_name = {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known}
-    points = state.points[state.posterior.near]
-    found = information(
-        points, by_name, state.posterior.samples, cell=scene.domain.cell, rng=state.task.generator(len(state.runs))
-    )
-    return found[: 2 * SUGGESTED]
-
-
 def search(result: Result) -> list[str]:
     """Every wave, and every MPM run at an answer."""
     state, kinds = result.outcome.state, {each.name: each.kind for each in result.problem.parameters}
     names = result.problem.names if len(result.problem.names) <= NAMED else []
-    lower, upper = np.array(result.problem.bounds).T
     rows = []
     for wave in state.waves:
-        mean, deviation = lower + wave.mean * (upper - lower), wave.deviation * (upper - lower)
+        mean, deviation = state.task.values(wave.mean), wave.deviation * state.task.bounds.range
         rows.append(
             [
                 str(wave.runs),
@@ -289,14 +275,14 @@ def search(result: Result) -> list[str]:
                     f"{_number(kinds[n], m)} ± {_number(kinds[n], d)}"
                     for n, m, d in zip(names, mean, deviation, strict=False)
                 ),
-                f"{wave.unsettled:.2g}",
+                f"{wave.emulator_share:.2g}",
                 "yes" if wave.with_surrogate else "no",
             ]
         )
     head = [
         "MPM runs",
         *(f"`{name}`, mean ± standard deviation" for name in names),
-        "unsettled",
+        "emulator's share",
         "surrogate in the trend",
     ]
     checks = [each for each in result.mpm_runs if each.purpose is not Purpose.WAVE]
@@ -314,7 +300,7 @@ def search(result: Result) -> list[str]:
     columns = ["MPM run", *(f"`{name}`" for name in names), "distance to the target", "front [m]", "seconds", "file"]
     return [
         f"Surrogate: {result.surrogate}.",
-        "*Unsettled* is the emulator's share in the variance of the residuals, on average over the posterior.",
+        "The emulator's share is that in the variance of the residuals, on average over the posterior.",
         markdown_table(head, rows),
         markdown_table(columns, cells),
         "All runs are in `result.json`, the samples in `posterior.npz`.",
@@ -356,7 +342,5 @@ def append_final_run(result: Result, folder: Path, *, vtk: bool, movie: bool) ->
 
 def summary(result: Result) -> str:
     """The outcome for the terminal: the conclusion of the report."""
-    lines = [
-        sentence.replace("**", "").replace("`", "") for sentence in conclusion(result, informative(result)) if sentence
-    ]
+    lines = [sentence.replace("**", "").replace("`", "") for sentence in conclusion(result) if sentence]
     return "\n".join([f"{result.problem.name}: {result.verdict}", *(f"  {line}" for line in lines)])

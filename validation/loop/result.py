@@ -1,6 +1,8 @@
 """The result of a loop: what `result.json` and `posterior.npz` hold, and pictures of what was found."""
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,28 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from datasets import measures
 from datasets.files import replacing, write_json
-from inverse.posterior.settings import CONSTANTS
+from inverse.posterior.answers import half_widths
+from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem
-from inverse.result import Combination, Found, Purpose, RunRecord, combinations_record, peak_memory_mib, plain
+from inverse.result import (
+    Combination,
+    Found,
+    Purpose,
+    RunRecord,
+    Verdict,
+    combinations_record,
+    peak_memory_mib,
+    plain,
+)
 from validation.loop.check import Check
 from validation.loop.verdict import Outcome
 from validation.runs import SHARE
 
 OBSERVED, FOUND = "black", "tab:red"
+SUGGESTED = 6
+"""Measurements that are suggested."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +71,7 @@ class Result(Found):
     @property
     def samples(self) -> NDArray[np.float64]:
         """Of the posterior, in the units of the parameters' names, shape [S, U]."""
-        lower, upper = np.array(self.problem.bounds).T
-        return np.asarray(lower + self.outcome.state.posterior.samples.points * (upper - lower))
+        return self.outcome.state.task.values(self.outcome.state.posterior.samples.points)
 
     @property
     def answers(self) -> list[dict[str, Any]]:
@@ -75,22 +89,45 @@ class Result(Found):
     @property
     def combinations(self) -> list[Combination]:
         """The principal directions of the posterior, best known first, in fractions of the ranges."""
-        values, vectors = np.linalg.eigh(self.outcome.state.posterior.samples.covariance)
-        deviations = np.sqrt(np.maximum(values, 0.0))
+        samples = self.outcome.state.posterior.samples
+        _, vectors = np.linalg.eigh(samples.covariance)
+        widths = half_widths(samples.points @ vectors, samples.weights, samples.mean @ vectors)
         return [
             Combination(
-                weights=self.problem.named(vector * np.sign(vector[np.argmax(np.abs(vector))])),
-                half_width=float(min(1.96 * deviation, 0.5 * CONSTANTS.credible)),
+                weights=self.problem.named(vector * np.sign(vector[np.argmax(np.abs(vector))])), half_width=float(width)
             )
-            for deviation, vector in zip(deviations, vectors.T, strict=True)
+            for width, vector in zip(widths, vectors.T, strict=True)
         ]
+
+    @cached_property
+    def further(self) -> list[Information]:
+        """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+        if self.verdict is not Verdict.AMBIGUOUS:
+            return []
+        state, scene = self.outcome.state, self.problem.scene
+        deposits = [
+            run.trajectory.positions[-1] for run, near in zip(state.runs, state.posterior.near, strict=True) if near
+        ]
+        extent = max(measures.front(deposit) for deposit in deposits)
+        shown = [measurements(scene, deposit, extent) for deposit in deposits]
+        # That of the target is known.
+        known = {"the front"} if math.isfinite(self.target.front) else set()
+        found = information(
+            state.points[state.posterior.near],
+            {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known},
+            state.posterior.samples,
+            cell=scene.domain.cell,
+            rng=state.task.generator(len(state.runs)),
+        )
+        return found[:SUGGESTED]
 
     def save(self, folder: Path | str) -> None:
         """Write `result.json`, `posterior.npz`, `report.md`, its pictures and, where they lack, the MPM runs."""
         from validation.loop import report  # It draws results.
 
         folder = Path(folder)
-        for record, check in zip(self.mpm_runs, self.outcome.state.runs, strict=True):
+        state = self.outcome.state
+        for record, check in zip(self.mpm_runs, (*state.runs, *state.coarse), strict=True):
             if not (folder / record.file).exists():
                 check.trajectory.save(folder / record.file)
         self.write(folder)
@@ -99,10 +136,10 @@ class Result(Found):
     def write(self, folder: Path) -> None:
         """Write `posterior.npz` and `result.json` into `folder`."""
         found, raw = self.outcome.state.posterior, self.target.observation.raw
-        with replacing(folder / "posterior.npz") as part, part.open("wb") as file:
-            names = np.array(self.problem.names, dtype=np.str_)
-            np.savez_compressed(file, names=names, samples=self.samples, weights=found.samples.weights)
-        fit = self.outcome.discrepancy
+        names = np.array(self.problem.names, dtype=np.str_)
+        with replacing(folder / "posterior.npz") as part:
+            np.savez_compressed(part, names=names, samples=self.samples, weights=found.samples.weights)
+        fit, task = self.outcome.discrepancy, self.outcome.state.task
         write_json(
             folder / "result.json",
             {
@@ -125,9 +162,9 @@ class Result(Found):
                 "iterations": [
                     {
                         "mpm_runs": each.runs,
-                        "mean": self.problem.named(self._in_units(each.mean)),
-                        "deviation": self.problem.named(each.deviation * self._ranges),
-                        "unsettled": each.unsettled,
+                        "mean": self.problem.named(task.values(each.mean)),
+                        "deviation": self.problem.named(each.deviation * task.bounds.range),
+                        "emulator_share": each.emulator_share,
                         "with_surrogate": each.with_surrogate,
                     }
                     for each in self.outcome.state.waves
@@ -142,14 +179,6 @@ class Result(Found):
                 "peak_memory_mib": peak_memory_mib(),
             },
         )
-
-    @property
-    def _ranges(self) -> NDArray[np.float64]:
-        lower, upper = np.array(self.problem.bounds).T
-        return np.asarray(upper - lower)
-
-    def _in_units(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.array(self.problem.bounds).T[0] + point * self._ranges)
 
     def plot(self) -> Figure:
         """The deposit observed and found, and the answers with their half-widths within their bounds."""

@@ -1,4 +1,4 @@
-"""The search: runs of the MPM where they narrow the posterior most, until they would not make it much narrower.
+"""The search: runs of the MPM where they narrow the posterior most, until more of them would hardly narrow it.
 
 First runs fill the box. Then, in waves: the emulator of all runs around the posterior so far, its posterior, and runs
 where the emulator's variance hides most of it (`inverse.posterior`). A wave costs seconds, so that none is too many.
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from inverse.observations import Values
+from inverse.observations import Target, Values
 from inverse.posterior.emulator import Matrix, linear
-from inverse.posterior.posterior import Posterior, Region, enough, next_points, posterior
+from inverse.posterior.posterior import Posterior, Region, fewest_runs, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.result import Purpose
 from validation.loop.check import Check, Task
@@ -30,8 +30,8 @@ class Wave:
     """Of the posterior, in fractions of the ranges, shape [U]."""
     deviation: Values
     """Standard deviation of it, shape [U]."""
-    unsettled: float
-    """`Posterior.unsettled`."""
+    emulator_share: float
+    """`Posterior.emulator_share`."""
     with_surrogate: bool
     """Whether a surrogate is in the emulator's trend."""
 
@@ -47,8 +47,10 @@ class Search:
     found: Posterior | None = None
     factor: float = 1.0
     """Of the discrepancy."""
+    coarse: tuple[Check, ...] = ()
+    """Runs at an answer on cells twice as large, which are no part of the emulator."""
     discretisation: Values | None = None
-    """What the cells change, shape [M]."""
+    """What these change of the numbers there, shape [M]."""
 
     @property
     def left(self) -> int:
@@ -96,7 +98,7 @@ class Search:
             runs=len(state.runs),
             mean=found.samples.mean,
             deviation=np.sqrt(np.diag(found.samples.covariance)),
-            unsettled=found.unsettled,
+            emulator_share=found.emulator_share,
             with_surrogate=found.emulator.trend is not linear,
         )
         return dataclasses.replace(state, found=found, waves=(*state.waves, wave))
@@ -107,35 +109,33 @@ class Search:
             return None
         return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
 
-    def target_so_far(self) -> Any:
-        """The target; of a design the least value that is expected at any run, as the runs so far have it."""
-        task = self.task
-        if not task.problem.target.minimise:
-            return task.target
-        if self.found is None:
-            return task.with_target(float(self.numbers.min()))
-        reduced = self.found.reduction
-        expected = self.found.emulator.mean(self.points) @ reduced.basis.T / reduced.weights + reduced.mean
-        return task.with_target(float(expected.min()))
+    def target_so_far(self) -> Target:
+        """The target; of a design the smallest number that is expected at any of the runs so far."""
+        if not self.task.problem.target.minimise:
+            return self.task.target
+        expected = self.numbers if self.found is None else self.found.expected(self.points)
+        return dataclasses.replace(self.task.target, values=expected.min(axis=0))
 
 
 def first(task: Task) -> Search:
-    """The runs that fill the box."""
+    """The runs that fill the box, and some in its middle; as many as an emulator must have of a small budget."""
     unknowns = len(task.problem.parameters)
     count = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns
+    repeats = CONSTANTS.repeats
+    if count + repeats > task.budget - task.checks:
+        count, repeats = max(unknowns + 3, task.budget - task.checks), 0
     cube = qmc.LatinHypercube(unknowns, rng=task.generator(0), optimization="random-cd").random(count)
-    middle = np.full((CONSTANTS.repeats, unknowns), 0.5)
+    middle = np.full((repeats, unknowns), 0.5)
     return Search(task=task).ran(np.concatenate([cube, middle]), Purpose.WAVE)
 
 
 def searched(state: Search, surrogate: Surrogate | None = None) -> Search:
-    """Run the MPM in waves until the posterior is settled; runs for checks of an answer are left over."""
+    """Run the MPM in waves until the emulator's share is small; runs for checks of an answer are left over."""
     state = dataclasses.replace(state, surrogate=surrogate).inferred()
-    unknowns = len(state.task.problem.parameters)
-    size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few else enough(unknowns)
-    while state.posterior.unsettled > CONSTANTS.settled and state.left > CONSTANTS.repeats + CONSTANTS.checks:
-        count = min(size, state.left - CONSTANTS.repeats - CONSTANTS.checks)
-        points = next_points(state.posterior, count, state.task.generator(len(state.runs)))
+    unknowns, spared = len(state.task.problem.parameters), CONSTANTS.repeats + state.task.checks
+    size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
+    while state.posterior.emulator_share > CONSTANTS.converged and state.left > spared:
+        points = next_points(state.posterior, min(size, state.left - spared), state.task.generator(len(state.runs)))
         repeated = np.repeat(state.posterior.samples.mean[None], CONSTANTS.repeats, axis=0)
         state = state.ran(np.concatenate([repeated, points]), Purpose.WAVE).inferred()
     return state

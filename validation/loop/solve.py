@@ -62,16 +62,16 @@ def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surroga
     """Search, check the answers, judge; load: in place of the learned surrogate."""
     began = time.perf_counter()
     state = first(task)
-    mpm_seconds = float(np.mean([each.trajectory.summary[SHARE] for each in state.runs]))
+    # The first of them compiled the kernels.
+    mpm_seconds = float(np.median([each.trajectory.summary[SHARE] for each in state.runs]))
     predictions, reason = surrogate.choose(task, mpm_seconds, model=model, load=load)
     if predictions is not None:
         print(f"the surrogate is in the emulator's trend: {reason}", file=sys.stderr)
     outcome = concluded(searched(state, predictions))
-    runs = outcome.state.runs
     store = RunStore(task.folder, task.simulate)
     records = [
         record(task.problem, each, f"{task.folder.name}/{store.file(each.trajectory, task.recorded).name}")
-        for each in runs
+        for each in (*outcome.state.runs, *outcome.state.coarse)
     ]
     return Result(
         problem=task.problem,

@@ -52,8 +52,6 @@ class Surrogate:
     """In fractions of the ranges, shape [s, U]."""
     numbers: Matrix
     """Its observations, shape [s, m]."""
-    seconds: float
-    """Of a prediction."""
 
     @cached_property
     def emulator(self) -> Emulator:
@@ -69,13 +67,13 @@ class Surrogate:
         return np.concatenate([linear(points), self.emulator.mean(points)], axis=1)
 
 
-def asked(task: Task, forward: Forward, *, count: int, first: float) -> Surrogate:
-    """Predictions of `forward` at `count` points that fill the box; first: seconds of one."""
+def asked(task: Task, forward: Forward, count: int) -> Surrogate:
+    """Predictions of `forward` at `count` points that fill the box."""
     unknowns = len(task.problem.parameters)
     points = qmc.LatinHypercube(unknowns, rng=task.generator(1), optimization="random-cd").random(count)
     locations = tqdm(task.at(points), desc="surrogate", unit="prediction", leave=False, disable=None)
     numbers = [forward.observe([each])[0] for each in locations]
-    return Surrogate(points=points, numbers=np.stack(numbers), seconds=first)
+    return Surrogate(points=points, numbers=np.stack(numbers))
 
 
 def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) -> tuple[Surrogate | None, str]:
@@ -104,10 +102,10 @@ def choose(task: Task, mpm_seconds: float, *, model: Path | None, load: Load) ->
     first = time.perf_counter() - began
     price = f"{count} predictions of {first:.2f} s for {saved} runs of {mpm_seconds:.2f} s"
     if requested is Requested.GNS:
-        return asked(task, forward, count=count, first=first), f"the problem asks for it ({price})"
+        return asked(task, forward, count), f"the problem asks for it ({price})"
     if count * first > SAVES * saved * mpm_seconds:
         return None, f"it would cost more than it saves ({price})"
-    return asked(task, forward, count=count, first=first), f"it is cheaper ({price})"
+    return asked(task, forward, count), f"it is cheaper ({price})"
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:

@@ -16,7 +16,7 @@ def uncertainty(result: Result) -> list[str]:
         f"An emulator of {int(found.near.sum())} of the {len(state.runs)} MPM runs, each with a jitter seed of its "
         f"own, gives the posterior over the whole box (uniform prior between the bounds). Two runs at the answer "
         f"differ by {scatter} (root mean square); the target scatters like one. What the emulator does not know is "
-        f"{100.0 * found.unsettled:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
+        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     ]
     if result.problem.target.minimise:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from datasets.errors import InputError
@@ -86,7 +85,7 @@ class Outcome:
 
     state: Search
     answers: tuple[Answer, ...]
-    """Heaviest first."""
+    """Those that the MPM confirms first, then by weight."""
     verdict: Verdict
     discrepancy: Discrepancy | None = None
     """Of the first answer; absent where no numbers are left over for it."""
@@ -98,13 +97,14 @@ def concluded(state: Search) -> Outcome:
         return of_design(state)
     excluded = is_excluded(state)
     state, found = checked(state)
-    change = cells_change(state.task, found[0])
-    if change is not None:
-        state, found = checked(state.inferred(discretisation=change))
-    fit = discrepancy(state.task, found[0].checks, residuals_of_runs(state))
+    if coarse := on_coarse_cells(state.task, found[0]):
+        change = np.mean([each.observation for each in coarse], axis=0) - found[0].observation
+        state, found = checked(state.inferred(coarse=coarse, discretisation=change))
+    around = [each for each, near in zip(state.runs, state.posterior.near, strict=True) if near]
+    fit = discrepancy(state.task, found[0].checks, around)
     if fit is not None and fit.factor > 1.0 and not excluded:
         state = state.inferred(factor=fit.factor)
-        found = tuple(each for each in matched(state, found) if each.weight > 0.0) or found
+        found = answers_of(state, separate(state))
     return Outcome(state=state, answers=found, verdict=judge(state.task, found, excluded=excluded), discrepancy=fit)
 
 
@@ -115,7 +115,7 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
         locations = [each.point for each in found if not is_checked(state, each)]
         if not locations:
             answers = answers_of(state, found)
-            if any(each.confirms(state.task) for each in answers):
+            if answers[0].confirms(state.task):
                 break
             # Where the mean of few runs is not near enough, that of more may be.
             locations = [state.task.unit(answers[0].parameters)]
@@ -163,68 +163,46 @@ def is_checked(state: Search, part: Part) -> bool:
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
-    """The answer in each part: where it was checked, else where a run is nearest to its point."""
+    """The answer in each part: where it was checked, else where a run is nearest; those first that the MPM confirms."""
     task, answers = state.task, []
     for part in found:
         own = checks_of(state, part) or [state.runs[int(np.argmin(distances(state, state.runs, part)))]]
         location = own[0].parameters
-        share = np.full(len(part.points), 1.0 / len(part.points))
-        widths = half_widths(part.points, share, task.unit(location)) * task.bounds.range
+        widths = part.half_widths_about(task.unit(location)) * task.bounds.range
         answers.append(Answer(parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own)))
-    return tuple(answers)
+    return tuple(sorted(answers, key=lambda each: not each.confirms(task)))
 
 
-def matched(state: Search, before: Sequence[Answer]) -> tuple[Answer, ...]:
-    """Answers of a new posterior: those of before with its weights and half-widths about the same parameters."""
-    task, found = state.task, separate(state)
-    result = []
-    for part in found:
-        scale = np.maximum(part.half_widths, 1e-6)
-        nearest = min(before, key=lambda each: float(np.max(np.abs(task.unit(each.parameters) - part.point) / scale)))
-        share = np.full(len(part.points), 1.0 / len(part.points))
-        widths = half_widths(part.points, share, task.unit(nearest.parameters)) * task.bounds.range
-        result.append(dataclasses.replace(nearest, half_widths=widths, weight=part.weight))
-    return tuple(result)
+def on_coarse_cells(task: Task, answer: Answer) -> tuple[Check, ...]:
+    """Runs at an answer on cells twice as large, for a target that is no flow on the cells of the scene.
 
-
-def cells_change(task: Task, answer: Answer) -> Values | None:
-    """What the MPM's cells do to the numbers at an answer [M], for a target that no flow on the same cells has made.
-
-    The difference from runs on cells twice as large is, to first order, the error of the cells used (Roache,
-    Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413).
-    None for a twin, and where the box does not divide into such cells.
+    What they change is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
+    reporting of grid refinement studies, J. Fluids Eng. 116 (1994) 405-413). None where the numbers are those of single
+    particles, and where the box does not divide into such cells.
     """
     scene = task.problem.scene_at(answer.parameters)
-    if task.problem.target.twin or task.observation.every_particle:
-        return None
+    if task.target.cell == scene.domain.cell or task.observation.every_particle:
+        return ()
     try:
         domain = dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell)
         scenes = [dataclasses.replace(scene, domain=domain, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
-        return None
-    return np.asarray(np.mean(task.observed(scenes), axis=0) - answer.observation)
-
-
-def residuals_of_runs(state: Search) -> list[Check]:
-    """The runs around the posterior."""
-    return [each for each, near in zip(state.runs, state.posterior.near, strict=True) if near]
+        return ()
+    return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)
 
 
 def is_excluded(state: Search) -> bool:
     """Whether the likeliest parameters of all leave more than scatter and noise explain."""
     found = state.posterior
     best = found.samples.points[[int(np.argmax(found.samples.log_likelihood))]]
-    mean, variance = found.emulator.predict(best)
-    whole = found.likelihood.fixed + np.diag(variance[0])
-    residual = found.likelihood.target - mean[0]
-    square = float(residual @ np.linalg.solve(whole, residual))
+    (residual,), fixed, (variance,) = found.likelihood.residual(best)
+    square = float(residual @ np.linalg.solve(fixed + np.diag(variance), residual))
     return float(chi2.sf(square, len(residual))) < EXCLUDED
 
 
 def judge(task: Task, answers: Sequence[Answer], *, excluded: bool) -> Verdict:
-    """The verdict on the answers, heaviest first."""
-    confirmed = [each for each in answers if each.confirms(task)]
-    if not confirmed:
+    """The verdict on the answers, in their order."""
+    if not answers[0].confirms(task):
         return Verdict.UNREACHABLE if excluded and is_out_of_bounds(task, answers[0]) else Verdict.UNCONFIRMED
     if len(answers) > 1 or unidentified(task.problem, answers[0].parameters, answers[0].half_widths):
         return Verdict.AMBIGUOUS
@@ -240,8 +218,8 @@ def is_out_of_bounds(task: Task, answer: Answer) -> bool:
 def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
     """The parameters whose interval is most of the prior's; values, half-widths: shape [U].
 
-    The interval is cut off at the bounds. A parameter with a zero of its own is none either where its half-width is
-    above the value itself and half as wide.
+    The interval is cut off at the bounds. Of a parameter that is positive, half as much will do where the half-width is
+    above the value itself.
     """
     names = []
     for each, value, width in zip(problem.parameters, values, widths, strict=True):
@@ -253,29 +231,23 @@ def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
 
 
 def of_design(state: Search) -> Outcome:
-    """The design of the least number expected, and how far parameters may move before it shows beyond the scatter."""
-    task, found = state.task, state.posterior
-    design = found.samples.points[int(np.argmin(expected(state, found.samples.points)))]
-    state = state.ran(np.repeat(design[None], CONSTANTS.checks, axis=0), Purpose.CHECK)
-    state = state.ran(np.repeat(task.unit(task.problem.initial)[None], CONSTANTS.checks, axis=0), Purpose.START)
-    runs = [each for each in state.runs if each.purpose is Purpose.CHECK]
-    share = found.samples.weights
+    """The design of the smallest number expected, and how far parameters may move before the scatter shows it."""
+    task, samples = state.task, state.posterior.samples
+    design = samples.points[[int(np.argmin(state.posterior.expected(samples.points)[:, 0]))]]
+    start = task.unit(task.problem.initial)[None]
+    count = min(CONSTANTS.checks, state.left // 2)
+    before = len(state.runs)
+    state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)
+    state = state.ran(np.repeat(start, count, axis=0), Purpose.START)
+    checks, begun = state.runs[before : before + count], state.runs[before + count :]
     answer = Answer(
-        parameters=runs[0].parameters,
-        half_widths=half_widths(found.samples.points, share, design) * task.bounds.range,
+        parameters=checks[0].parameters,
+        half_widths=half_widths(samples.points, samples.weights, design[0]) * task.bounds.range,
         weight=1.0,
-        checks=tuple(runs),
+        checks=checks,
     )
-    begun = np.mean([each.observation[0] for each in state.runs if each.purpose is Purpose.START])
-    scatter = float(np.std([each.observation[0] for each in runs], ddof=1))
-    better = begun - float(answer.observation[0]) > BETTER * max(scatter, 1e-12)
-    verdict = Verdict.CONFIRMED if better else Verdict.UNCONFIRMED
+    gain = float(np.mean([each.observation[0] for each in begun]) - answer.observation[0])
+    # By all runs: few checks show little of it.
+    scatter = float(np.sqrt(state.posterior.emulator.scatter[0, 0]) / state.posterior.reduction.weights[0])
+    verdict = Verdict.CONFIRMED if gain > BETTER * scatter else Verdict.UNCONFIRMED
     return Outcome(state=state, answers=(answer,), verdict=verdict)
-
-
-def expected(state: Search, points: NDArray[np.float64]) -> Values:
-    """Of one number: what the emulator expects at points [S, U], shape [S]."""
-    reduced = state.posterior.reduction
-    return np.asarray(
-        state.posterior.emulator.mean(points)[:, 0] * reduced.basis[0, 0] / reduced.weights[0] + reduced.mean[0]
-    )

@@ -113,7 +113,7 @@ def test_where_it_errs_more_than_it_states_its_variance_grows() -> None:
     points = np.linspace(0.0, 1.0, 40)[:, None]
     numbers = np.where(points > 0.6, np.sign(np.sin(60.0 * points)), 0.01 * np.sin(7.0 * points))
     made = fitted(points, numbers, np.array([0.05]))
-    calm, wild = made.misjudged(np.array([[0.2], [0.8]]))[:, 0]
+    calm, wild = made.variance_ratio(np.array([[0.2], [0.8]]))[:, 0]
     assert calm == pytest.approx(0.9)
     assert wild > 1.3
-    assert made.misjudged(np.array([[50.0]]))[0, 0] == pytest.approx(1.0)
+    assert made.variance_ratio(np.array([[50.0]]))[0, 0] == pytest.approx(1.0)

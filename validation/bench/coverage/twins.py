@@ -107,15 +107,10 @@ def drawn(family: Family, number: int) -> tuple[Problem, Target]:
         values=values,
         front=made.observation.front(values),
         noise=sigma,
+        cell=made.cell,
         truth=made.truth,
     )
-    # A flow on other cells is a measurement to the loop.
-    settings = (
-        TargetSettings(twin=True, truth=truth) if family.finer == 1.0 else TargetSettings(value=float(values[-1]))
-    )
-    if family.finer != 1.0 and not made.observation.scalar:
-        settings = TargetSettings(trajectory="elsewhere.npz")
-    return dataclasses.replace(asked, scene=scene, target=settings), target
+    return dataclasses.replace(asked, scene=scene, target=TargetSettings(twin=True, truth=truth)), target
 
 
 def located(result: Result, seed: int) -> Twin:
