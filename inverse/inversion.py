@@ -20,7 +20,7 @@ from inverse.observations.reading import read_target
 from inverse.optimise import Bounds, best, explore, minimise
 from inverse.problem import Problem
 from inverse.report import markdown as report
-from inverse.result import Result, Round, Verdict
+from inverse.result import Result, Verdict
 from inverse.settings import Method, Surrogate
 from mpm import simulate, simulate_many
 
@@ -135,7 +135,7 @@ def unconfirmed(
         certainty=None,
         predicted=found.observation,
         loss=found.loss,
-        rounds=[Round(evaluations=records)],
+        evaluations=records,
         mpm_seconds=mpm_seconds,
         total_seconds=seconds,
     )

@@ -77,13 +77,6 @@ class RunRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Round:
-    """A minimisation on one forward model."""
-
-    evaluations: Sequence[Evaluation]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Combination:
     """A direction in the space of the parameters, and how well the observation constrains it."""
 
@@ -145,13 +138,9 @@ class Result(Found):
     predicted: Values
     """What the forward model predicts at the answer, shape [m]; of a deposit, its own particles."""
     loss: float
-    rounds: Sequence[Round]
+    evaluations: Sequence[Evaluation]
+    """All of the loss, in order."""
     mpm_seconds: float = 0.0
-
-    @property
-    def evaluations(self) -> list[Evaluation]:
-        """Every evaluation of the loss, in order."""
-        return [evaluation for stage in self.rounds for evaluation in stage.evaluations]
 
     @property
     def seconds(self) -> dict[str, float]:

@@ -9,9 +9,9 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
+from inverse.forward.interface import Evaluation
 from inverse.problem import Problem
 from inverse.report.pictures import COLOURS, WIDTH, save
-from inverse.result import Round
 
 FEW = 6
 """Up to so many lines have colours of their own; more of them follow a ramp."""
@@ -22,11 +22,11 @@ MINIMUM_LOSS = 1e-14
 def draw(
     path: Path,
     problem: Problem,
-    rounds: Sequence[Round],
+    evaluations: Sequence[Evaluation],
     truth: Mapping[str, float] | None,
     forward: str = "surrogate",
 ) -> None:
-    """Loss and parameters over the evaluations of `forward`.
+    """Loss and parameters over the `evaluations` of `forward`.
 
     Parameters of one unit share an axis; true values are dashed.
     """
@@ -35,7 +35,6 @@ def draw(
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, 0.6 + 2.7 * rows), sharex=True, layout="constrained")
     colours = dict(zip(problem.names, ramp(len(problem.names)), strict=True))
     own = {each.name: axes[1 + units.index(each.kind.unit)] for each in problem.parameters}
-    evaluations = [evaluation for stage in rounds for evaluation in stage.evaluations]
     numbers = np.arange(1, len(evaluations) + 1)
     losses = [max(evaluation.loss, MINIMUM_LOSS) for evaluation in evaluations]
     axes[0].plot(numbers, losses, ".-", color=COLOURS[forward], label=forward)

@@ -9,17 +9,18 @@ from numpy.typing import NDArray
 from tabulate import tabulate
 
 from datasets import files
+from inverse.forward.interface import Evaluation
 from inverse.observations import Values
 from inverse.optimise import best
 from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.report import course, pictures
-from inverse.result import Found, Result, Round, peak_memory_mib
+from inverse.result import Found, Result, peak_memory_mib
 
 MANY = 2
 """With more parameters than these they are drawn side by side as well."""
 WIDE = 4
-"""With more parameters than these the tables of rounds and runs leave them to the pictures and to `result.json`."""
+"""With more parameters than these the table of the search leaves them to the pictures and to `result.json`."""
 STAGES = 6
 """So many deposits on the way are drawn."""
 OBSERVATION = ("observed", "distance to the target", "loss")
@@ -39,11 +40,11 @@ def write(result: Result, deposit_at: DepositAt, folder: Path, *, forward: str =
     if target.deposit is not None:
         deposits = {"target": target.deposit, **deposits}
     pictures.draw_deposits(folder / "deposit.png", problem, target, result.answer, deposits)
-    course.draw(folder / "iterations.png", problem, result.rounds, target.truth, forward=forward)
+    course.draw(folder / "iterations.png", problem, result.evaluations, target.truth, forward=forward)
     records = result.evaluations
     stages = [
         (f"evaluation {index + 1}, loss {records[index].loss:.1e}", records[index].parameters)
-        for index in picked(result.rounds)
+        for index in picked(result.evaluations)
     ]
     shown = [(title, values, deposit_at(values)) for title, values in stages]
     pictures.draw_stages(folder / "stages.png", problem, target, shown, pictures.COLOURS[forward])
@@ -63,7 +64,7 @@ def write(result: Result, deposit_at: DepositAt, folder: Path, *, forward: str =
         markdown_table(["", *OBSERVATION], rows),
         "![deposits](deposit.png)",
         "## How it was found",
-        rounds_table(result),
+        search_table(result),
         "![iterations](iterations.png)",
         f"What the {forward} predicted on the way{over_target(result)}:",
         "![stages](stages.png)",
@@ -72,10 +73,9 @@ def write(result: Result, deposit_at: DepositAt, folder: Path, *, forward: str =
     files.write_text(folder / "report.md", "\n\n".join(lines) + "\n")
 
 
-def picked(rounds: Sequence[Round], count: int = STAGES) -> list[int]:
-    """Indices of up to `count` evaluations among those of all `rounds`, the first and the best among them."""
-    records = [evaluation for stage in rounds for evaluation in stage.evaluations]
-    last = int(np.nanargmin([record.loss for record in records]))
+def picked(evaluations: Sequence[Evaluation], count: int = STAGES) -> list[int]:
+    """Indices of up to `count` of the `evaluations`, the first and the best among them."""
+    last = int(np.nanargmin([each.loss for each in evaluations]))
     return sorted({round(index) for index in np.linspace(0, last, min(count, last + 1))})
 
 
@@ -140,23 +140,15 @@ def over_target(result: Found) -> str:
     return ", over the target's profile" if drawn else ""
 
 
-def rounds_table(result: Result) -> str:
-    """What each minimisation began and ended with."""
-    columns = tabulated(result.problem)
-    head = ["evaluations", f"loss at its start [{result.problem.observed.misfit_unit()}]", "its minimum loss"]
-    rows = []
-    for stage in result.rounds:
-        minimum = best(stage.evaluations)
-        values = result.problem.named(minimum.parameters)
-        losses = [f"{stage.evaluations[0].loss:.2e}", f"{minimum.loss:.2e}"]
-        numbers = [each.kind.number(values[each.name]) for each in result.problem.parameters if each.name in columns]
-        rows.append([str(len(stage.evaluations)), *losses, *numbers])
-    return markdown_table([*head, *(f"`{name}`" for name in columns)], rows)
-
-
-def tabulated(problem: Problem) -> list[str]:
-    """The parameters that have a column of their own in a table of many rows."""
-    return problem.names if len(problem.names) <= WIDE else []
+def search_table(result: Result) -> str:
+    """What the minimisation began and ended with."""
+    columns = result.problem.parameters if len(result.problem.parameters) <= WIDE else ()
+    unit, minimum = result.problem.observed.misfit_unit(), best(result.evaluations)
+    values = result.problem.named(minimum.parameters)
+    head = ["evaluations", f"loss at its start [{unit}]", "its minimum loss", *(f"`{each.name}`" for each in columns)]
+    losses = [f"{result.evaluations[0].loss:.2e}", f"{minimum.loss:.2e}"]
+    row = [str(len(result.evaluations)), *losses, *(each.kind.number(values[each.name]) for each in columns)]
+    return markdown_table(head, [row])
 
 
 def cost(result: Result) -> list[str]:

@@ -1,0 +1,168 @@
+"""The posterior of responses that are known: exact where they are linear; where runs go; reduction, information."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_t
+
+from datasets.library import read_scene
+from datasets.particles import particle_count
+from inverse.observations import Target
+from inverse.observations.front import Front
+from inverse.posterior.information import information, measurements
+from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter, student
+from inverse.posterior.reduction import reduction
+from inverse.posterior.sampling import sample
+
+Matrix = NDArray[np.float64]
+SLOPES = np.array([[3.0, 0.2, 0.0, -1.0], [0.0, 1.5, 0.4, 1.0]])
+SCATTER = 0.02
+
+
+def target_of(values: Matrix, **changes: float) -> Target:
+    return Target(observation=Front(), values=values, front=float("nan"), **changes)  # type: ignore[arg-type]
+
+
+def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **changes: object) -> Posterior:
+    """Of four numbers that depend linearly on two parameters, each with a scatter of its own."""
+    rng = np.random.default_rng(seed)
+    region = changes.get("region")
+    points = np.concatenate([rng.random((54, 2)), np.full((6, 2), 0.5)])
+    if isinstance(region, Region):
+        points = region.low + (region.high - region.low) * points
+    numbers = points @ SLOPES + SCATTER * rng.standard_normal((60, 4))
+    target = target_of(np.array(truth) @ SLOPES + SCATTER * rng.standard_normal(4))
+    return posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, **changes)  # type: ignore[arg-type]
+
+
+def exact_deviations() -> Matrix:
+    return np.sqrt(np.diag(np.linalg.inv(SLOPES @ SLOPES.T / SCATTER**2)))
+
+
+def test_a_linear_response_has_the_exact_posterior() -> None:
+    """Least squares by one observation: (J^T J)^-1 s^2."""
+    found = [inferred(truth=(0.4, 0.7), seed=seed) for seed in range(12)]
+    deviations = np.array([np.sqrt(np.diag(each.samples.covariance)) for each in found])
+    np.testing.assert_allclose(np.median(deviations, axis=0), exact_deviations(), rtol=0.25)
+    off = np.array([each.samples.mean - (0.4, 0.7) for each in found]) / deviations
+    assert 0.4 < np.sqrt(np.mean(off**2)) < 1.6
+    assert all(each.emulator_share < 0.15 for each in found)
+
+
+def test_errors_that_are_counted_larger_widen_it_in_proportion() -> None:
+    plain, wide = inferred(), inferred(factor=4.0)
+    ratio = np.sqrt(np.diag(wide.samples.covariance) / np.diag(plain.samples.covariance))
+    np.testing.assert_allclose(ratio, 4.0, rtol=0.25)
+    shift = inferred(discretisation=0.2 * SLOPES[0])
+    assert np.sqrt(shift.samples.covariance[0, 0]) == pytest.approx(0.2, rel=0.25)
+
+
+@pytest.mark.parametrize("factor", [1.0, 4.0])
+def test_a_posterior_wider_than_its_region_leaves_it(factor: float) -> None:
+    """The region of an earlier wave, too narrow: the bounds of the prior alone cut a posterior off."""
+    mean, deviation = np.array([0.4, 0.7]), factor * exact_deviations()
+    narrow = Region(low=mean - 1.5 * deviation, high=mean + 1.5 * deviation)
+    found = inferred(factor=factor, region=narrow)
+    assert np.all(np.sqrt(np.diag(found.samples.covariance)) > 0.8 * deviation)
+    assert np.all(found.region.low < narrow.low)
+    assert np.all(found.region.high > narrow.high)
+
+
+def test_noise_adds_to_the_scatter() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.random((40, 1))
+    numbers = 2.0 * points + 0.01 * rng.standard_normal((40, 1))
+    found = posterior(points, numbers, target_of(np.array([1.0]), noise=0.1), scatter=np.array([0.01]), rng=rng)
+    assert np.sqrt(found.samples.covariance[0, 0]) == pytest.approx(0.05, rel=0.2)
+    assert found.likelihood.freedom > 1000.0
+
+
+def test_students_density_is_scipys() -> None:
+    rng = np.random.default_rng(0)
+    residual, root = rng.normal(size=(3, 4)), rng.normal(size=(4, 4))
+    fixed, variance = root @ root.T + np.eye(4), rng.random((3, 4))
+    expected = [
+        multivariate_t(shape=fixed + np.diag(own), df=7.0).logpdf(each)
+        for each, own in zip(residual, variance, strict=True)
+    ]
+    np.testing.assert_allclose(student(residual, fixed, variance, 7.0), expected)
+
+
+def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
+    """One moves 400 numbers by less than the others curve them: principal components alone would lose it."""
+    rng = np.random.default_rng(0)
+    points, waves = rng.random((50, 6)), rng.normal(size=(6, 400))
+    waves[5] *= 0.1
+    numbers = points @ waves + (points[:, :5] ** 2) @ rng.normal(size=(5, 400))
+    found = reduction(numbers, points, target_of(numbers[0]), scatter=np.full(400, 1e-4))
+    assert np.linalg.norm(found.basis.T @ waves[5]) > 0.6 * np.linalg.norm(waves[5])
+    shifted = numbers - numbers.mean(axis=0)
+    principal = np.linalg.svd(shifted)[2][: found.basis.shape[1]]
+    assert np.linalg.norm(principal @ waves[5]) < 0.5 * np.linalg.norm(waves[5])
+    np.testing.assert_allclose(found.basis.T @ found.basis, np.eye(found.basis.shape[1]), atol=1e-10)
+    np.testing.assert_allclose(found(found.numbers(found(numbers))), found(numbers))
+
+
+def test_repeated_runs_show_the_scatter_alone() -> None:
+    rng = np.random.default_rng(0)
+    locations = np.repeat(rng.random((30, 2)), 4, axis=0)
+    components = 100.0 * locations + np.array([0.5, 2.0]) * rng.standard_normal((120, 2))
+    np.testing.assert_allclose(repeated_scatter(locations, components, np.ones(2)), [0.5, 2.0], rtol=0.15)
+    alone = np.unique(locations, axis=0)
+    np.testing.assert_array_equal(repeated_scatter(alone, alone, np.full(2, 0.3)), 0.3)
+    # No flow is known better than to rounding.
+    np.testing.assert_allclose(repeated_scatter(locations, 100.0 * locations, np.ones(2)), 0.02)
+
+
+def test_runs_go_where_the_emulator_knows_least() -> None:
+    """No run lies between 0.45 and 0.75 of the first parameter, which the target does not constrain."""
+    rng = np.random.default_rng(0)
+    points = rng.random((40, 2))
+    points[:, 0] = np.where(points[:, 0] < 0.7, points[:, 0] * 0.45 / 0.7, 0.75 + (points[:, 0] - 0.7) * 0.25 / 0.3)
+    numbers = np.sin(4.0 * points[:, 1:]) + 0.3 * np.sin(9.0 * points[:, :1]) * 0.02
+    found = posterior(points, numbers, target_of(np.array([0.9])), scatter=np.array([0.02]), rng=rng)
+    chosen = next_points(found, 3, np.random.default_rng(1))
+    assert len(np.unique(chosen, axis=0)) == 3
+    _, at_runs = found.emulator.predict(points)
+    _, at_chosen = found.emulator.predict(chosen)
+    assert np.median(at_chosen) > np.median(at_runs)
+
+
+def test_information_is_that_of_a_gaussian() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.random((80, 1))
+    samples = sample(lambda where: np.zeros(len(where)), rng, low=np.zeros(1), high=np.ones(1))
+    shown = {"clear": points[:, 0] + 0.05 * rng.standard_normal(80), "blind": rng.standard_normal(80)}
+    clear, blind = information(points, shown, samples, cell=1e-6, rng=rng)
+    assert (clear.name, blind.name) == ("clear", "blind")
+    assert clear.gain == pytest.approx(0.5 * np.log1p(1.0 / 12.0 / 0.05**2), rel=0.15)
+    assert blind.gain < 0.15
+
+
+def test_what_could_be_measured_of_a_deposit() -> None:
+    scene = read_scene("column-tall-42")
+    rng = np.random.default_rng(0)
+    count = particle_count(scene)
+    deposit = np.stack([0.6 * rng.permutation(count) / count, 0.1 * rng.random(count)], axis=1)
+    found = measurements(scene, deposit, 0.6)
+    assert found["the front"] == pytest.approx(0.597, abs=0.002)
+    heights = [value for name, value in found.items() if "height" in name]
+    assert len(heights) == 9
+    # Even, and together the released area.
+    area = sum(mass.size[0] * mass.size[1] for mass in scene.masses)
+    assert np.mean(heights) * 0.6 == pytest.approx(area, rel=0.01)
+    assert np.ptp(heights) < 0.15 * np.mean(heights)
+
+
+def test_a_region_holds_where_samples_keep_off_its_edges() -> None:
+    region = Region(low=np.array([0.0, 0.2]), high=np.array([0.5, 0.6]))
+    inner = np.random.default_rng(0).uniform([0.0, 0.3], [0.4, 0.5], size=(500, 2))
+    assert region.holds(inner)
+    assert not region.holds(np.minimum(inner + np.array([0.0, 0.2]), 0.6))
+    # The prior's own bound is no edge.
+    assert region.holds(inner * [0.05, 1.0])
+    wider = region.wider()
+    np.testing.assert_allclose([wider.low, wider.high], [[0.0, 0.0], [0.75, 0.8]], atol=1e-12)
+    assert dataclasses.replace(region, low=np.zeros(2)).inside(np.array([[0.1, 0.1]])).all()
