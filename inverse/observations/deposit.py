@@ -59,8 +59,8 @@ class Deposit(DepositObservation):
         return np.asarray(values.reshape(-1, self.components)[indices].ravel())
 
     def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        """Without the scatter."""
-        return math.hypot(loop.deposit_within * cell, 2.0 * target.noise * math.sqrt(self.components))
+        """Besides the scatter: particles of two flows at the same parameters lie that far from each other."""
+        return math.hypot(loop.deposit_within * cell, scatter, 2.0 * target.noise * math.sqrt(self.components))
 
     def values_text(self, values: Values) -> str:
         return f"{len(values) // self.components} particles"

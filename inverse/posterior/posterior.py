@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
-from scipy.stats import qmc
+from scipy.stats import f, qmc
 
 from inverse.observations import Target
 from inverse.posterior.emulator import Emulator, Trend, fitted, linear
@@ -123,6 +123,8 @@ class Posterior:
     """What had not been excluded before."""
     near: NDArray[np.bool_]
     """Which of all runs the emulator is made of, shape [n]."""
+    explained: Row
+    """Variance of each component that repeated runs can explain: beyond it, the emulator does not fit, shape [r]."""
 
     @property
     def emulator(self) -> Emulator:
@@ -138,7 +140,8 @@ class Posterior:
         """Share of the emulator in the variance of the residuals, over samples and components [-]."""
         every = max(1, len(self.samples.points) // 500)
         _, variance = self.emulator.predict(self.samples.points[::every])
-        return float(np.mean(variance / (variance + np.diag(self.likelihood.fixed))))
+        unfitted = np.maximum(np.diag(self.emulator.scatter) - self.explained, 0.0)
+        return float(np.mean((variance + unfitted) / (variance + np.diag(self.likelihood.fixed))))
 
     @property
     def next_region(self) -> Region:
@@ -168,8 +171,8 @@ def posterior(
     region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
     near = region.inside(points)
     reduced = reduction(numbers[near], points[near], target, scatter=scatter)
-    components = reduced(numbers[near])
-    expected = repeated_scatter(points[near], components, reduced.expected_scatter)
+    components = reduced.components
+    expected, freedom = repeated_scatter(points[near], components, reduced.expected_scatter)
     made = [
         fitted(points[near], components, expected, trend=trend)
         for trend in trends
@@ -182,6 +185,8 @@ def posterior(
         shift = (discretisation * reduced.weights) @ reduced.basis
         known = known + np.outer(shift, shift)
     ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
+    # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
+    explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, freedom + CONSTANTS.scatter_prior)
     likelihood = Likelihood(
         emulator=emulator,
         target=reduced(target.values),
@@ -193,7 +198,9 @@ def posterior(
         # The wave before has excluded too much.
         region = region.wider()
         samples = sample(likelihood, rng, low=region.low, high=region.high)
-    return Posterior(reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near)
+    return Posterior(
+        reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near, explained=explained
+    )
 
 
 def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
@@ -207,9 +214,10 @@ def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -
     return np.asarray(constant - 0.5 * logarithm - 0.5 * (freedom + count) * np.log1p(square / freedom))
 
 
-def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> Row:
+def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
     """Standard deviation from flow to flow of each component [n, r], by runs at the same of the points [n, U].
 
+    With its degrees of freedom.
     Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
     are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
     where no runs are repeated.
@@ -217,14 +225,13 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> Row:
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
     if freedom == 0:
-        return expected
+        return expected, 0
     means = np.zeros((len(count), components.shape[1]))
     np.add.at(means, label, components)
     square = ((components - (means / count[:, None])[label]) ** 2).sum(axis=0)
     total = square + CONSTANTS.scatter_prior * square.mean() / freedom
-    return np.asarray(
-        np.maximum(np.sqrt(total / (freedom + CONSTANTS.scatter_prior)), CONSTANTS.smallest_scatter * expected)
-    )
+    deviation = np.sqrt(total / (freedom + CONSTANTS.scatter_prior))
+    return np.maximum(deviation, CONSTANTS.smallest_scatter * expected), freedom
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:

@@ -36,6 +36,8 @@ class Reduction:
     """B, shape [M, r]."""
     expected_scatter: Row
     """Standard deviation of a component from flow to flow, before runs have shown it, shape [r]."""
+    components: Matrix
+    """Of the runs that it is of, each by the directions of the others, shape [n, r]."""
     noise: Matrix
     """Covariance of the components by errors of the measurement, shape [r, r]."""
 
@@ -56,16 +58,44 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     weights = 1.0 / np.maximum(np.hypot(noise, scatter), 1e-12)
     mean = numbers.mean(axis=0)
     weighted = (numbers - mean) * weights
-    slopes = np.linalg.lstsq(points - points.mean(axis=0), weighted, rcond=None)[0]
+    functions = points - points.mean(axis=0)
+    slopes = np.linalg.lstsq(functions, weighted, rcond=None)[0]
     first = directions(slopes, len(slopes), NEGLIGIBLE)
     rest = directions(weighted - (weighted @ first) @ first.T, CONSTANTS.beyond_linear, SMALL * len(points) ** 0.5)
     basis = np.concatenate([first, rest], axis=1)[:, : CONSTANTS.max_components]
+    components = weighted @ basis
+    components[:, : first.shape[1]] = cross_fitted(weighted, points, first)[:, : basis.shape[1]]
     scaled = basis * weights[:, None]
     own = target.covariance
     covariance = (scaled.T * noise**2) @ scaled if own is None else scaled.T @ own @ scaled
     # Between errors of single numbers and one of all together, of M^(1/2) times the effect.
     expected = np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25
-    return Reduction(mean=mean, weights=weights, basis=basis, expected_scatter=expected, noise=covariance)
+    return Reduction(
+        mean=mean, weights=weights, basis=basis, components=components, expected_scatter=expected, noise=covariance
+    )
+
+
+def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
+    """Components of runs [n, M] at points [n, U] in the directions `first` [M, r], each by those of the others, [n, r].
+
+    A slope by few runs holds some of what each of them is off it, so that their own components lie on straight lines
+    more closely than those of any further run: cross-fitting (Chernozhukov et al., Double/debiased machine learning for
+    treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at one
+    point those combinations are used whose projection on `first` is `first`.
+    """
+    components, products = weighted @ first, weighted @ weighted.T
+    crossed = components.copy()
+    functions = np.concatenate([np.ones((len(points), 1)), points], axis=1)
+    _, label = np.unique(points, axis=0, return_inverse=True)
+    for each in range(int(label.max()) + 1):
+        own, others = np.flatnonzero(label == each), np.flatnonzero(label != each)
+        if np.linalg.matrix_rank(functions[others]) < functions.shape[1]:
+            continue
+        # The slopes are this times the other runs' numbers.
+        slopes = np.linalg.pinv(functions[others])[1:]
+        along = slopes @ components[others]
+        crossed[own] = products[np.ix_(own, others)] @ slopes.T @ np.linalg.pinv(along.T)
+    return crossed
 
 
 def directions(rows: Matrix, most: int, minimum: float) -> Matrix:

@@ -67,6 +67,8 @@ class Constants:
     """Share of the emulator in the variance of the residuals, above which the region narrows."""
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
+    lack_of_fit: float = 0.9
+    """Quantile of the ratio of variances up to which the scatter about the emulator is that of repeated runs."""
     margin: float = 0.25
     """Of the extent of the samples, on either side, up to which the next ones lie and runs count."""
     at_edge: float = 0.02

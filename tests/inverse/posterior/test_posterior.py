@@ -109,11 +109,13 @@ def test_repeated_runs_show_the_scatter_alone() -> None:
     rng = np.random.default_rng(0)
     locations = np.repeat(rng.random((30, 2)), 4, axis=0)
     components = 100.0 * locations + np.array([0.5, 2.0]) * rng.standard_normal((120, 2))
-    np.testing.assert_allclose(repeated_scatter(locations, components, np.ones(2)), [0.5, 2.0], rtol=0.15)
+    deviation, freedom = repeated_scatter(locations, components, np.ones(2))
+    np.testing.assert_allclose(deviation, [0.5, 2.0], rtol=0.15)
+    assert freedom == 90
     alone = np.unique(locations, axis=0)
-    np.testing.assert_array_equal(repeated_scatter(alone, alone, np.full(2, 0.3)), 0.3)
+    np.testing.assert_array_equal(repeated_scatter(alone, alone, np.full(2, 0.3))[0], 0.3)
     # No flow is known better than to rounding.
-    np.testing.assert_allclose(repeated_scatter(locations, 100.0 * locations, np.ones(2)), 0.02)
+    np.testing.assert_allclose(repeated_scatter(locations, 100.0 * locations, np.ones(2))[0], 0.02)
 
 
 def test_runs_go_where_the_emulator_knows_least() -> None:

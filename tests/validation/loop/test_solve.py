@@ -51,7 +51,8 @@ def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind:
     assert result.certainty is not None
     # 20 to 8 mm a degree: a scatter of 2 mm is 0.1 to 0.25 degrees for the target alone.
     slope = 0.02 - 0.0003 * (truth - 12.0)
-    assert 1.5 * 0.002 / slope < result.certainty["friction_deg"] < 5.0 * 0.002 / slope
+    # Half-widths are 1.96 of it where the scatter is known; by a dozen runs that is known to a fifth.
+    assert 1.2 * 0.002 / slope < result.certainty["friction_deg"] < 5.0 * 0.002 / slope
     assert abs(result.unknowns["friction_deg"] - truth) < 2.0 * result.certainty["friction_deg"]
 
 
