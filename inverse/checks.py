@@ -185,6 +185,7 @@ def check_search(
         ("loop.deposit_within", loop.deposit_within, 100.0),
         ("loop.passed_within", loop.passed_within, 1.0),
         ("loop.joint_within", loop.joint_within, 100.0),
+        ("loop.mpm_seconds", loop.mpm_seconds, 1e9),
     ):
         require(value is None or 0.0 < value <= maximum, key, f"a number in (0, {maximum:g}]", value)
     every_particle = KINDS[observation.kind].every_particle

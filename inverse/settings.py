@@ -245,6 +245,8 @@ class LoopSettings(Record):
     chance exceeds once in twenty times where absent."""
     mpm_runs: int | None = None
     """Most MPM runs that the loop may spend; 40 and 12 for each unknown where absent."""
+    mpm_seconds: float | None = None
+    """Seconds that they may take in all, but for those that fill the box and check an answer; no bound where absent."""
 
     def budget(self, unknowns: int) -> int:
         """Most MPM runs for so many unknowns."""

@@ -100,6 +100,7 @@ def test_the_eight_friction_problems_ship() -> None:
         ('"column-tall-42"', '"nowhere.toml"', "nowhere.toml"),
         ("[target]", "[optimiser]\nmax_iterations = 0\n[target]", "optimiser.max_iterations"),
         ("[target]", "[loop]\nmpm_runs = 0\n[target]", "loop.mpm_runs"),
+        ("[target]", "[loop]\nmpm_seconds = 0.0\n[target]", "loop.mpm_seconds"),
         ("[target]", "[loop]\nconfirm_within = -0.1\n[target]", "loop.confirm_within"),
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"masses[1].friction_deg"', "unknowns[0].name"),

@@ -18,6 +18,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.result import Purpose
 from validation.loop.check import Check, Task
 from validation.loop.surrogate import Surrogate
+from validation.runs import SHARE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +55,16 @@ class Search:
 
     @property
     def left(self) -> int:
-        """Runs of the budget that are left."""
-        return self.task.budget - len(self.runs)
+        """Runs of the budget that are left; of one in seconds by the price of those so far, and checks in any case."""
+        budget, seconds = self.task.budget, self.task.problem.loop.mpm_seconds
+        if seconds is not None and self.waves:
+            budget = min(budget, max(int(seconds / self.price), self.waves[0].runs + self.task.checks))
+        return max(0, budget - len(self.runs))
+
+    @property
+    def price(self) -> float:
+        """Wall time of a run, with others side by side [s]; the median, as the first ones compiled the kernels."""
+        return float(np.median([each.trajectory.summary[SHARE] for each in self.runs]))
 
     @property
     def posterior(self) -> Posterior:
@@ -75,7 +84,7 @@ class Search:
 
     def ran(self, points: Matrix, purpose: Purpose) -> "Search":
         """With runs at points [S, U] of the unit box, as far as the budget goes."""
-        more = self.task.run(points[: max(0, self.left)], len(self.runs), purpose)
+        more = self.task.run(points[: self.left], len(self.runs), purpose)
         return dataclasses.replace(self, runs=(*self.runs, *more))
 
     def inferred(self, **changes: Any) -> "Search":

@@ -5,8 +5,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
 from inverse.forward.interface import Simulate
 from inverse.observations.reading import read_target
 from inverse.problem import Problem, read_problem
@@ -16,7 +14,7 @@ from validation.loop.check import TWIN, Task
 from validation.loop.result import Result, record
 from validation.loop.search import first, searched
 from validation.loop.verdict import concluded
-from validation.runs import SHARE, RunStore
+from validation.runs import RunStore
 
 RUNS = "mpm"
 """Folder of the MPM runs beside the result."""
@@ -62,9 +60,7 @@ def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surroga
     """Search, check the answers, judge; load: in place of the learned surrogate."""
     began = time.perf_counter()
     state = first(task)
-    # The first of them compiled the kernels.
-    mpm_seconds = float(np.median([each.trajectory.summary[SHARE] for each in state.runs]))
-    predictions, reason = surrogate.choose(task, mpm_seconds, model=model, load=load)
+    predictions, reason = surrogate.choose(task, state.price, model=model, load=load)
     if predictions is not None:
         print(f"the surrogate is in the emulator's trend: {reason}", file=sys.stderr)
     outcome = concluded(searched(state, predictions))

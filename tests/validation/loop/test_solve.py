@@ -11,11 +11,13 @@ import pytest
 
 from datasets.command_line import WorkFailed
 from datasets.trajectory import Trajectory
+from inverse.posterior.settings import CONSTANTS
 from inverse.report import pictures
 from inverse.result import Purpose, Verdict
 from inverse.settings import LoopSettings, TargetSettings
 from tests.validation.loop.flows import WIDTH, Case, Coarse, Folded, layers, length, true_velocities, wedge
 from validation.loop.__main__ import print_outcome
+from validation.loop.result import Result
 
 RESULT_KEYS = {
     "problem",
@@ -144,6 +146,18 @@ def test_the_budget_is_kept(tmp_path: Path, runs: int) -> None:
     loop = LoopSettings(mpm_runs=runs)
     result = wedge(tmp_path, truth=42.0, scatter=0.003, loop=loop).solve(tmp_path)
     assert len(result.mpm_runs) <= runs
+
+
+def test_a_budget_of_seconds_is_one_of_runs_at_their_price(tmp_path: Path) -> None:
+    def solved(seconds: float | None) -> Result:
+        case = layers(tmp_path, count=4, scatter=0.002, bend=0.05)
+        problem = dataclasses.replace(case.problem, loop=LoopSettings(mpm_seconds=seconds))
+        return dataclasses.replace(case, problem=problem).solve(tmp_path / str(seconds))
+
+    whole, cut, enough = solved(None), solved(1e-9), solved(1e6)
+    assert [run.purpose for run in cut.mpm_runs].count(Purpose.CHECK) == CONSTANTS.checks
+    assert len(cut.mpm_runs) == cut.outcome.state.waves[0].runs + CONSTANTS.checks < len(whole.mpm_runs)
+    assert enough.unknowns == whole.unknowns
 
 
 HARD: list[tuple[Callable[..., Case], dict[str, Any], int]] = [
