@@ -24,6 +24,7 @@ model of Kennedy & O'Hagan (Predicting the output from a complex computer code w
 Biometrika 87 (2000) 1-13).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +43,11 @@ NEGLIGIBLE = 1e-3
 """Weight of a nugget that is left out."""
 SHORTEST, LONGEST = 0.03, 20.0
 """Correlation lengths between which the likeliest is looked for, in ranges."""
+
+
+def fewest_runs(unknowns: int) -> int:
+    """Runs at different parameters that an emulator of so many of them has at least."""
+    return math.ceil(CONSTANTS.runs_per_coefficient * (1 + unknowns)) + 2
 
 
 def linear(points: Matrix) -> Matrix:
@@ -201,6 +207,12 @@ class Emulator:
             errors += share * (contrasts @ (precision[:, None] * roots)) / own
             variances += share * each / own
         return errors, variances
+
+    @property
+    def uncertainty(self) -> Matrix:
+        """Squared error of each run as predicted by all others, and its variance, over the components, shape [n]."""
+        errors, variances = self.left_out
+        return np.asarray((errors**2 + variances).sum(axis=1))
 
     @cached_property
     def _left_out_ratio(self) -> tuple[Matrix, Matrix]:

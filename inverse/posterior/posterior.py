@@ -17,7 +17,6 @@ next one, which is simpler there (history matching in waves: Vernon, Goldstein &
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,8 +27,9 @@ from scipy.special import gammaln
 from scipy.stats import f, qmc
 
 from inverse.observations import Target
-from inverse.posterior.emulator import Emulator, Trend, fitted, linear
+from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear
 from inverse.posterior.reduction import Reduction, reduction
+from inverse.posterior.regime import Regime, of_target
 from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
 
@@ -39,11 +39,6 @@ OUTERMOST = 0.1
 """Share of a region's extent, within which a sample lies at its edge."""
 SMALLEST = 1e-4
 """Extent of a region at least, as a fraction of the range."""
-
-
-def fewest_runs(unknowns: int) -> int:
-    """Runs at different parameters that an emulator of so many of them has at least."""
-    return math.ceil(CONSTANTS.runs_per_coefficient * (1 + unknowns)) + 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,10 +95,25 @@ class Likelihood:
     """F^2 (S + N + D), shape [r, r]."""
     freedom: float
     """nu."""
+    regime: Regime | None = None
+    """Where flows are such as the target's; everywhere where absent."""
 
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
-        return student(*self.residual(points), self.freedom)
+        return student(*self.residual(points), self.freedom) + self.in_regime(points)
+
+    def plausibility(self, points: Matrix) -> Row:
+        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are.
+
+        Where little is known a likelihood is small, whatever the residuals: it is spread over so many observations.
+        """
+        residual, fixed, variance = self.residual(points)
+        largest = student(np.zeros_like(residual), fixed, variance, self.freedom)
+        return student(residual, fixed, variance, self.freedom) - largest + self.in_regime(points)
+
+    def in_regime(self, points: Matrix) -> Row:
+        """Logarithm of the probability that points [S, U] are in the target's regime, shape [S]."""
+        return np.zeros(len(points)) if self.regime is None else self.regime(points)
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
         """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
@@ -136,17 +146,28 @@ class Posterior:
         return self.reduction.numbers(self.emulator.mean(points))
 
     @cached_property
+    def plausible(self) -> Samples:
+        """Samples of the parameters that the runs do not exclude, however little is known of them.
+
+        Of more than `few_parameters` those of the posterior: in most of their box little is known for long.
+        """
+        if len(self.region.low) > CONSTANTS.few_parameters:
+            return self.samples
+        rng = np.random.default_rng(len(self.near))
+        return sample(self.likelihood.plausibility, rng, low=self.region.low, high=self.region.high)
+
+    @cached_property
     def emulator_share(self) -> float:
-        """Share of the emulator in the variance of the residuals, over samples and components [-]."""
-        every = max(1, len(self.samples.points) // 500)
-        _, variance = self.emulator.predict(self.samples.points[::every])
+        """Share of the emulator in the variance of the residuals, over plausible samples and components [-]."""
+        every = max(1, len(self.plausible.points) // 500)
+        _, variance = self.emulator.predict(self.plausible.points[::every])
         unfitted = np.maximum(np.diag(self.emulator.scatter) - self.explained, 0.0)
         return float(np.mean((variance + unfitted) / (variance + np.diag(self.likelihood.fixed))))
 
     @property
     def next_region(self) -> Region:
         """Around the samples, where the emulator hides most of the posterior; else as before: its slopes need room."""
-        return Region.around(self.samples) if self.emulator_share > CONSTANTS.narrow_above else self.region
+        return Region.around(self.plausible) if self.emulator_share > CONSTANTS.narrow_above else self.region
 
 
 def posterior(
@@ -170,15 +191,13 @@ def posterior(
     unknowns = points.shape[1]
     region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
     near = region.inside(points)
-    reduced = reduction(numbers[near], points[near], target, scatter=scatter)
-    components = reduced.components
-    expected, freedom = repeated_scatter(points[near], components, reduced.expected_scatter)
-    made = [
-        fitted(points[near], components, expected, trend=trend)
-        for trend in trends
-        if near.sum() > trend(points[:1]).shape[1] + 1
-    ]
-    emulator = min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2)))
+    reduced, emulator, expected, repeats = emulated(points[near], numbers[near], target, scatter, trends)
+    regime, alike = None, of_target(reduced(numbers), points, near, reduced(target.values))
+    if alike is not None:
+        own = emulated(points[near & alike], numbers[near & alike], target, scatter, trends)
+        if own[1].uncertainty.mean() < CONSTANTS.other_regime * emulator.uncertainty[alike[near]].mean():
+            regime = Regime(inside=points[alike], outside=points[~alike])
+            near, (reduced, emulator, expected, repeats) = near & alike, own
     single = emulator.scatter + np.diag((CONSTANTS.smallest_scatter * reduced.expected_scatter) ** 2)
     known = reduced.noise
     if discretisation is not None:
@@ -186,12 +205,13 @@ def posterior(
         known = known + np.outer(shift, shift)
     ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
     # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
-    explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, freedom + CONSTANTS.scatter_prior)
+    explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, repeats + CONSTANTS.scatter_prior)
     likelihood = Likelihood(
         emulator=emulator,
         target=reduced(target.values),
         fixed=factor**2 * (single + known),
         freedom=emulator.freedom * (1.0 + ratio) ** 2,
+        regime=regime,
     )
     samples = sample(likelihood, rng, low=region.low, high=region.high)
     while not region.holds(samples.points):
@@ -201,6 +221,20 @@ def posterior(
     return Posterior(
         reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near, explained=explained
     )
+
+
+def emulated(
+    points: Matrix, numbers: Matrix, target: Target, scatter: Row, trends: Sequence[Trend]
+) -> tuple[Reduction, Emulator, Row, int]:
+    """The emulator of runs at points [n, U] that show `numbers` [n, M], with `repeated_scatter`."""
+    reduced = reduction(numbers, points, target, scatter=scatter)
+    expected, repeats = repeated_scatter(points, reduced.components, reduced.expected_scatter)
+    made = [
+        fitted(points, reduced.components, expected, trend=trend)
+        for trend in trends
+        if len(points) > trend(points[:1]).shape[1] + 1
+    ]
+    return reduced, min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2))), expected, repeats
 
 
 def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
@@ -245,7 +279,7 @@ def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matri
         region = found.next_region
         cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
         return np.asarray(region.low + (region.high - region.low) * cube)
-    candidates = np.unique(found.samples.points[found.samples.drawn(300, rng)], axis=0)
+    candidates = np.unique(found.plausible.points[found.plausible.drawn(300, rng)], axis=0)
     parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
     scales = np.diag(found.likelihood.fixed)
     chosen: list[int] = []

@@ -31,6 +31,12 @@ class Constants:
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
     nuggets: tuple[float, ...] = (1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4)
     """Variance of the scatter over that of the process: a grid of quadrature."""
+    other_regime: float = 0.25
+    """Squared error and variance of runs that are left out, over those by an emulator of all, below which one is of the
+    target's regime alone: half of the error, where other runs are given up for it."""
+    regime_gap: float = 3.0
+    """Distance of a run from the target over that of the next nearer one, from which on it may be of another regime:
+    where runs change steadily it is little above 1."""
 
     # Samples
     populations: int = 2
@@ -51,7 +57,7 @@ class Constants:
     """Samples that each is joined with, where the segment between them stays in the region."""
     smallest_weight: float = 0.02
     """Weight of a separate part of the region below which it is no answer."""
-    most_of_the_prior: float = 0.6
+    most_of_the_prior: float = 0.5
     """Length of an interval over the range between the bounds, above which a parameter is not identifiable."""
 
     # Runs of the MPM

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from inverse.observations import Target, Values
-from inverse.posterior.emulator import Matrix, linear
-from inverse.posterior.posterior import Posterior, Region, fewest_runs, next_points, posterior
+from inverse.posterior.emulator import Matrix, fewest_runs, linear
+from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.result import Purpose
 from validation.loop.check import Check, Task

@@ -128,5 +128,4 @@ def row(family: Family, found: Sequence[Twin]) -> dict[str, object]:
         "true values within half-widths": share(sum(each.inside for each in found) / (count * len(found))),
         "verdicts": ", ".join(f"{verdicts.count(each)} {each}" for each in dict.fromkeys(verdicts)),
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
-        "seconds": f"{np.median([each.seconds for each in found]):.0f}",
     }
