@@ -1,0 +1,268 @@
+"""A run that can be differentiated: forwards with checkpoints, backwards segment by segment (Griewank & Walther 2000).
+
+Two levels. The run goes forwards in the solver's own kernel and keeps its state at the first frame of every segment.
+Backwards, the last segment first, a segment is replayed from there with the state before every step in memory, and its
+steps are reversed. With F frames of n steps and segments of k frames that is F / k states and k n: least at
+k = sqrt(F / n), so memory grows with the root of the steps and every step is computed twice and reversed once.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.scene import Scene
+from mpm import runtime
+from mpm.adjoint.kernel import Pass
+from mpm.adjoint.kernel import kernel as adjoint_kernel
+from mpm.adjoint.layout import Layout
+from mpm.arrays.batch import Batch, aligned, particles_of
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Setting, Worker
+from mpm.kernel import Phase
+from mpm.kernel import kernel as step_kernel
+from mpm.output.outcome import failure
+from mpm.output.request import LAST
+
+Array = NDArray[Any]
+
+MEMORY_MIB = 256.0
+"""What checkpoints, states of a segment and bars may take unless another budget is given [MiB]."""
+SPARE = 1.25
+"""More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
+ARGUMENTS = (
+    *("state", "lanes", "grid", "scratch", "scratch_lanes", "impulse", "impulse_lanes", "settings", "properties"),
+    *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "clamped"),
+)
+"""The arrays of a batch that the adjoint's kernel takes, in its order."""
+
+
+class Tape:
+    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
+
+    frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
+    beside the arrays of the run itself. Raises InputError where a scene has what the adjoint does not know, where
+    scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        frames: Sequence[int],
+        *,
+        precision: Precision = "f64",
+        memory_mib: float = MEMORY_MIB,
+        threads: int | None = None,
+        outputs: int = 1,
+    ) -> None:
+        self.frames = checked_frames(scenes, frames)
+        particles = particles_of(scenes)
+        features = features_of(scenes, particles, precision, record=LAST)
+        for scene, own in zip(scenes, particles, strict=True):
+            if features_of([scene], [own], precision, record=LAST) != features:
+                raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
+        check(features)
+        runtime.start(precision, threads, enough=min(len(scenes), threads or len(scenes)))
+        self.batch = Batch(scenes, precision=precision, record=LAST, particles=particles)
+        self.features, self.layout = features, Layout(features)
+        # The reverse has more scratch vectors than a step.
+        self.batch.scratch = aligned((len(scenes) * self.layout.scratch, features.lanes), self.batch.state.dtype)
+        self.batch.workers[:, Worker.SCRATCH] = np.arange(len(scenes)) * self.layout.scratch
+        self.start = self.checkpoint()
+        self.memory_mib, self.outputs = memory_mib, outputs
+        usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
+        self.boundaries = self.plan(usual, SPARE * usual)
+        self.run()
+        if self.bytes() > memory_mib * 2**20:
+            # More steps than planned for: now their number is known.
+            most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
+            self.boundaries = self.plan(most, most)
+            self.restore(self.start)
+            self.run()
+
+    def plan(self, usual: float, most: float) -> list[int]:
+        """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
+        last, budget = self.frames[-1], self.memory_mib * 2**20 - self.fixed_bytes
+        state, steps = self.state_bytes, self.step_bytes
+        best, smallest = 1, math.inf
+        for length in range(1, last + 1):
+            whole = self.count(length) * state + math.ceil(length * most + 1) * steps
+            if whole < smallest:
+                best, smallest = length, whole
+        if smallest > budget:
+            raise InputError(
+                f"expected memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB, "
+                f"got {self.memory_mib:g} MiB: {last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB "
+                "a state",
+                key="memory_mib",
+            )
+        return sorted({*range(0, last, best), *self.frames, last})
+
+    def count(self, length: int) -> int:
+        """How many segments of `length` frames there are, at most."""
+        return len({*range(0, self.frames[-1], length), *self.frames})
+
+    @property
+    def state_bytes(self) -> int:
+        """Of a checkpoint."""
+        return int(self.batch.state[:, self.changing].nbytes)
+
+    @property
+    def step_bytes(self) -> int:
+        """Of the states before one step."""
+        state = self.batch.state
+        return state.shape[0] * self.layout.history * state.shape[2] * state.itemsize
+
+    @property
+    def fixed_bytes(self) -> int:
+        """Of bars and of the nodes that a reverse step keeps."""
+        state = self.batch.state
+        return 2 * self.batch.grid.nbytes + self.outputs * state.shape[0] * self.layout.width * (
+            state.shape[2] * state.itemsize
+        )
+
+    @property
+    def changing(self) -> list[int]:
+        """The vectors of a block that change from step to step."""
+        features = self.features
+        return [*range(features.properties), *range(features.remainder, features.block)]
+
+    def bytes(self) -> int:
+        """Of everything beside the arrays of the run itself."""
+        longest = int(self.steps.max()) + 1
+        return self.fixed_bytes + len(self.checkpoints) * self.state_bytes + longest * self.step_bytes
+
+    def checkpoint(self) -> tuple[Array, Array]:
+        """The state of all scenes, and the nodes in the support of their particles."""
+        return self.batch.state[:, self.changing].copy(), self.batch.workers.copy()
+
+    def restore(self, checkpoint: tuple[Array, Array]) -> None:
+        """Go back to a state."""
+        self.batch.state[:, self.changing], self.batch.workers[:] = checkpoint
+
+    def run(self) -> None:
+        """Forwards, by the solver's kernel."""
+        run, arguments = step_kernel(self.features), self.batch.arguments
+        self.checkpoints = []
+        self.observed = {0: self.motion()} if 0 in self.frames else {}
+        steps = [self.batch.offsets[:, Offset.STEPS].copy()]
+        for first, last in zip(self.boundaries, self.boundaries[1:], strict=False):
+            self.checkpoints.append(self.checkpoint())
+            run(*arguments.values(), first + 1, last + 1, Phase.FRAMES)
+            steps.append(self.batch.offsets[:, Offset.STEPS].copy())
+            if last in self.frames:
+                self.observed[last] = self.motion()
+        for index in range(len(self.batch.scenes)):
+            if (failed := failure(self.batch, index)) is not None:
+                raise failed
+        self.steps = np.diff(steps, axis=0)
+        """Of each segment and scene, shape [segments, scenes]."""
+
+    def motion(self) -> tuple[Array, Array]:
+        """Positions [m] and velocities [m/s] of the particles of all scenes, shape [blocks * lanes, D] each."""
+        return self.vectors(self.batch.state, 0), self.vectors(self.batch.state, self.features.velocity)
+
+    def vectors(self, blocks: Array, first: int, count: int | None = None) -> Array:
+        """`count` numbers of every particle, D unless given, from vector `first` of its block on, shape [., count]."""
+        count = self.features.dimension if count is None else count
+        return np.moveaxis(blocks[:, first : first + count], 1, 2).reshape(-1, count).copy()
+
+    def particles(self, index: int) -> slice:
+        """Where the particles of scene `index` lie in what `vectors` returns."""
+        first = int(self.batch.offsets[index, Offset.BLOCK]) * self.features.lanes
+        return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
+
+    def positions(self, index: int = 0) -> NDArray[np.float64]:
+        """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
+        return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
+
+    def velocities(self, index: int = 0) -> NDArray[np.float64]:
+        """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
+        return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
+
+    def reverse(self, motion_bars: Sequence[Sequence[tuple[Array, Array]]]) -> list[tuple[Array, Array]]:
+        """Bars of the state at the start and of the settings, for each of several objectives.
+
+        motion_bars: for each objective and scene the bars of `positions` and `velocities`. Returns for each objective
+        the bars of all blocks, shape [blocks, Layout.width, lanes], and shape [scenes, len(Setting)]. Segments are
+        replayed once for all of them.
+        """
+        batch, features, layout = self.batch, self.features, self.layout
+        real, lanes = batch.state.dtype, features.lanes
+        history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)
+        if history.size >= INDEX_LIMIT:
+            raise InputError(
+                f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
+            )
+        kept, grid_bars = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
+        step_times = np.zeros((len(batch.scenes), len(history)), real)
+        step_counts = np.zeros(len(batch.scenes), np.int32)
+        bars = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_bars]
+        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_bars]
+        walk = adjoint_kernel(features)
+        arguments = batch.arguments
+        shared = [arguments[name] for name in ARGUMENTS]
+
+        def call(number: int, first: int, last: int, direction: Pass) -> None:
+            walk(
+                *shared,
+                kept,
+                grid_bars,
+                bars[number].reshape(-1, lanes),
+                history.reshape(-1, lanes),
+                sums[number],
+                step_times,
+                step_counts,
+                first,
+                last,
+                direction,
+            )
+
+        for segment in reversed(range(len(self.checkpoints))):
+            first, last = self.boundaries[segment : segment + 2]
+            self.restore(self.checkpoints[segment])
+            call(0, first + 1, last + 1, Pass.REPLAY)
+            for number, per_scene in enumerate(motion_bars):
+                if last in self.frames:
+                    self.add_motion_bars(bars[number], per_scene, self.frames.index(last))
+                call(number, first + 1, last + 1, Pass.REVERSE)
+        if 0 in self.frames:
+            for number, per_scene in enumerate(motion_bars):
+                self.add_motion_bars(bars[number], per_scene, 0)
+        return list(zip(bars, sums, strict=True))
+
+    def add_motion_bars(self, bars: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:
+        """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
+        for index, (positions, velocities) in enumerate(per_scene):
+            here = self.particles(index)
+            for first, values in ((0, positions), (self.features.velocity, velocities)):
+                flat = self.vectors(bars, first)
+                flat[here] += values[slot]
+                columns = flat.reshape(len(bars), self.features.lanes, -1)
+                bars[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
+
+
+def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
+    """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
+    shortest = min(scene.frames for scene in scenes)
+    found = sorted(set(frames))
+    if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
+        raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
+    return found
+
+
+def check(features: Features) -> None:
+    """Raise InputError where the adjoint does not know something that scenes with `features` have."""
+    unknown = {
+        "contact": "solids or baffles",
+        "volume_correction": "volume_correction",
+        "softens": "a softening_length",
+        "outflow": "open_sides",
+        "barriers": "masses with a release",
+    }
+    for name, key in unknown.items():
+        if getattr(features, name):
+            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {key} yet", key="scene")
