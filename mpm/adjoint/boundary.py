@@ -33,7 +33,7 @@ def before_wall(v, node, cells, axis: ti.template(), scene, arrays: ti.template(
 
 
 @ti.func
-def wall_bars(bar, v_star, node, cells, scene, arrays: ti.template()):
+def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
     """Bar of the velocity `v_star` before all walls from that after them, shape [D], and of floor and wall friction."""
     dimension = ti.static(arrays.features.dimension)
     floor_bar, wall_bar = 0.0 * bar[0], 0.0 * bar[0]

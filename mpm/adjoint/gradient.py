@@ -102,9 +102,11 @@ class Gradient:
             )
             return np.concatenate([part.ravel() for part in parts])
 
-        bars = (self.positions, self.velocities, self.velocity_gradients, self.properties, self.settings)
+        adjoints = (self.positions, self.velocities, self.velocity_gradients, self.properties, self.settings)
         slopes = differences(inputs, at, "the path", step)
-        return float(np.concatenate([bar.ravel() for bar in bars]) @ slopes)
+        flat = np.concatenate([bar.ravel() for bar in adjoints])
+        # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
+        return float(flat[flat != 0.0] @ slopes[flat != 0.0])
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
@@ -155,18 +157,18 @@ def pull_back(
         (np.zeros(tape.positions(other).shape), np.zeros(tape.positions(other).shape))
         for other in range(len(tape.batch.scenes))
     ]
-    bars = [
+    adjoints = [
         [(moved, sped) if other == index else nothing[other] for other in range(len(nothing))]
         for moved, sped in zip(positions, still, strict=True)
     ]
-    return [gradients[index] for gradients in pull_back_all(tape, bars)]
+    return [gradients[index] for gradients in pull_back_all(tape, adjoints)]
 
 
-def pull_back_all(tape: Tape, bars: Sequence[Sequence[tuple[Floats, Floats]]]) -> list[list[Gradient]]:
+def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]]) -> list[list[Gradient]]:
     """For each objective and each scene of the tape its gradient, from bars of positions and velocities of each."""
     features, layout = tape.features, tape.layout
     found = []
-    for blocks, sums in tape.reverse(bars):
+    for blocks, sums in tape.reverse(adjoints):
         own = []
         for index, scene in enumerate(tape.batch.scenes):
             here = tape.particles(index)

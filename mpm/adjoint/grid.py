@@ -6,13 +6,19 @@
     v'     = v*' - dt alpha |a| v_s^2 (v^2 + v_s^2)^(-3/2) v*'      (v_s^2)' = dt alpha |a| / 2 v (v^2 + v_s^2)^(-3/2) v*'
     (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
 
+**The slope of the sign** is 1 / v_s at v = 0, and q = dt alpha |a| s'(v) is far above 2 where stress waves pass: such a
+node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
+ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of the
+flow. Unless `exact`, the reverse therefore takes q / (1 + q) for q, the slope of the same damping by a backward step, v* =
+v + dt (a - alpha |a| s(v*)): between 0 and 1 as a force that opposes motion allows, and equal to q where q is small.
+
 A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both bars, and v' and kappa'
 with -kappa and -v times that of the change.
 """
 
 import taichi as ti
 
-from mpm.adjoint.boundary import wall_bars
+from mpm.adjoint.boundary import wall_reverse
 from mpm.arrays.access import box_cells
 from mpm.arrays.layout import Setting, Worker
 from mpm.physics.grid import SLOW, TINY, store_node_velocity, velocity_after, velocity_before
@@ -32,7 +38,7 @@ def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.grid[first + k]
                 arrays.kept[first + k] = node
-                arrays.grid_bars[first + k] = zero
+                arrays.grid_adjoints[first + k] = zero
                 if node[features.dimension] > 0.0:
                     old = velocity_before(node, arrays)
                     new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
@@ -40,7 +46,7 @@ def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
 
 
 @ti.func
-def node_bars(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
+def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
     """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
 
     node: before its velocity was computed; (i, j, k): its indices.
@@ -75,7 +81,7 @@ def node_bars(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         v_bar = (0.0 - kappa) * change_bar
         kappa_bar = 0.0 - v.dot(change_bar)
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
-    star_bar, floor_bar, wall_bar = wall_bars(
+    star_bar, floor_bar, wall_bar = wall_reverse(
         new_bar, v + dt * damped, index, box_cells(scene, arrays), scene, arrays
     )
     v_bar = v_bar + star_bar
@@ -85,9 +91,11 @@ def node_bars(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         opposed = sign.dot(star_bar)
         damping_bar = (0.0 - dt) * size * opposed
         for axis in ti.static(range(dimension)):
-            lost = dt * alpha * size * slope[axis] * star_bar[axis]
-            v_bar[axis] -= slow * lost
-            slow_bar += 0.5 * v[axis] * lost
+            lost = dt * alpha * size * slope[axis]
+            if ti.static(not arrays.layout.exact):
+                lost = lost / (1.0 + lost * slow)
+            v_bar[axis] -= slow * lost * star_bar[axis]
+            slow_bar += 0.5 * v[axis] * lost * star_bar[axis]
         a_bar = a_bar - (dt * alpha * opposed / (size + TINY)) * a
     gravity_y_bar = a_bar[1]
     if ti.static(features.damped):
@@ -104,7 +112,7 @@ def node_bars(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
 
 
 @ti.func
-def update_grid_bars(worker, scene, dt, kappa, strides, arrays: ti.template()):
+def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
     """Bars of the nodes of a worker in place; add what they share to `arrays.sums`."""
     features = arrays.features
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
@@ -114,10 +122,10 @@ def update_grid_bars(worker, scene, dt, kappa, strides, arrays: ti.template()):
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.kept[first + k]
                 if node[features.dimension] > 0.0:
-                    bar, shared = node_bars(
-                        node, arrays.grid_bars[first + k], i, j, k, scene, dt, kappa, arrays
+                    bar, shared = node_reverse(
+                        node, arrays.grid_adjoints[first + k], i, j, k, scene, dt, kappa, arrays
                     )
-                    arrays.grid_bars[first + k] = bar
+                    arrays.grid_adjoints[first + k] = bar
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)
     columns = ti.static(

@@ -14,9 +14,9 @@ from functools import cache
 
 import taichi as ti
 
-from mpm.adjoint.grid import update_grid_bars, update_kept_nodes
+from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
 from mpm.adjoint.layout import Layout
-from mpm.adjoint.particles import block_to_grid_bars, update_block_bars
+from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
 from mpm.arrays.access import lane_maximum, lane_minimum, maximum, minimum, node_strides
 from mpm.arrays.features import Features
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
@@ -114,19 +114,19 @@ def reverse(worker, arrays: ti.template()):
         update_kept_nodes(worker, scene, dt, kappa, strides, arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
             after = state_before(step + 1, block, arrays)
-            update_block_bars(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
-        update_grid_bars(worker, scene, dt, kappa, strides, arrays)
+            update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
+        update_grid_reverse(worker, scene, dt, kappa, strides, arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            block_to_grid_bars(grid, scene, block, scratch, dt, strides, arrays)
+            block_to_grid_reverse(grid, scene, block, scratch, dt, strides, arrays)
 
 
 @cache
-def kernel(features: Features) -> Callable[..., None]:
+def kernel(layout: Layout) -> Callable[..., None]:
     """The kernel for scenes with `features`: the arrays of `mpm.arrays.batch.Batch.arguments` that a step reads, those
 
     of `mpm.adjoint.tape.Tape`, then `first`, `last` and the pass.
     """
-    layout = Layout(features)
+    features = layout.features
     real = ti.f32 if features.precision == "f32" else ti.f64
     numbers = ti.types.ndarray(dtype=real, ndim=1)
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
@@ -156,8 +156,8 @@ def kernel(features: Features) -> Callable[..., None]:
         workers: integer_table,
         clamped: integers,
         kept: nodes,
-        grid_bars: nodes,
-        bars: blocks,
+        grid_adjoints: nodes,
+        adjoints: blocks,
         history: blocks,
         sums: double_table,
         step_times: table,
@@ -189,8 +189,8 @@ def kernel(features: Features) -> Callable[..., None]:
                     workers=workers,
                     clamped=clamped,
                     kept=kept,
-                    grid_bars=grid_bars,
-                    bars=bars,
+                    grid_adjoints=grid_adjoints,
+                    adjoints=adjoints,
                     history=history,
                     sums=sums,
                     step_times=step_times,

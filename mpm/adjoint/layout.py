@@ -15,6 +15,8 @@ class Layout:
     """Where bars and the history of states lie; the kernel is compiled for it."""
 
     features: Features
+    exact: bool = False
+    """Whether the sign of local damping has the slope of the step, else a bounded one (`mpm.adjoint.grid`)."""
 
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""

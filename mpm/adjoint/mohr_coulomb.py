@@ -14,7 +14,7 @@ from mpm.physics.mohr_coulomb import on_edge, on_plane
 
 
 @ti.func
-def plane_bars(b1, b2, b3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.template()):
+def plane_reverse(b1, b2, b3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.template()):
     """Bars of (excess, sin phi, sin psi, lambda, mu) from those of `on_plane`'s stresses, which s_i have as well."""
     zero = 0.0 * b1
     if ti.static(dilates):
@@ -40,7 +40,7 @@ def plane_bars(b1, b2, b3, excess, sin_phi, sin_psi, lame, shear, dilates: ti.te
 
 
 @ti.func
-def edge_bars(
+def edge_reverse(
     single_bar,
     pair_bar,
     s1,
@@ -130,7 +130,7 @@ def edge_bars(
 
 
 @ti.func
-def cutoff_bars(b2, b3, s1, s2, s3, sin_phi, strength, limit, lame, shear):
+def cutoff_reverse(b2, b3, s1, s2, s3, sin_phi, strength, limit, lame, shear):
     """Bars of (s1, s2, s3, sin phi, 2 c cos phi, T, lambda, mu) from those of `on_cutoff`'s two stresses; and then
 
     one where one stress alone opened (s2 and s3 fell alike), else zero.
@@ -180,7 +180,7 @@ def cutoff_bars(b2, b3, s1, s2, s3, sin_phi, strength, limit, lame, shear):
 
 
 @ti.func
-def return_bars(
+def return_reverse(
     b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()
 ):
     """Bars of (s1, s2, s3, sin phi, sin psi, 2 c cos phi, T, lambda, mu) from those of the returned stresses, and then
@@ -206,8 +206,8 @@ def return_bars(
     p1 = ti.select(upper, zero, ti.select(lower, zero, k1))
     p2 = ti.select(upper, zero, ti.select(lower, zero, k2))
     p3 = ti.select(upper, zero, ti.select(lower, zero, k3))
-    plane = plane_bars(p1, p2, p3, excess, sin_phi, sin_psi, lame, shear, dilates)
-    top = edge_bars(
+    plane = plane_reverse(p1, p2, p3, excess, sin_phi, sin_psi, lame, shear, dilates)
+    top = edge_reverse(
         ti.select(upper, k3, zero),
         ti.select(upper, 0.5 * (k1 + k2), zero),
         s1,
@@ -222,7 +222,7 @@ def return_bars(
         True,
         dilates,
     )
-    bottom = edge_bars(
+    bottom = edge_reverse(
         ti.select(upper, zero, ti.select(lower, k1, zero)),
         ti.select(upper, zero, ti.select(lower, 0.5 * (k2 + k3), zero)),
         s1,
@@ -249,7 +249,7 @@ def return_bars(
     elastic = ti.select(over > 0.0, zero, ti.select(open_, zero, zero + 1.0))
     if ti.static(features.cohesive):
         c1, c2, c3 = ti.select(open_, b1, zero), ti.select(open_, b2, zero), ti.select(open_, b3, zero)
-        crack = cutoff_bars(c2, c3, s1, s2, s3, sin_phi, strength, limit, lame, shear)
+        crack = cutoff_reverse(c2, c3, s1, s2, s3, sin_phi, strength, limit, lame, shear)
         s1_bar, s2_bar, s3_bar = s1_bar + crack[0], s2_bar + crack[1], s3_bar + crack[2]
         sin_phi_bar, strength_bar = sin_phi_bar + crack[3], strength_bar + crack[4]
         limit_bar = c1 + crack[5]

@@ -10,8 +10,8 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 import taichi as ti
 
 from mpm.adjoint.grid import add_kappa_bar
-from mpm.adjoint.stress import midpoint_increment_bars, plastic_return_bars, trial_stress_bars
-from mpm.adjoint.transfer import gather_bars, prepare_weights, scatter_bars
+from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
+from mpm.adjoint.transfer import gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, component
 from mpm.physics.particles import strength_of
@@ -20,15 +20,15 @@ from mpm.physics.transfer import prepare_contributions, property_of, spline, vol
 
 
 @ti.func
-def update_block_bars(worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()):
+def update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()):
     """Bars of a block at the start of a step, but for what it gave to the grid; and those of the nodes from `grid` on.
 
     after: its first vector in the history of the state after the step.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    first, bars = no_overflow(block * features.block), block * layout.width
-    stress_bars(scene, block, after, dt, arrays)
+    first, own = no_overflow(block * features.block), block * layout.width
+    stress_reverse(scene, block, after, dt, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     values = scratch + features.values
@@ -43,63 +43,63 @@ def update_block_bars(worker, grid, scene, block, scratch, after, dt, kappa, str
             arrays.scratch[scratch + 3 * k + a] = w[a]
     kappa_bar = 0.0 * f[0]
     for i in ti.static(range(size)):
-        place_bar = arrays.bars[bars + i]
+        x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx
-        place_bar = ti.select((x > 0.0) & (x < length), place_bar, 0.0)
-        arrays.bars[bars + i] = place_bar
-        v_bar = arrays.bars[bars + features.velocity + i]
-        value = dt * place_bar
+        x_bar = ti.select((x > 0.0) & (x < length), x_bar, 0.0)
+        arrays.adjoints[own + i] = x_bar
+        v_bar = arrays.adjoints[own + features.velocity + i]
+        value = dt * x_bar
         if ti.static(features.relaxed):
             arrays.scratch[values + features.change + i] = v_bar
             kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
-            arrays.bars[bars + features.velocity + i] = kappa * v_bar
+            arrays.adjoints[own + features.velocity + i] = kappa * v_bar
         else:
             if ti.static(features.forces):
                 arrays.scratch[values + features.force + i] = 0.0 * v_bar
             value = value + v_bar
-            arrays.bars[bars + features.velocity + i] = 0.0 * v_bar
+            arrays.adjoints[own + features.velocity + i] = 0.0 * v_bar
         for j in ti.static(range(size)):
-            slope = 4.0 * per_dx * arrays.bars[bars + features.affine + i * size + j]
+            slope = 4.0 * per_dx * arrays.adjoints[own + features.affine + i * size + j]
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + i] = slope
             if ti.static(features.forces):
                 arrays.scratch[values + (1 + j) * features.node + features.force + i] = 0.0 * slope
         arrays.scratch[values + i] = value
     prepare_weights(scene, block, scratch, arrays)
-    scatter_bars(grid, block, scratch, strides, arrays)
+    scatter_reverse(grid, block, scratch, strides, arrays)
     for j in ti.static(range(size)):
-        moved = arrays.bars[bars + j] + arrays.scratch[scratch + layout.forces + j]
+        moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
         for i in ti.static(range(size)):
-            affine_bar = arrays.bars[bars + features.affine + i * size + j]
+            affine_bar = arrays.adjoints[own + features.affine + i * size + j]
             moved = moved - (4.0 * per_dx * per_dx) * affine_bar * arrays.scratch[scratch + layout.sums + i]
-        arrays.bars[bars + j] = moved
+        arrays.adjoints[own + j] = moved
     if ti.static(features.relaxed):
         add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
 
 @ti.func
-def stress_bars(scene, block, after, dt, arrays: ti.template()):
+def stress_reverse(scene, block, after, dt, arrays: ti.template()):
     """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    first, bars = no_overflow(block * features.block), block * layout.width
+    first, own = no_overflow(block * features.block), block * layout.width
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     gradient = [dt * arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
     increment = midpoint_increment(gradient, size)
     trial = trial_stress(stress, increment, lame, shear, size)
-    bar = [arrays.bars[bars + features.stress + k] for k in ti.static(range(features.stresses))]
-    returned = plastic_return_bars(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
+    returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
     trial_bar = [returned[k] for k in ti.static(range(features.stresses))]
-    elastic = trial_stress_bars(trial_bar, stress, increment, lame, shear, size)
+    elastic = trial_stress_reverse(trial_bar, stress, increment, lame, shear, size)
     for k in ti.static(range(features.stresses)):
-        arrays.bars[bars + features.stress + k] = elastic[k]
+        arrays.adjoints[own + features.stress + k] = elastic[k]
     increment_bar = [elastic[ti.static(features.stresses + k)] for k in ti.static(range(size * size))]
-    gradient_bar = midpoint_increment_bars(increment_bar, gradient, size)
+    gradient_bar = midpoint_increment_reverse(increment_bar, gradient, size)
     for k in ti.static(range(size * size)):
-        at = bars + features.affine + k
-        arrays.bars[at] = arrays.bars[at] + dt * gradient_bar[k]
+        at = own + features.affine + k
+        arrays.adjoints[at] = arrays.adjoints[at] + dt * gradient_bar[k]
     columns = ti.static(
         (Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT, Property.LAME, Property.SHEAR)
     )
@@ -108,19 +108,19 @@ def stress_bars(scene, block, after, dt, arrays: ti.template()):
         value = returned[ti.static(features.stresses + number)]
         if ti.static(number >= 4):
             value = value + elastic[ti.static(features.stresses + size * size + number - 4)]
-        at = bars + layout.properties + ti.static(int(columns[number]))
-        arrays.bars[at] = arrays.bars[at] + present * value
+        at = own + layout.properties + ti.static(int(columns[number]))
+        arrays.adjoints[at] = arrays.adjoints[at] + present * value
 
 
 @ti.func
-def block_to_grid_bars(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
+def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
     """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    first, bars = no_overflow(block * features.block), block * layout.width
+    first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, dt, arrays)
     prepare_weights(scene, block, scratch, arrays)
-    gather_bars(grid, block, scratch, strides, arrays)
+    gather_reverse(grid, block, scratch, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)
     present = arrays.state[first + features.present]
@@ -134,31 +134,31 @@ def block_to_grid_bars(grid, scene, block, scratch, dt, strides: ti.template(), 
     force_work = 0.0 * mass_bar
     for i in ti.static(range(size)):
         v_bar = arrays.scratch[sums + i]
-        at = bars + features.velocity + i
+        at = own + features.velocity + i
         mass_bar = mass_bar + arrays.state[first + features.velocity + i] * v_bar
-        arrays.bars[at] = present * (arrays.bars[at] + mass * v_bar)
+        arrays.adjoints[at] = present * (arrays.adjoints[at] + mass * v_bar)
         for j in ti.static(range(size)):
             affine = arrays.scratch[sums + (1 + j) * features.node + i]
             mass_bar = mass_bar + arrays.state[first + features.affine + i * size + j] * affine
-            arrays.bars[bars + features.affine + i * size + j] = present * mass * affine
+            arrays.adjoints[own + features.affine + i * size + j] = present * mass * affine
     for k in ti.static(range(size)):
-        moved = arrays.bars[bars + k] + arrays.scratch[scratch + layout.forces + k]
+        moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
             stress = arrays.state[first + features.stress + ti.static(component(i, k, size))]
             moved = moved - mass * arrays.state[first + features.affine + i * size + k] * arrays.scratch[sums + i]
             moved = moved + scale * stress * arrays.scratch[sums + force + i]
             pull = arrays.scratch[sums + (1 + k) * features.node + force + i]
             force_work = force_work + stress * pull
-            at = bars + features.stress + ti.static(component(i, k, size))
-            arrays.bars[at] = arrays.bars[at] - scale * pull
-        arrays.bars[bars + k] = present * moved
+            at = own + features.stress + ti.static(component(i, k, size))
+            arrays.adjoints[at] = arrays.adjoints[at] - scale * pull
+        arrays.adjoints[own + k] = present * moved
     for k in ti.static(range(features.stresses)):
-        arrays.bars[bars + features.stress + k] = present * arrays.bars[bars + features.stress + k]
-    at = bars + layout.properties
+        arrays.adjoints[own + features.stress + k] = present * arrays.adjoints[own + features.stress + k]
+    at = own + layout.properties
     unit = per_square
     if ti.static(not features.forces):
         unit = dt * per_square
-    arrays.bars[at + Property.DENSITY] = arrays.bars[at + Property.DENSITY] + present * volume * mass_bar
-    arrays.bars[at + Property.VOLUME] = arrays.bars[at + Property.VOLUME] + present * (
+    arrays.adjoints[at + Property.DENSITY] = arrays.adjoints[at + Property.DENSITY] + present * volume * mass_bar
+    arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
         density * mass_bar - unit * force_work
     )

@@ -21,7 +21,7 @@ G = A - A A / 2: A' = G' - (G' A^T + A^T G') / 2. A bar of xy is that of the num
 
 import taichi as ti
 
-from mpm.adjoint.mohr_coulomb import return_bars
+from mpm.adjoint.mohr_coulomb import return_reverse
 from mpm.adjoint.principal import principal_axes
 from mpm.arrays.access import maximum, minimum
 from mpm.physics.mohr_coulomb import return_principal
@@ -37,7 +37,7 @@ def divided(t, s, elastic, alike):
 
 
 @ti.func
-def plastic_return_bars(
+def plastic_return_reverse(
     bar: ti.template(),
     stress: ti.template(),
     sin_phi,
@@ -72,7 +72,7 @@ def plastic_return_bars(
         b1 = ti.select(above, bar[2], top_bar)
         b2 = ti.select(above, top_bar, ti.select(below, bottom_bar, bar[2]))
         b3 = ti.select(below, bar[2], bottom_bar)
-        g = return_bars(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        g = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
@@ -104,7 +104,7 @@ def plastic_return_bars(
         b1, b2, b3 = ux * bux + uy * buy + uz * buz, vx * bvx + vy * bvy + vz * bvz, wx * bwx + wy * bwy + wz * bwz
         b12, b23 = ux * bvx + uy * bvy + uz * bvz, vx * bwx + vy * bwy + vz * bwz
         b13 = ux * bwx + uy * bwy + uz * bwz
-        g = return_bars(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        g = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         zero = 0.0 * b1
         k12 = divided(t1 - t2, a1 - a2, g[9], zero) * b12
         k23 = divided(t2 - t3, a2 - a3, g[9], g[10]) * b23
@@ -130,7 +130,7 @@ def plastic_return_bars(
 
 
 @ti.func
-def trial_stress_bars(bar: ti.template(), stress: ti.template(), gradient: ti.template(), lame, shear, d: ti.template()):
+def trial_stress_reverse(bar: ti.template(), stress: ti.template(), gradient: ti.template(), lame, shear, d: ti.template()):
     """Bars of the stress before, of the increment G row by row, and of (lambda, mu), from that of the trial stress."""
     if ti.static(d == 2):
         xx, yy, _, xy = stress
@@ -207,7 +207,7 @@ def trial_stress_bars(bar: ti.template(), stress: ti.template(), gradient: ti.te
 
 
 @ti.func
-def midpoint_increment_bars(bar: ti.template(), a: ti.template(), dimension: ti.template()):
+def midpoint_increment_reverse(bar: ti.template(), a: ti.template(), dimension: ti.template()):
     """Bar of A, row by row, from that of G = A - A A / 2."""
     return [
         bar[i] - 0.5 * transposed_products(bar, a, ti.static(i // dimension), ti.static(i % dimension), dimension)

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from datasets.material import Material
 from datasets.scene import Scene
 from mpm import runtime
 from mpm.adjoint.kernel import Pass
@@ -31,6 +33,8 @@ Array = NDArray[Any]
 
 MEMORY_MIB = 256.0
 """What checkpoints, states of a segment and bars may take unless another budget is given [MiB]."""
+UNBOUNDED = 10.0
+"""Influence of a particle over that of all that is possible from which a gradient has grown without bound."""
 SPARE = 1.25
 """More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
 ARGUMENTS = (
@@ -44,7 +48,8 @@ class Tape:
     """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
 
     frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
-    beside the arrays of the run itself. Raises InputError where a scene has what the adjoint does not know, where
+    beside the arrays of the run itself; outputs: objectives that are reversed together; exact: as
+    `mpm.adjoint.layout.Layout.exact`, for tests. Raises InputError where a scene has what the adjoint does not know, where
     scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
     """
 
@@ -57,6 +62,7 @@ class Tape:
         memory_mib: float = MEMORY_MIB,
         threads: int | None = None,
         outputs: int = 1,
+        exact: bool = False,
     ) -> None:
         self.frames = checked_frames(scenes, frames)
         particles = particles_of(scenes)
@@ -67,7 +73,7 @@ class Tape:
         check(features)
         runtime.start(precision, threads, enough=min(len(scenes), threads or len(scenes)))
         self.batch = Batch(scenes, precision=precision, record=LAST, particles=particles)
-        self.features, self.layout = features, Layout(features)
+        self.features, self.layout = features, Layout(features, exact)
         # The reverse has more scratch vectors than a step.
         self.batch.scratch = aligned((len(scenes) * self.layout.scratch, features.lanes), self.batch.state.dtype)
         self.batch.workers[:, Worker.SCRATCH] = np.arange(len(scenes)) * self.layout.scratch
@@ -183,11 +189,11 @@ class Tape:
         """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
-    def reverse(self, motion_bars: Sequence[Sequence[tuple[Array, Array]]]) -> list[tuple[Array, Array]]:
+    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[tuple[Array, Array]]:
         """Bars of the state at the start and of the settings, for each of several objectives.
 
-        motion_bars: for each objective and scene the bars of `positions` and `velocities`. Returns for each objective
-        the bars of all blocks, shape [blocks, Layout.width, lanes], and shape [scenes, len(Setting)]. Segments are
+        motion_adjoints: for each objective and scene the adjoints of `positions` and `velocities`. Returns for each objective
+        the adjoints of all blocks, shape [blocks, Layout.width, lanes], and shape [scenes, len(Setting)]. Segments are
         replayed once for all of them.
         """
         batch, features, layout = self.batch, self.features, self.layout
@@ -197,12 +203,12 @@ class Tape:
             raise InputError(
                 f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
             )
-        kept, grid_bars = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
+        kept, grid_adjoints = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
         step_times = np.zeros((len(batch.scenes), len(history)), real)
         step_counts = np.zeros(len(batch.scenes), np.int32)
-        bars = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_bars]
-        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_bars]
-        walk = adjoint_kernel(features)
+        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_adjoints]
+        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_adjoints]
+        walk = adjoint_kernel(self.layout)
         arguments = batch.arguments
         shared = [arguments[name] for name in ARGUMENTS]
 
@@ -210,8 +216,8 @@ class Tape:
             walk(
                 *shared,
                 kept,
-                grid_bars,
-                bars[number].reshape(-1, lanes),
+                grid_adjoints,
+                adjoints[number].reshape(-1, lanes),
                 history.reshape(-1, lanes),
                 sums[number],
                 step_times,
@@ -225,24 +231,51 @@ class Tape:
             first, last = self.boundaries[segment : segment + 2]
             self.restore(self.checkpoints[segment])
             call(0, first + 1, last + 1, Pass.REPLAY)
-            for number, per_scene in enumerate(motion_bars):
+            for number, per_scene in enumerate(motion_adjoints):
                 if last in self.frames:
-                    self.add_motion_bars(bars[number], per_scene, self.frames.index(last))
+                    self.add_motion_adjoints(adjoints[number], per_scene, self.frames.index(last))
                 call(number, first + 1, last + 1, Pass.REVERSE)
         if 0 in self.frames:
-            for number, per_scene in enumerate(motion_bars):
-                self.add_motion_bars(bars[number], per_scene, 0)
-        return list(zip(bars, sums, strict=True))
+            for number, per_scene in enumerate(motion_adjoints):
+                self.add_motion_adjoints(adjoints[number], per_scene, 0)
+        if not self.layout.exact:
+            for number, per_scene in enumerate(motion_adjoints):
+                self.check_bounded(adjoints[number], per_scene)
+        return list(zip(adjoints, sums, strict=True))
 
-    def add_motion_bars(self, bars: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:
+    def check_bounded(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]]) -> None:
+        """Raise WorkFailed where one particle's velocity has more influence than all together can have."""
+        for index, (positions, velocities) in enumerate(per_scene):
+            scene, here = self.batch.scenes[index], self.particles(index)
+            found = np.abs(self.vectors(adjoints, self.features.velocity)[here]).max()
+            possible = np.abs(positions).sum() * self.frames[-1] * scene.frame_dt + np.abs(velocities).sum()
+            if not found <= UNBOUNDED * possible:
+                stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
+                raise WorkFailed(
+                    f"the gradient of scene {index} grows without bound: a particle has {found / possible:.2g} times the "
+                    "influence that all together can have. Single particles fly apart and touch again, for which a step "
+                    f"is stable up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
+                )
+
+    def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:
         """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
         for index, (positions, velocities) in enumerate(per_scene):
             here = self.particles(index)
             for first, values in ((0, positions), (self.features.velocity, velocities)):
-                flat = self.vectors(bars, first)
+                flat = self.vectors(adjoints, first)
                 flat[here] += values[slot]
-                columns = flat.reshape(len(bars), self.features.lanes, -1)
-                bars[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
+                columns = flat.reshape(len(adjoints), self.features.lanes, -1)
+                adjoints[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
+
+
+def lone_particle_step(material: Material, dimension: int) -> float:
+    """The largest stable `step_fraction` of a particle that has its nodes to itself, compressed alike along all axes.
+
+    Its C and stress swing as dC/dt = -4 p / (rho dx^2), dp/dt = (D lambda + 2 mu) C per axis, whatever its place in the
+    cell, and explicit steps follow that up to 2 / omega; waves in a body are slower than this.
+    """
+    swinging = dimension * material.lame + 2.0 * material.shear_modulus
+    return math.sqrt((material.lame + 2.0 * material.shear_modulus) / swinging)
 
 
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:

@@ -40,7 +40,7 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def scatter_bars(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Add the values and slopes that a block has left in `scratch` to the bars of the nodes from `grid` on.
 
     Leaves the sum of w_ip n_i of what lies at the nodes, and the `weight_forces`.
@@ -63,7 +63,7 @@ def scatter_bars(grid, block, scratch, strides: ti.template(), arrays: ti.templa
                 row, product, y_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
                 for b in ti.static(range(3)):
                     node = arrays.grid[at + b]
-                    add(arrays.grid_bars, at + b, (wx[a] * wy[b]) * here, arrays)
+                    add(arrays.grid_adjoints, at + b, (wx[a] * wy[b]) * here, arrays)
                     both = node * here
                     row = row + wy[b] * node
                     product = product + wy[b] * both
@@ -86,7 +86,7 @@ def scatter_bars(grid, block, scratch, strides: ti.template(), arrays: ti.templa
                     row, product, z_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
                     for c in ti.static(range(3)):
                         node = arrays.grid[at + c]
-                        add(arrays.grid_bars, at + c, (wx[a] * wy[b] * wz[c]) * here, arrays)
+                        add(arrays.grid_adjoints, at + c, (wx[a] * wy[b] * wz[c]) * here, arrays)
                         both = node * here
                         row = row + wz[c] * node
                         product = product + wz[c] * both
@@ -103,7 +103,7 @@ def scatter_bars(grid, block, scratch, strides: ti.template(), arrays: ti.templa
 
 
 @ti.func
-def gather_bars(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Leave Z, Y_j of each particle of a block and the `weight_forces` of what it gave, from the bars of the nodes."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     stride_x, stride_y = strides[0], strides[1]
@@ -125,7 +125,7 @@ def gather_bars(grid, block, scratch, strides: ti.template(), arrays: ti.templat
                 row, y_row = zero_node(arrays), zero_node(arrays)
                 product, y_product = zero_node(arrays), zero_node(arrays)
                 for b in ti.static(range(3)):
-                    node = arrays.grid_bars[at + b]
+                    node = arrays.grid_adjoints[at + b]
                     both = node * here
                     row = row + wy[b] * node
                     y_row = y_row + ly[b] * node
@@ -151,7 +151,7 @@ def gather_bars(grid, block, scratch, strides: ti.template(), arrays: ti.templat
                     row, z_row = zero_node(arrays), zero_node(arrays)
                     product, z_product = zero_node(arrays), zero_node(arrays)
                     for c in ti.static(range(3)):
-                        node = arrays.grid_bars[at + c]
+                        node = arrays.grid_adjoints[at + c]
                         both = node * here
                         row = row + wz[c] * node
                         z_row = z_row + lz[c] * node
