@@ -97,16 +97,34 @@ class Gradient:
                 particles.positions,
                 particles.velocities,
                 particles.velocity_gradients,
+                initial_stress(scene, particles),
                 properties_of(particles)[:, : self.properties.shape[1]],
                 np.array(settings_row(scene, particles)),
             )
             return np.concatenate([part.ravel() for part in parts])
 
-        adjoints = (self.positions, self.velocities, self.velocity_gradients, self.properties, self.settings)
+        adjoints = (
+            self.positions,
+            self.velocities,
+            self.velocity_gradients,
+            self.stress,
+            self.properties,
+            self.settings,
+        )
         slopes = differences(inputs, at, "the path", step)
         flat = np.concatenate([bar.ravel() for bar in adjoints])
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
         return float(flat[flat != 0.0] @ slopes[flat != 0.0])
+
+
+def initial_stress(scene: Scene, particles: Particles) -> Floats:
+    """Initial stress of the particles [Pa], shape [N, 4 or 6]; 0 but where a mass has a K0."""
+    if all(mass.k0 is None for mass in scene.masses):
+        return np.zeros((len(particles.positions), 4 if scene.dimension == 2 else 6))
+    # Imported here: most runs begin without stress and need no sparse solver.
+    from mpm.initial.stress import initial_tractions
+
+    return initial_tractions(scene, particles, particles.positions)[0]
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:

@@ -122,9 +122,7 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.kept[first + k]
                 if node[features.dimension] > 0.0:
-                    bar, shared = node_reverse(
-                        node, arrays.grid_adjoints[first + k], i, j, k, scene, dt, kappa, arrays
-                    )
+                    bar, shared = node_reverse(node, arrays.grid_adjoints[first + k], i, j, k, scene, dt, kappa, arrays)
                     arrays.grid_adjoints[first + k] = bar
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)

@@ -171,7 +171,8 @@ def cutoff_reverse(b2, b3, s1, s2, s3, sin_phi, strength, limit, lame, shear):
         lowest_bar * (limit + lowest) * per_cone,
         0.0 - lowest_bar * per_cone,
         limit_bar,
-        coupling_bar * 2.0 * shear * per_coupling * per_coupling + poisson_bar * 0.5 * shear * per_poisson * per_poisson,
+        coupling_bar * 2.0 * shear * per_coupling * per_coupling
+        + poisson_bar * 0.5 * shear * per_poisson * per_poisson,
         0.0
         - coupling_bar * 2.0 * lame * per_coupling * per_coupling
         - poisson_bar * 0.5 * lame * per_poisson * per_poisson,
@@ -180,9 +181,7 @@ def cutoff_reverse(b2, b3, s1, s2, s3, sin_phi, strength, limit, lame, shear):
 
 
 @ti.func
-def return_reverse(
-    b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()
-):
+def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
     """Bars of (s1, s2, s3, sin phi, sin psi, 2 c cos phi, T, lambda, mu) from those of the returned stresses, and then
 
     one where nothing yields, else zero; one where s2 and s3 fell alike, else zero.
@@ -255,4 +254,16 @@ def return_reverse(
         limit_bar = c1 + crack[5]
         lame_bar, shear_bar = lame_bar + crack[6], shear_bar + crack[7]
         alike = ti.select(open_, crack[8], zero)
-    return s1_bar, s2_bar, s3_bar, sin_phi_bar, sin_psi_bar, strength_bar, limit_bar, lame_bar, shear_bar, elastic, alike
+    return (
+        s1_bar,
+        s2_bar,
+        s3_bar,
+        sin_phi_bar,
+        sin_psi_bar,
+        strength_bar,
+        limit_bar,
+        lame_bar,
+        shear_bar,
+        elastic,
+        alike,
+    )

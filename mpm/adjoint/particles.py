@@ -20,7 +20,9 @@ from mpm.physics.transfer import prepare_contributions, property_of, spline, vol
 
 
 @ti.func
-def update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()):
+def update_block_reverse(
+    worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()
+):
     """Bars of a block at the start of a step, but for what it gave to the grid; and those of the nodes from `grid` on.
 
     after: its first vector in the history of the state after the step.

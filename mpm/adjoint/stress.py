@@ -92,14 +92,20 @@ def plastic_return_reverse(
         t1, t2, t3, _ = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         hxy, hyz, hzx = 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]
         # The bar times each axis, then in the axes.
-        bux, buy, buz = bar[0] * ux + hxy * uy + hzx * uz, hxy * ux + bar[1] * uy + hyz * uz, (
-            hzx * ux + hyz * uy + bar[2] * uz
+        bux, buy, buz = (
+            bar[0] * ux + hxy * uy + hzx * uz,
+            hxy * ux + bar[1] * uy + hyz * uz,
+            (hzx * ux + hyz * uy + bar[2] * uz),
         )
-        bvx, bvy, bvz = bar[0] * vx + hxy * vy + hzx * vz, hxy * vx + bar[1] * vy + hyz * vz, (
-            hzx * vx + hyz * vy + bar[2] * vz
+        bvx, bvy, bvz = (
+            bar[0] * vx + hxy * vy + hzx * vz,
+            hxy * vx + bar[1] * vy + hyz * vz,
+            (hzx * vx + hyz * vy + bar[2] * vz),
         )
-        bwx, bwy, bwz = bar[0] * wx + hxy * wy + hzx * wz, hxy * wx + bar[1] * wy + hyz * wz, (
-            hzx * wx + hyz * wy + bar[2] * wz
+        bwx, bwy, bwz = (
+            bar[0] * wx + hxy * wy + hzx * wz,
+            hxy * wx + bar[1] * wy + hyz * wz,
+            (hzx * wx + hyz * wy + bar[2] * wz),
         )
         b1, b2, b3 = ux * bux + uy * buy + uz * buz, vx * bvx + vy * bvy + vz * bvz, wx * bwx + wy * bwy + wz * bwz
         b12, b23 = ux * bvx + uy * bvy + uz * bvz, vx * bwx + vy * bwy + vz * bwz
@@ -130,7 +136,9 @@ def plastic_return_reverse(
 
 
 @ti.func
-def trial_stress_reverse(bar: ti.template(), stress: ti.template(), gradient: ti.template(), lame, shear, d: ti.template()):
+def trial_stress_reverse(
+    bar: ti.template(), stress: ti.template(), gradient: ti.template(), lame, shear, d: ti.template()
+):
     """Bars of the stress before, of the increment G row by row, and of (lambda, mu), from that of the trial stress."""
     if ti.static(d == 2):
         xx, yy, _, xy = stress
@@ -142,9 +150,7 @@ def trial_stress_reverse(bar: ti.template(), stress: ti.template(), gradient: ti
         half = 0.5 * (xx - yy)
         half_bar = bar[0] - bar[1]
         # d/d(angle) of the turned (half, xy) is (-2 xy, 2 half) of the turned ones.
-        angle_bar = 2.0 * (
-            bar[3] * (cosine2 * half - sine2 * xy) - half_bar * (sine2 * half + cosine2 * xy)
-        )
+        angle_bar = 2.0 * (bar[3] * (cosine2 * half - sine2 * xy) - half_bar * (sine2 * half + cosine2 * xy))
         q_bar = 2.0 * per * angle_bar
         turned = cosine2 * half_bar + sine2 * bar[3]
         mean = 0.5 * (bar[0] + bar[1])

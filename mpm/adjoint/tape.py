@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.material import Material
+from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm import runtime
 from mpm.adjoint.kernel import Pass
@@ -49,7 +50,8 @@ class Tape:
 
     frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
     beside the arrays of the run itself; outputs: objectives that are reversed together; exact: as
-    `mpm.adjoint.layout.Layout.exact`, for tests. Raises InputError where a scene has what the adjoint does not know, where
+    `mpm.adjoint.layout.Layout.exact`, for tests; particles: those of each scene at the start, where a run begins with
+    others than the scene's. Raises InputError where a scene has what the adjoint does not know, where
     scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
     """
 
@@ -63,9 +65,10 @@ class Tape:
         threads: int | None = None,
         outputs: int = 1,
         exact: bool = False,
+        particles: Sequence[Particles] | None = None,
     ) -> None:
         self.frames = checked_frames(scenes, frames)
-        particles = particles_of(scenes)
+        particles = particles_of(scenes) if particles is None else list(particles)
         features = features_of(scenes, particles, precision, record=LAST)
         for scene, own in zip(scenes, particles, strict=True):
             if features_of([scene], [own], precision, record=LAST) != features:
@@ -250,7 +253,9 @@ class Tape:
             found = np.abs(self.vectors(adjoints, self.features.velocity)[here]).max()
             possible = np.abs(positions).sum() * self.frames[-1] * scene.frame_dt + np.abs(velocities).sum()
             if not found <= UNBOUNDED * possible:
-                stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
+                stable = min(
+                    lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials
+                )
                 raise WorkFailed(
                     f"the gradient of scene {index} grows without bound: a particle has {found / possible:.2g} times the "
                     "influence that all together can have. Single particles fly apart and touch again, for which a step "

@@ -3,15 +3,13 @@
 import dataclasses
 from collections.abc import Callable
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.material import Material
-from datasets.particles import Particles
+from datasets.particles import Particles, initial_particles
 from datasets.scene import Domain, Mass, Scene
-from mpm.adjoint import tape as tape_module
 from mpm.adjoint.tape import Tape
 
 Floats = NDArray[np.float64]
@@ -42,7 +40,7 @@ class Weighted:
 
     def __init__(self, scene: Scene, frames: int = 1) -> None:
         random = np.random.default_rng(0)
-        count = len(tape_module.particles_of([scene])[0].positions)
+        count = len(initial_particles(scene).positions)
         self.positions = random.normal(size=(frames, count, scene.dimension))
         self.velocities = 0.01 * random.normal(size=self.positions.shape)
 
@@ -55,13 +53,8 @@ class Weighted:
 
 def value_of(scene: Scene, objective: Weighted, change: Callable[[Particles], Particles] | None = None) -> float:
     """The objective of a run in double precision, of particles that `change` moves."""
-    made = tape_module.particles_of
-
-    def changed(scenes: list[Scene]) -> list[Particles]:
-        return [each if change is None else change(each) for each in made(scenes)]
-
-    with mock.patch.object(tape_module, "particles_of", changed):
-        tape = Tape([scene], [scene.frames - 1], threads=1)
+    particles = initial_particles(scene)
+    tape = Tape([scene], [scene.frames - 1], threads=1, particles=[particles if change is None else change(particles)])
     return objective.value(tape.positions(), tape.velocities())
 
 
