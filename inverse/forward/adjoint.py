@@ -62,7 +62,7 @@ class Run:
         def slopes(gradient: Gradient) -> Tensor:
             return torch.from_numpy(self.derivatives(gradient, values))
 
-        positions, velocities = _Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters)
+        positions, velocities = _Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters)  # type: ignore[no-untyped-call]
         return positions, velocities
 
     def derivatives(self, gradient: Gradient, values: Vector) -> Vector:
@@ -90,7 +90,7 @@ class ParticleRun:
     def __init__(self, scene: Scene, *, frames: Sequence[int] | None = None, **options: Any) -> None:
         self.scene = scene
         self.frames = [scene.frames - 1] if frames is None else sorted(frames)
-        self.options = {"precision": "f32", "memory_mib": MEMORY_MIB, "threads": None} | options
+        self.options: dict[str, Any] = {"precision": "f32", "memory_mib": MEMORY_MIB, "threads": None} | options
         self.initial: Particles = initial_particles(scene)
 
     def __call__(self, velocities: Tensor, positions: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -107,7 +107,7 @@ class ParticleRun:
         def slopes(gradient: Gradient) -> tuple[Tensor, Tensor]:
             return torch.from_numpy(gradient.velocities), torch.from_numpy(gradient.positions)
 
-        moved, sped = _Flow.apply(tape, slopes, velocities, positions)
+        moved, sped = _Flow.apply(tape, slopes, velocities, positions)  # type: ignore[no-untyped-call]
         return moved, sped
 
 

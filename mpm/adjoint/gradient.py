@@ -68,11 +68,11 @@ class Gradient:
         for index, material in enumerate(self.particles.materials):
             here = self.particles.material == index
             depth = self.particles.depth[here]
-            rows = differences(
-                lambda value, own=material, at=depth: properties_at(with_constant(own, name, value), at),
-                getattr(material, name),
-                name,
-            )
+
+            def rows_at(value: float, own: Material = material, depth: Floats = depth) -> Floats:
+                return properties_at(with_constant(own, name, value), depth)
+
+            rows = differences(rows_at, getattr(material, name), name)
             rows = rows[:, : self.properties.shape[1]]
             rows[:, 0] = 0.0
             found[here] = (self.properties[here] * rows).sum(axis=1)
@@ -80,7 +80,11 @@ class Gradient:
 
     def setting(self, name: str) -> float:
         """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
-        return self.along(lambda value: dataclasses.replace(self.scene, **{name: value}), getattr(self.scene, name))
+
+        def scene_at(value: float) -> Scene:
+            return dataclasses.replace(self.scene, **{name: value})  # type: ignore[arg-type]
+
+        return self.along(scene_at, getattr(self.scene, name))
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene.

@@ -3,14 +3,15 @@
     v* = v + dt (a - alpha |a| s(v)),   a = g + f / m,   v = (m v) / m,   s(v) = v / sqrt(v^2 + v_s^2)
 
     a'     = dt v*' - (dt alpha s . v*') a / |a|            alpha' = -dt |a| s . v*'
-    v'     = v*' - dt alpha |a| v_s^2 (v^2 + v_s^2)^(-3/2) v*'      (v_s^2)' = dt alpha |a| / 2 v (v^2 + v_s^2)^(-3/2) v*'
+    v'     = v*' - v_s^2 l,    (v_s^2)' = v . l / 2,    l = dt alpha |a| (v^2 + v_s^2)^(-3/2) v*' by components
     (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
 
 **The slope of the sign** is 1 / v_s at v = 0, and q = dt alpha |a| s'(v) is far above 2 where stress waves pass: such a
 node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
 ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of the
-flow. Unless `exact`, the reverse therefore takes q / (1 + q) for q, the slope of the same damping by a backward step, v* =
-v + dt (a - alpha |a| s(v*)): between 0 and 1 as a force that opposes motion allows, and equal to q where q is small.
+flow. Unless `exact`, the reverse therefore takes q / (1 + q) for q, the slope of the same damping by a backward step,
+v* = v + dt (a - alpha |a| s(v*)): between 0 and 1 as a force that opposes motion
+allows, and equal to q where q is small.
 
 A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both bars, and v' and kappa'
 with -kappa and -v times that of the change.

@@ -1,6 +1,6 @@
 """The steps of a segment once more, with every state kept; and those steps backwards, from their last to their first.
 
-    replay     states s_0, ..., s_n of a segment, by the functions of `mpm.kernel` in the same order: the same to the bit
+    replay     states s_0, ..., s_n of a segment, by the functions of `mpm.kernel` in their order: the same to the bit
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
 A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
@@ -18,8 +18,7 @@ from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
 from mpm.arrays.access import lane_maximum, lane_minimum, maximum, minimum, node_strides
-from mpm.arrays.features import Features
-from mpm.arrays.layout import PADDING, Offset, Setting, Worker
+from mpm.arrays.layout import PADDING, Setting, Worker
 from mpm.kernel import ITERATIONS, Arrays
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid

@@ -50,7 +50,7 @@ class Layout:
 
     @property
     def sums(self) -> int:
-        """First of the 1 + D groups of what a block gathers of its nodes: sum w n, then sum w n x_ip along each axis."""
+        """First of the 1 + D groups of what a block gathers of its nodes: sum w n, then sum w n x_ip of each axis."""
         return self.levers + 3 * self.features.dimension
 
     @property

@@ -123,15 +123,14 @@ class Tape:
     def step_bytes(self) -> int:
         """Of the states before one step."""
         state = self.batch.state
-        return state.shape[0] * self.layout.history * state.shape[2] * state.itemsize
+        return int(state.shape[0] * self.layout.history * state.shape[2] * state.itemsize)
 
     @property
     def fixed_bytes(self) -> int:
         """Of bars and of the nodes that a reverse step keeps."""
         state = self.batch.state
-        return 2 * self.batch.grid.nbytes + self.outputs * state.shape[0] * self.layout.width * (
-            state.shape[2] * state.itemsize
-        )
+        adjoints = self.outputs * state.shape[0] * self.layout.width * state.shape[2] * state.itemsize
+        return int(2 * self.batch.grid.nbytes + adjoints)
 
     @property
     def changing(self) -> list[int]:
@@ -195,9 +194,10 @@ class Tape:
     def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[tuple[Array, Array]]:
         """Bars of the state at the start and of the settings, for each of several objectives.
 
-        motion_adjoints: for each objective and scene the adjoints of `positions` and `velocities`. Returns for each objective
-        the adjoints of all blocks, shape [blocks, Layout.width, lanes], and shape [scenes, len(Setting)]. Segments are
-        replayed once for all of them.
+        motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Returns for each
+        objective the bars of all blocks, shape [blocks, Layout.width, lanes], and of the settings, shape
+        [scenes, len(Setting)]. Segments are replayed once for all of them. Raises WorkFailed where a gradient grows
+        without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -257,9 +257,9 @@ class Tape:
                     lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials
                 )
                 raise WorkFailed(
-                    f"the gradient of scene {index} grows without bound: a particle has {found / possible:.2g} times the "
-                    "influence that all together can have. Single particles fly apart and touch again, for which a step "
-                    f"is stable up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
+                    f"the gradient of scene {index} grows without bound: a particle has {found / possible:.2g} times "
+                    "the influence that all together can have. Single particles fly apart and touch again, for which a "
+                    f"step is stable up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
                 )
 
     def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:

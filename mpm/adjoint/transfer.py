@@ -1,6 +1,6 @@
 """The reverse of the two transfers (`mpm.physics.transfer`).
 
-Particles take from the nodes n_i = (u_i, u_i - kappa v_i): v_p' and C_p' are their bars (4 / dx^2 included below in C'),
+Particles take from the nodes n_i = (u_i, u_i - kappa v_i). With v', C', change' the bars of what they took,
 
     b_ip = (v' + (4 / dx^2) C' x_ip, change'),    n_i' = sum_p w_ip b_ip
     x_p' = sum_i dw_ip/dx_p (n_i . b_ip) - (4 / dx^2) C'^T sum_i w_ip u_i

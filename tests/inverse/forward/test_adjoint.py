@@ -1,4 +1,4 @@
-"""The MPM as a layer of PyTorch: gradients against central differences, alone and under an observation and its misfit."""
+"""The MPM as a layer of PyTorch: gradients against central differences, alone and under an observation."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def test_a_layer_is_ten_lines() -> None:
         assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
 
 
-def test_particles_of_their_own_speed_and_place() -> None:
+def test_particles_of_their_own_speed_and_position() -> None:
     run = ParticleRun(SCENE, precision="f64", threads=1)
     velocities = torch.from_numpy(run.initial.velocities).requires_grad_()
     positions = torch.from_numpy(run.initial.positions).requires_grad_()

@@ -1,4 +1,4 @@
-"""Checkpoints: the run is the solver's own, segments change nothing, a budget is kept or refused, as is what is unknown."""
+"""Checkpoints: the run is the solver's own, segments change nothing, a budget is kept or refused."""
 
 import dataclasses
 import re
@@ -143,13 +143,13 @@ def test_the_stable_step_of_a_lone_particle() -> None:
 @pytest.mark.slow
 @pytest.mark.double
 def test_a_gradient_without_bound_is_one_clear_line() -> None:
-    """Sand of ten layers: lone particles at 0.9 of the step swing on their own; at 0.8 the gradient is that of a flow."""
+    """Sand of ten layers: lone particles swing on their own at 0.9 of the step, at 0.8 the gradient is a flow's."""
     scene = read_scene("layers-10")
     sand = dataclasses.replace(scene.material, cohesion=0.0, tension_cutoff=None)
     scene = dataclasses.replace(scene, material=sand, damping=0.0)
     frames = [scene.frames - 1]
+    tape = Tape([scene], frames, threads=1)
     with pytest.raises(WorkFailed, match=r"grows without bound.* up to a step_fraction of 0.84; the scene has 0.9"):
-        tape = Tape([scene], frames, threads=1)
         pull_back(tape, [np.ones_like(tape.positions())])
     tape = Tape([dataclasses.replace(scene, step_fraction=0.8)], frames, threads=1)
     weights = np.zeros_like(tape.positions())
