@@ -26,6 +26,7 @@ from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
 from mpm.adjoint.tape import Tape
 from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.solids.obstacles import obstacles_in
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +56,10 @@ class Gradient:
     """To `mpm.arrays.layout.Property` of every particle, shape [N, columns]."""
     settings: Floats
     """To `mpm.arrays.layout.Setting`, shape [len(Setting)]."""
+    faces: Floats
+    """To the faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
+    node_contacts: Floats
+    """To what nodes deep in solids know of them, `mpm.solids.obstacles.Obstacles.node_contacts`, shape [K, D + 2]."""
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
@@ -104,6 +109,7 @@ class Gradient:
                 initial_stress(scene, particles),
                 properties_of(particles)[:, : self.properties.shape[1]],
                 np.array(settings_row(scene, particles)),
+                *solids_of(scene, self.faces.shape, self.node_contacts.shape),
             )
             return np.concatenate([part.ravel() for part in parts])
 
@@ -114,6 +120,8 @@ class Gradient:
             self.stress,
             self.properties,
             self.settings,
+            self.faces,
+            self.node_contacts,
         )
         slopes = differences(inputs, at, "the path", step)
         flat = np.concatenate([bar.ravel() for bar in adjoints])
@@ -129,6 +137,19 @@ def initial_stress(scene: Scene, particles: Particles) -> Floats:
     from mpm.initial.stress import initial_tractions
 
     return initial_tractions(scene, particles, particles.positions)[0]
+
+
+def solids_of(scene: Scene, faces: tuple[int, ...], node_contacts: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Faces of the solids of a scene and what the nodes deep in them know, in arrays of these shapes.
+
+    Raises InputError where there are other faces or nodes.
+    """
+    if faces[0] == 0:
+        return np.zeros(faces), np.zeros(node_contacts)
+    obstacles = obstacles_in(scene)
+    if obstacles.faces.shape != faces or obstacles.node_contacts.shape != node_contacts:
+        raise InputError("expected solids with as many faces and nodes inside, a change of them has no derivative")
+    return obstacles.faces, obstacles.node_contacts
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
@@ -190,12 +211,12 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]
     """For each objective and each scene of the tape its gradient, from bars of positions and velocities of each."""
     features, layout = tape.features, tape.layout
     found = []
-    for blocks, sums in tape.reverse(adjoints):
+    for ours in tape.reverse(adjoints):
         own = []
         for index, scene in enumerate(tape.batch.scenes):
             here = tape.particles(index)
 
-            def numbers(first: int, count: int, blocks: Any = blocks, here: slice = here) -> Floats:
+            def numbers(first: int, count: int, blocks: Any = ours.blocks, here: slice = here) -> Floats:
                 return tape.vectors(blocks, first, count)[here].astype(np.float64)
 
             size = features.dimension
@@ -208,7 +229,9 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]
                     velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
                     stress=numbers(features.stress, features.stresses),
                     properties=numbers(layout.properties, features.columns),
-                    settings=sums[index].copy(),
+                    settings=ours.settings[index].copy(),
+                    faces=ours.faces[tape.faces(index)],
+                    node_contacts=ours.node_contacts[tape.node_contacts(index)],
                 )
             )
         found.append(own)

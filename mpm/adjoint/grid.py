@@ -19,9 +19,10 @@ with -kappa and -v times that of the change.
 
 import taichi as ti
 
-from mpm.adjoint.boundary import wall_reverse
-from mpm.arrays.access import box_cells
-from mpm.arrays.layout import Setting, Worker
+from mpm.adjoint.boundary import before_wall, wall_reverse
+from mpm.adjoint.contact import solids_reverse
+from mpm.arrays.access import box_cells, node_strides
+from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.grid import SLOW, TINY, store_node_velocity, velocity_after, velocity_before
 
 SUMS = 6
@@ -82,9 +83,13 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         v_bar = (0.0 - kappa) * change_bar
         kappa_bar = 0.0 - v.dot(change_bar)
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
-    star_bar, floor_bar, wall_bar = wall_reverse(
-        new_bar, v + dt * damped, index, box_cells(scene, arrays), scene, arrays
-    )
+    v_star = v + dt * damped
+    if ti.static(features.contact):
+        strides = node_strides(scene, arrays)
+        n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
+        stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
+        new_bar = solids_reverse(new_bar, stopped, n, arrays)
+    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, index, box_cells(scene, arrays), scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
     damping_bar, slow_bar = zero, zero

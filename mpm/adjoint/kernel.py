@@ -14,6 +14,7 @@ from functools import cache
 
 import taichi as ti
 
+from mpm.adjoint.contact import found_reverse
 from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
@@ -33,6 +34,8 @@ class Pass(Enum):
     """Compute the frames [first, last) and keep the state before every step and at the end."""
     REVERSE = auto()
     """Take the bars at the end of what was replayed back to its beginning."""
+    START = auto()
+    """Take the bars of the contact at the beginning to those of what it follows from."""
 
 
 @ti.func
@@ -42,7 +45,7 @@ def keep_state(worker, scene, step, arrays: ti.template()):
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         at = state_before(step, block, arrays)
         for k in ti.static(range(layout.history)):
-            arrays.history[at + k] = arrays.state[block * features.block + k]
+            arrays.history[at + k] = arrays.state[block * features.block + state_vector(k, arrays)]
 
 
 @ti.func
@@ -50,6 +53,13 @@ def state_before(step, block, arrays: ti.template()):
     """The first vector in the history of a block before `step`."""
     blocks = arrays.state.shape[0] // ti.static(arrays.features.block)
     return (step * blocks + block) * ti.static(arrays.layout.history)
+
+
+@ti.func
+def state_vector(k: ti.template(), arrays: ti.template()):
+    """Which vector of a block is number `k` of its history."""
+    first = ti.static(arrays.layout.history_contacts)
+    return ti.static(k if k < first else arrays.features.contacts + k - first)
 
 
 @ti.func
@@ -63,7 +73,7 @@ def restore_state(worker, scene, step, arrays: ti.template()):
     for block in range(first, arrays.workers[worker, Worker.LAST]):
         at = state_before(step, block, arrays)
         for k in ti.static(range(layout.history)):
-            arrays.state[block * features.block + k] = arrays.history[at + k]
+            arrays.state[block * features.block + state_vector(k, arrays)] = arrays.history[at + k]
         for k in ti.static(range(features.dimension)):
             low[k] = minimum(low[k], arrays.state[block * features.block + k])
             high[k] = maximum(high[k], arrays.state[block * features.block + k])
@@ -119,6 +129,15 @@ def reverse(worker, arrays: ti.template()):
             block_to_grid_reverse(grid, scene, block, scratch, dt, strides, arrays)
 
 
+@ti.func
+def reverse_start(worker, arrays: ti.template()):
+    """From the bars of the contact that a run begins with to those of positions and faces."""
+    if ti.static(arrays.features.contact):
+        scene, scratch = arrays.workers[worker, Worker.SCENE], arrays.workers[worker, Worker.SCRATCH]
+        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            found_reverse(block, scratch, state_before(0, block, arrays), False, scene, arrays)
+
+
 @cache
 def kernel(layout: Layout) -> Callable[..., None]:
     """The kernel for scenes with `features`: the arrays of `mpm.arrays.batch.Batch.arguments` that a step reads, those
@@ -157,7 +176,11 @@ def kernel(layout: Layout) -> Callable[..., None]:
         kept: nodes,
         grid_adjoints: nodes,
         adjoints: blocks,
+        adjoint_lanes: numbers,
         history: blocks,
+        history_lanes: numbers,
+        face_adjoints: double_table,
+        node_contact_adjoints: double_table,
         sums: double_table,
         step_times: table,
         step_counts: integers,
@@ -190,7 +213,11 @@ def kernel(layout: Layout) -> Callable[..., None]:
                     kept=kept,
                     grid_adjoints=grid_adjoints,
                     adjoints=adjoints,
+                    adjoint_lanes=adjoint_lanes,
                     history=history,
+                    history_lanes=history_lanes,
+                    face_adjoints=face_adjoints,
+                    node_contact_adjoints=node_contact_adjoints,
                     sums=sums,
                     step_times=step_times,
                     step_counts=step_counts,
@@ -204,5 +231,7 @@ def kernel(layout: Layout) -> Callable[..., None]:
                     replay(iteration // ITERATIONS, first, last, arrays)
                 if ti.static(direction == Pass.REVERSE):
                     reverse(iteration // ITERATIONS, arrays)
+                if ti.static(direction == Pass.START):
+                    reverse_start(iteration // ITERATIONS, arrays)
 
     return walk

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from mpm.arrays.features import Features
+from mpm.arrays.layout import Contact
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,17 @@ class Layout:
     @property
     def history(self) -> int:
         """Vectors of a block that are kept of every step: all that a step changes and a reverse step reads."""
+        return self.history_contacts + self.contact
+
+    @property
+    def history_contacts(self) -> int:
+        """First of the vectors of a block's history that `mpm.arrays.layout.Contact` lists, where `contact`."""
         return self.features.properties
+
+    @property
+    def contact(self) -> int:
+        """Vectors of a block that describe its contact with solids."""
+        return len(Contact) + 2 * self.features.dimension - 1 if self.features.contact else 0
 
     @property
     def properties(self) -> int:
@@ -34,6 +45,11 @@ class Layout:
     @property
     def width(self) -> int:
         """Vectors of bars in a block."""
+        return self.contacts + self.contact
+
+    @property
+    def contacts(self) -> int:
+        """First of the vectors of bars of `mpm.arrays.layout.Contact`, where `contact`."""
         return self.properties + self.features.columns
 
     # The scratch vectors of a worker: those of the step, whose weights times distances become slopes of the weights.
@@ -61,4 +77,14 @@ class Layout:
     @property
     def scratch(self) -> int:
         """Scratch vectors of a worker."""
+        return self.before + (2 * self.features.dimension if self.features.contact else 0)
+
+    @property
+    def foot(self) -> int:
+        """First of the D scratch vectors of the bars of v_f (`mpm.physics.contact`), where `contact`."""
         return self.forces + self.features.dimension
+
+    @property
+    def before(self) -> int:
+        """First of the 2 D scratch vectors of velocity and shear traction before contact is found, where `contact`."""
+        return self.foot + (self.features.dimension if self.features.contact else 0)

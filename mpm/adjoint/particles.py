@@ -9,11 +9,21 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 
 import taichi as ti
 
+from mpm.adjoint.contact import (
+    contact_of,
+    foot_motion,
+    jump_reverse,
+    opening_of,
+    push_reverse,
+    slip_reverse,
+    touched,
+)
 from mpm.adjoint.grid import add_kappa_bar
 from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
-from mpm.adjoint.transfer import gather_reverse, prepare_weights, scatter_reverse
+from mpm.adjoint.transfer import gather_motion, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting, component
+from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, component
+from mpm.physics.contact import normal_stress
 from mpm.physics.particles import strength_of
 from mpm.physics.stress import midpoint_increment, trial_stress
 from mpm.physics.transfer import prepare_contributions, property_of, spline, volume_of
@@ -30,7 +40,6 @@ def update_block_reverse(
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
-    stress_reverse(scene, block, after, dt, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     values = scratch + features.values
@@ -43,6 +52,7 @@ def update_block_reverse(
         w = spline(f[k])
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
+    stress_reverse(grid, scene, block, scratch, after, dt, strides, arrays)
     kappa_bar = 0.0 * f[0]
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
@@ -51,6 +61,8 @@ def update_block_reverse(
         arrays.adjoints[own + i] = x_bar
         v_bar = arrays.adjoints[own + features.velocity + i]
         value = dt * x_bar
+        if ti.static(features.contact):
+            value = value + arrays.scratch[scratch + layout.foot + i]
         if ti.static(features.relaxed):
             arrays.scratch[values + features.change + i] = v_bar
             kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
@@ -80,7 +92,7 @@ def update_block_reverse(
 
 
 @ti.func
-def stress_reverse(scene, block, after, dt, arrays: ti.template()):
+def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
     """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -89,7 +101,27 @@ def stress_reverse(scene, block, after, dt, arrays: ti.template()):
     sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     gradient = [dt * arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
-    increment = midpoint_increment(gradient, size)
+    inside = midpoint_increment(gradient, size)
+    touching, zero = 0, 0.0 * stress[0]
+    jump, opening, opening_bar, shear_bar = zero, zero, zero, zero
+    n, n_bar = [zero for _ in ti.static(range(size))], [zero for _ in ti.static(range(size))]
+    if ti.static(features.contact):
+        touching = touched(block, after, arrays)
+        for k in ti.static(range(size)):
+            arrays.scratch[scratch + layout.foot + k] = zero
+        if touching == 1:
+            for k in ti.static(range(size)):
+                n[k] = arrays.state[contact_of(block, Contact.NORMAL + k, arrays)]
+            gather_motion(grid, block, scratch, strides, arrays)
+            opening = opening_of(foot_motion(block, scratch, after, n, arrays), n)
+            separated = normal_stress(block, n, arrays) >= arrays.state[contact_of(block, Contact.ADHESION, arrays)]
+            delta = arrays.state[contact_of(block, Contact.DELTA, arrays)]
+            jump = ti.select(separated & (opening > 0.0), zero, dt * delta * opening)
+            opening_bar, shear_bar = slip_reverse(scene, block, scratch, after, dt, shear, opening, n, n_bar, arrays)
+    increment = [
+        inside[k] + jump * n[k // size] * n[k % size] if ti.static(features.contact) else inside[k]
+        for k in ti.static(range(size * size))
+    ]
     trial = trial_stress(stress, increment, lame, shear, size)
     bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
     returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
@@ -98,6 +130,9 @@ def stress_reverse(scene, block, after, dt, arrays: ti.template()):
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[own + features.stress + k] = elastic[k]
     increment_bar = [elastic[ti.static(features.stresses + k)] for k in ti.static(range(size * size))]
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if touching == 1:
+            jump_reverse(block, scratch, after, dt, jump, opening, opening_bar, increment_bar, n, n_bar, arrays)
     gradient_bar = midpoint_increment_reverse(increment_bar, gradient, size)
     for k in ti.static(range(size * size)):
         at = own + features.affine + k
@@ -110,6 +145,8 @@ def stress_reverse(scene, block, after, dt, arrays: ti.template()):
         value = returned[ti.static(features.stresses + number)]
         if ti.static(number >= 4):
             value = value + elastic[ti.static(features.stresses + size * size + number - 4)]
+        if ti.static(number == 5):
+            value = value + shear_bar
         at = own + layout.properties + ti.static(int(columns[number]))
         arrays.adjoints[at] = arrays.adjoints[at] + present * value
 
@@ -148,19 +185,28 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
         for i in ti.static(range(size)):
             stress = arrays.state[first + features.stress + ti.static(component(i, k, size))]
             moved = moved - mass * arrays.state[first + features.affine + i * size + k] * arrays.scratch[sums + i]
-            moved = moved + scale * stress * arrays.scratch[sums + force + i]
+            carried = stress
+            if ti.static(features.contact):
+                push, arm = scratch + features.push + i, scratch + features.push + size + k
+                carried = stress + arrays.scratch[push] * arrays.scratch[arm]
+            moved = moved + scale * carried * arrays.scratch[sums + force + i]
             pull = arrays.scratch[sums + (1 + k) * features.node + force + i]
             force_work = force_work + stress * pull
             at = own + features.stress + ti.static(component(i, k, size))
             arrays.adjoints[at] = arrays.adjoints[at] - scale * pull
         arrays.adjoints[own + k] = present * moved
-    for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = present * arrays.adjoints[own + features.stress + k]
     at = own + layout.properties
     unit = per_square
     if ti.static(not features.forces):
         unit = dt * per_square
     arrays.adjoints[at + Property.DENSITY] = arrays.adjoints[at + Property.DENSITY] + present * volume * mass_bar
+    if ti.static(features.contact):
+        pushed = push_reverse(scene, block, scratch, volume, unit, arrays)
+        arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * pushed
     arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
         density * mass_bar - unit * force_work
     )
+    for k in ti.static(range(features.stresses)):
+        arrays.adjoints[own + features.stress + k] = present * arrays.adjoints[own + features.stress + k]
+    for k in ti.static(range(layout.contact)):
+        arrays.adjoints[own + layout.contacts + k] = present * arrays.adjoints[own + layout.contacts + k]

@@ -8,7 +8,7 @@ k = sqrt(F / n), so memory grows with the root of the steps and every step is co
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from mpm.kernel import Phase
 from mpm.kernel import kernel as step_kernel
 from mpm.output.outcome import failure
 from mpm.output.request import LAST
+from mpm.solids.obstacles import obstacles_in
 
 Array = NDArray[Any]
 
@@ -43,6 +44,19 @@ ARGUMENTS = (
     *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "clamped"),
 )
 """The arrays of a batch that the adjoint's kernel takes, in its order."""
+
+
+class Adjoints(NamedTuple):
+    """Bars of what a run of scenes begins with."""
+
+    blocks: Array
+    """Of particles, shape [blocks, Layout.width, lanes]."""
+    settings: Array
+    """Shape [scenes, len(Setting)]."""
+    faces: Array
+    """Of the solids of all scenes, shape [F, columns]."""
+    node_contacts: Array
+    """Of the nodes that solids hold, shape [K, D + 2]."""
 
 
 class Tape:
@@ -183,6 +197,24 @@ class Tape:
         first = int(self.batch.offsets[index, Offset.BLOCK]) * self.features.lanes
         return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
 
+    def faces(self, index: int) -> slice:
+        """Where the faces of scene `index` lie among those of all; nowhere without solids."""
+        return self.rows([first.face for first in self.batch.first_obstacles], len(self.batch.faces), index)
+
+    def node_contacts(self, index: int) -> slice:
+        """Where the nodes that solids hold in scene `index` lie among those of all."""
+        counts = (
+            [len(obstacles_in(scene).node_contacts) for scene in self.batch.scenes] if self.features.contact else []
+        )
+        return self.rows([0, *np.cumsum(counts)[:-1]], int(sum(counts)), index)
+
+    def rows(self, firsts: Sequence[int], count: int, index: int) -> slice:
+        """Of `count` rows those of scene `index`, where `firsts` are the first ones of each."""
+        if not self.features.contact:
+            return slice(0, 0)
+        ends = [*firsts[1:], count]
+        return slice(int(firsts[index]), int(ends[index]))
+
     def positions(self, index: int = 0) -> NDArray[np.float64]:
         """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
         return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
@@ -191,7 +223,7 @@ class Tape:
         """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
-    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[tuple[Array, Array]]:
+    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list["Adjoints"]:
         """Bars of the state at the start and of the settings, for each of several objectives.
 
         motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Returns for each
@@ -211,6 +243,8 @@ class Tape:
         step_counts = np.zeros(len(batch.scenes), np.int32)
         adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_adjoints]
         sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_adjoints]
+        faces = [np.zeros(batch.faces.shape) for _ in motion_adjoints]
+        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in motion_adjoints]
         walk = adjoint_kernel(self.layout)
         arguments = batch.arguments
         shared = [arguments[name] for name in ARGUMENTS]
@@ -221,7 +255,11 @@ class Tape:
                 kept,
                 grid_adjoints,
                 adjoints[number].reshape(-1, lanes),
+                adjoints[number].reshape(-1),
                 history.reshape(-1, lanes),
+                history.reshape(-1),
+                faces[number],
+                node_contacts[number],
                 sums[number],
                 step_times,
                 step_counts,
@@ -238,13 +276,15 @@ class Tape:
                 if last in self.frames:
                     self.add_motion_adjoints(adjoints[number], per_scene, self.frames.index(last))
                 call(number, first + 1, last + 1, Pass.REVERSE)
+        for number in range(len(adjoints)):
+            call(number, 0, 0, Pass.START)
         if 0 in self.frames:
             for number, per_scene in enumerate(motion_adjoints):
                 self.add_motion_adjoints(adjoints[number], per_scene, 0)
         if not self.layout.exact:
             for number, per_scene in enumerate(motion_adjoints):
                 self.check_bounded(adjoints[number], per_scene)
-        return list(zip(adjoints, sums, strict=True))
+        return [Adjoints(*each) for each in zip(adjoints, sums, faces, node_contacts, strict=True)]
 
     def check_bounded(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]]) -> None:
         """Raise WorkFailed where one particle's velocity has more influence than all together can have."""
@@ -295,7 +335,6 @@ def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
     unknown = {
-        "contact": "solids or baffles",
         "volume_correction": "volume_correction",
         "softens": "a softening_length",
         "outflow": "open_sides",

@@ -103,6 +103,26 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
 
 
 @ti.func
+def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+    """Leave the sum of w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
+    features, lanes = arrays.features, arrays.features.lanes
+    size = ti.static(features.dimension)
+    for lane in range(lanes):
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        around = zero_node(arrays)
+        for a, b in ti.static(ti.ndrange(3, 3)):
+            w = arrays.scratch_lanes[weight + a * lanes] * arrays.scratch_lanes[weight + (3 + b) * lanes]
+            at = n + a * strides[0] + b * strides[1]
+            if ti.static(size == 2):
+                around = around + w * arrays.grid[at]
+            else:
+                for c in ti.static(range(3)):
+                    around = around + (w * arrays.scratch_lanes[weight + (6 + c) * lanes]) * arrays.grid[at + c]
+        store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
 def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Leave Z, Y_j of each particle of a block and the `weight_forces` of what it gave, from the bars of the nodes."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
