@@ -62,3 +62,18 @@ def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
             else:
                 wall_bar += normal * limit_bar
     return bar, floor_bar, wall_bar
+
+
+@ti.func
+def after_contact_reverse(bar, v, normal, friction):
+    """Bars of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`, shape [D] twice and a number."""
+    into = v.dot(normal)
+    along = v - into * normal
+    speed, limit = along.norm(), 0.0 - friction * into
+    along_bar, limit_bar = 0.0 * bar, 0.0 * into
+    if speed > limit:
+        across = along.dot(bar) / speed
+        along_bar = bar - (limit / speed) * (bar - (across / speed) * along)
+        limit_bar = 0.0 - across
+    into_bar = 0.0 - friction * limit_bar - normal.dot(along_bar)
+    return along_bar + into_bar * normal, into_bar * v - into * along_bar, 0.0 - into * limit_bar

@@ -2,29 +2,18 @@
 
 Backwards from what a step leaves: the contact that is found at the new position (delta, d, n, the turned q), the
 particle kept out of the solid, Coulomb's bound on q, q itself, the strain of contact, and last the force on the nodes.
-
-**Position.** For a particle whose nearest point lies inside a face with corner a, d = (x - a) . n, so d' moves x along n
-and a against it, and n' is the face's. At a corner c (in 3D also an edge with direction t and weights w_k of its ends)
-d = |x - c| and
-
-    dn = (I - n n^T - t t^T) (dx - sum_k w_k dc_k) / d - t (n . (dc_2 - dc_1)) / length
-
-A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
-`after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
-alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep in
-a solid, or the nearest face changes, the flow has a corner in the place of the solid, and the bar is that of one side.
+Where contact is found follows in `mpm.adjoint.faces`.
 """
 
 import taichi as ti
 
+from mpm.adjoint.boundary import after_contact_reverse
+from mpm.adjoint.faces import found_reverse
 from mpm.arrays.access import maximum, minimum
 from mpm.arrays.layout import Contact, Setting, component
 from mpm.physics.contact import normal_stress, normals, shear_at, touches
 from mpm.physics.grid import relaxation_factor
-from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle
 
-PUT_BACK = 1.0e-6
-"""Distance from a face [cells] within which a particle has been put back onto it."""
 TINY = 1.0e-20
 """Keeps quotients finite, as in the step."""
 
@@ -52,21 +41,6 @@ def touched(block, after, arrays: ti.template()):
         if delta[lane] > 0.0:
             result = 1
     return result
-
-
-@ti.func
-def after_contact_reverse(bar, v, normal, friction):
-    """Bars of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`, shape [D] twice and a number."""
-    into = v.dot(normal)
-    along = v - into * normal
-    speed, limit = along.norm(), 0.0 - friction * into
-    along_bar, limit_bar = 0.0 * bar, 0.0 * into
-    if speed > limit:
-        across = along.dot(bar) / speed
-        along_bar = bar - (limit / speed) * (bar - (across / speed) * along)
-        limit_bar = 0.0 - across
-    into_bar = 0.0 - friction * limit_bar - normal.dot(along_bar)
-    return along_bar + into_bar * normal, into_bar * v - into * along_bar, 0.0 - into * limit_bar
 
 
 @ti.func
@@ -168,7 +142,7 @@ def add_normal_stress_bar(block, n: ti.template(), n_bar: ti.template(), bar, ar
 
 @ti.func
 def foot_motion(block, scratch, after, n: ti.template(), arrays: ti.template()):
-    """v_f [m/s] of each particle of a block: the grid's velocity in the first sums of `scratch` less d C n; D of them."""
+    """v_f [m/s] of each particle of a block: the grid's, in the first sums of `scratch`, less d C n; D of them."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     distance = arrays.state[contact_of(block, Contact.DISTANCE, arrays)]
@@ -195,7 +169,7 @@ def slip_reverse(
 ):
     """From the bars of what a step leaves of contact to those of its stress and of v_f, which come in `scratch` from
 
-    `layout.foot`; bars of the shear tractions before the step. Returns the bars of the opening and of the shear modulus.
+    `layout.foot`; bars of the shear tractions before the step. Returns those of the opening and the shear modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -298,148 +272,3 @@ def jump_reverse(
     add_contact_bar(block, Contact.DISTANCE, distance_bar, arrays)
     for k in ti.static(range(size)):
         add_contact_bar(block, Contact.NORMAL + k, n_bar[k], arrays)
-
-
-@ti.func
-def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays: ti.template()):
-    """Bars of position, velocity and shear traction of a block before its contact is found, and those of the faces.
-
-    After: those in the history. put_back: whether a particle may have been kept out of a solid; then the velocity
-    before that is in the scratch from `layout.before`, and the shear traction behind it.
-    """
-    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    size = ti.static(features.dimension)
-    dx, width = arrays.settings[scene, Setting.CELL], arrays.settings[scene, Setting.CONTACT_WIDTH]
-    own = block * layout.width
-    for lane in range(lanes):
-        present = arrays.lanes[(block * features.block + features.present) * lanes + lane]
-        at = (own + layout.contacts) * lanes + lane
-        then = after * lanes + lane
-        contact = then + layout.history_contacts * lanes
-        delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
-        x_bar, v_bar = (
-            bar_vector(own * lanes + lane, arrays),
-            bar_vector((own + features.velocity) * lanes + lane, arrays),
-        )
-        shear_to = (Contact.NORMAL + size) * lanes
-        q_bar = bar_vector(at + shear_to, arrays)
-        if delta > 0.0 and present > 0.0:
-            x = history_vector(then, arrays)
-            n = history_vector(contact + Contact.NORMAL * lanes, arrays)
-            distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
-            friction = arrays.history_lanes[contact + Contact.FRICTION * lanes]
-            face = ti.cast(arrays.history_lanes[contact + Contact.FACE * lanes], ti.i32)
-            n_bar = bar_vector(at + Contact.NORMAL * lanes, arrays)
-            friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
-            add_face(face, features.face_adhesion, arrays.adjoint_lanes[at + Contact.ADHESION * lanes], arrays)
-            share = ti.min(distance / width, 1.0)
-            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes] + arrays.adjoint_lanes[
-                at + Contact.DELTA * lanes
-            ] * (12.0 / (width * width)) * share * (share - 1.0)
-            back = False
-            if ti.static(put_back):
-                before = scratch_vector((scratch + layout.before) * lanes + lane, arrays)
-                q = scratch_vector((scratch + layout.before + size) * lanes + lane, arrays)
-                n_bar = n_bar - q.dot(n) * q_bar - n.dot(q_bar) * q
-                q_bar = q_bar - q_bar.dot(n) * n
-                back = distance < PUT_BACK * dx
-                if back:
-                    if before.dot(n) < 0.0:
-                        turned, normal_bar, slid = after_contact_reverse(v_bar, before, n, friction)
-                        v_bar = turned
-                        n_bar = n_bar + normal_bar
-                        friction_bar += slid
-                    # What was lost of the displacement is the depth along n.
-                    d_bar = 0.0 - x_bar.dot(n)
-            x_bar = x_bar + foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays)
-        elif ti.static(put_back):
-            q_bar = 0.0 * q_bar
-        put_bar_vector(own * lanes + lane, x_bar, arrays)
-        put_bar_vector((own + features.velocity) * lanes + lane, v_bar, arrays)
-        put_bar_vector(at + shear_to, q_bar, arrays)
-        for column in ti.static(range(len(Contact) - 1 + size)):
-            arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
-
-
-@ti.func
-def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.template()):
-    """Bar of the position `x` [m] from those of its distance, normal and friction at its face, shape [D].
-
-    back: it has been put onto the face, whose inside it is then nearest to. Adds the bars of the face's numbers.
-    """
-    features = arrays.features
-    size = ti.static(features.dimension)
-    w, part = 0.0 * x, 0
-    if ti.static(size == 2):
-        w, part = foot_on_segment(x, face, arrays)
-    else:
-        w, part = foot_on_triangle(x, face, arrays)
-    if back:
-        part = 0
-    result = d_bar * n
-    for k in ti.static(range(size)):
-        add_face(face, features.face_friction + k, w[k] * friction_bar, arrays)
-    if part == 0:
-        corner = face_vector(face, 0, arrays)
-        for k in ti.static(range(size)):
-            add_face(face, k, 0.0 - d_bar * n[k], arrays)
-            add_face(face, features.face_normal + k, d_bar * (x[k] - corner[k]) + n_bar[k], arrays)
-    else:
-        offset, along, length = x, 0.0 * x, 0.0 * d_bar + 1.0
-        for k in ti.static(range(size)):
-            offset = offset - w[k] * face_vector(face, k * size, arrays)
-        first, second = 0, 0
-        if ti.static(size == 3):
-            if part > 3:
-                first, second = part - 4, (part - 3) % 3
-                along = face_vector(face, second * size, arrays) - face_vector(face, first * size, arrays)
-                length = along.norm()
-                along = along / length
-        square = offset.norm()
-        if square > TINY:
-            across = (n_bar - n_bar.dot(n) * n - n_bar.dot(along) * along) / offset.dot(n)
-            result = result + across
-        turn = n_bar.dot(along) / length
-        for k in ti.static(range(size)):
-            for i in ti.static(range(size)):
-                add_face(face, k * size + i, 0.0 - w[k] * result[i], arrays)
-        if ti.static(size == 3):
-            if part > 3:
-                for i in ti.static(range(size)):
-                    add_face(face, second * size + i, 0.0 - turn * n[i], arrays)
-                    add_face(face, first * size + i, turn * n[i], arrays)
-    return result
-
-
-@ti.func
-def add_face(face, column, value, arrays: ti.template()):
-    """Add to the bar of a number of a face."""
-    arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
-
-
-@ti.func
-def bar_vector(first, arrays: ti.template()):
-    """D bars of a lane that begin at `first`, one per vector of its block."""
-    features = arrays.features
-    return ti.Vector([arrays.adjoint_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def put_bar_vector(first, value, arrays: ti.template()):
-    """Put D bars where `bar_vector` reads them."""
-    for k in ti.static(range(arrays.features.dimension)):
-        arrays.adjoint_lanes[first + k * arrays.features.lanes] = value[k]
-
-
-@ti.func
-def history_vector(first, arrays: ti.template()):
-    """D numbers of a lane in the history."""
-    features = arrays.features
-    return ti.Vector([arrays.history_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def scratch_vector(first, arrays: ti.template()):
-    """D numbers of a lane in the scratch."""
-    features = arrays.features
-    return ti.Vector([arrays.scratch_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])

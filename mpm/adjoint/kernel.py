@@ -14,7 +14,7 @@ from functools import cache
 
 import taichi as ti
 
-from mpm.adjoint.contact import found_reverse
+from mpm.adjoint.faces import found_reverse
 from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
@@ -44,8 +44,11 @@ def keep_state(worker, scene, step, arrays: ti.template()):
     features, layout = arrays.features, arrays.layout
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         at = state_before(step, block, arrays)
-        for k in ti.static(range(layout.history)):
-            arrays.history[at + k] = arrays.state[block * features.block + state_vector(k, arrays)]
+        own = block * features.block
+        copy(arrays.history, at, arrays.state, own, layout.history_contacts)
+        if ti.static(features.contact):
+            contacts = at + ti.static(layout.history_contacts)
+            copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), layout.contact)
 
 
 @ti.func
@@ -56,10 +59,10 @@ def state_before(step, block, arrays: ti.template()):
 
 
 @ti.func
-def state_vector(k: ti.template(), arrays: ti.template()):
-    """Which vector of a block is number `k` of its history."""
-    first = ti.static(arrays.layout.history_contacts)
-    return ti.static(k if k < first else arrays.features.contacts + k - first)
+def copy(to: ti.template(), at, source: ti.template(), first, count: ti.template()):
+    """Copy `count` vectors."""
+    for k in range(count):
+        to[at + k] = source[first + k]
 
 
 @ti.func
@@ -72,8 +75,11 @@ def restore_state(worker, scene, step, arrays: ti.template()):
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
         at = state_before(step, block, arrays)
-        for k in ti.static(range(layout.history)):
-            arrays.state[block * features.block + state_vector(k, arrays)] = arrays.history[at + k]
+        own = block * features.block
+        copy(arrays.state, own, arrays.history, at, layout.history_contacts)
+        if ti.static(features.contact):
+            contacts = at + ti.static(layout.history_contacts)
+            copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, layout.contact)
         for k in ti.static(range(features.dimension)):
             low[k] = minimum(low[k], arrays.state[block * features.block + k])
             high[k] = maximum(high[k], arrays.state[block * features.block + k])

@@ -104,7 +104,7 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
 
 @ti.func
 def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
-    """Leave the sum of w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
+    """Leave sum_i w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
     for lane in range(lanes):
