@@ -109,7 +109,7 @@ class Gradient:
                 initial_stress(scene, particles),
                 properties_of(particles)[:, : self.properties.shape[1]],
                 np.array(settings_row(scene, particles)),
-                *solids_of(scene, self.faces.shape, self.node_contacts.shape),
+                *(solids_of(scene, self.scene) if len(self.faces) else ()),
             )
             return np.concatenate([part.ravel() for part in parts])
 
@@ -120,8 +120,7 @@ class Gradient:
             self.stress,
             self.properties,
             self.settings,
-            self.faces,
-            self.node_contacts,
+            *((self.faces, self.node_contacts) if len(self.faces) else ()),
         )
         slopes = differences(inputs, at, "the path", step)
         flat = np.concatenate([bar.ravel() for bar in adjoints])
@@ -139,17 +138,19 @@ def initial_stress(scene: Scene, particles: Particles) -> Floats:
     return initial_tractions(scene, particles, particles.positions)[0]
 
 
-def solids_of(scene: Scene, faces: tuple[int, ...], node_contacts: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene and what the nodes deep in them know, in arrays of these shapes.
+def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
+    """Faces of the solids of a scene, and what the nodes deep in those of `base` know of them.
 
-    Raises InputError where there are other faces or nodes.
+    A node that is deep in one of them alone knows what it does in `base`: that it begins to be is a jump of the flow,
+    not a slope. Raises InputError where the scenes have different faces.
     """
-    if faces[0] == 0:
-        return np.zeros(faces), np.zeros(node_contacts)
-    obstacles = obstacles_in(scene)
-    if obstacles.faces.shape != faces or obstacles.node_contacts.shape != node_contacts:
-        raise InputError("expected solids with as many faces and nodes inside, a change of them has no derivative")
-    return obstacles.faces, obstacles.node_contacts
+    ours, here = obstacles_in(scene), obstacles_in(base)
+    if ours.faces.shape != here.faces.shape:
+        raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    rows, nodes = here.node_contacts.copy(), here.fixed_nodes > 0
+    both = nodes & (ours.fixed_nodes > 0)
+    rows[here.fixed_nodes[both] - 1] = ours.node_contacts[ours.fixed_nodes[both] - 1]
+    return ours.faces, rows
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
