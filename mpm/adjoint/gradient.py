@@ -58,6 +58,8 @@ class Gradient:
     """To `mpm.arrays.layout.Setting`, shape [len(Setting)]."""
     faces: Floats
     """To the faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
+    cut: float
+    """Share of the bars of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
     node_contacts: Floats
     """To what nodes deep in solids know of them, `mpm.solids.obstacles.Obstacles.node_contacts`, shape [K, D + 2]."""
 
@@ -232,6 +234,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]
                     properties=numbers(layout.properties, features.columns),
                     settings=ours.settings[index].copy(),
                     faces=ours.faces[tape.faces(index)],
+                    cut=float(ours.cut[index]),
                     node_contacts=ours.node_contacts[tape.node_contacts(index)],
                 )
             )

@@ -153,7 +153,10 @@ def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(
 
 @ti.func
 def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
-    """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known."""
+    """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known.
+
+    Particles whose velocity then has a bar beyond the cut (`mpm.adjoint.tape.CUT`) have none any more.
+    """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
@@ -175,11 +178,11 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
         v_bar = arrays.scratch[sums + i]
         at = own + features.velocity + i
         mass_bar = mass_bar + arrays.state[first + features.velocity + i] * v_bar
-        arrays.adjoints[at] = present * (arrays.adjoints[at] + mass * v_bar)
+        arrays.adjoints[at] = arrays.adjoints[at] + mass * v_bar
         for j in ti.static(range(size)):
             affine = arrays.scratch[sums + (1 + j) * features.node + i]
             mass_bar = mass_bar + arrays.state[first + features.affine + i * size + j] * affine
-            arrays.adjoints[own + features.affine + i * size + j] = present * mass * affine
+            arrays.adjoints[own + features.affine + i * size + j] = mass * affine
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
@@ -194,7 +197,7 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
             force_work = force_work + stress * pull
             at = own + features.stress + ti.static(component(i, k, size))
             arrays.adjoints[at] = arrays.adjoints[at] - scale * pull
-        arrays.adjoints[own + k] = present * moved
+        arrays.adjoints[own + k] = moved
     at = own + layout.properties
     unit = per_square
     if ti.static(not features.forces):
@@ -206,7 +209,16 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
     arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
         density * mass_bar - unit * force_work
     )
-    for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = present * arrays.adjoints[own + features.stress + k]
-    for k in ti.static(range(layout.contact)):
-        arrays.adjoints[own + layout.contacts + k] = present * arrays.adjoints[own + layout.contacts + k]
+    bounded = 0.0 * present
+    for k in ti.static(range(size)):
+        v_bar = arrays.adjoints[own + features.velocity + k]
+        bounded = bounded + v_bar * v_bar
+    within = bounded <= arrays.cuts[scene, 0]
+    cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
+    if cut > 0.0:
+        arrays.cuts[scene, 1] += ti.cast(cut, float)
+    for k in range(ti.static(features.properties)):
+        arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)
+    for k in range(ti.static(layout.contact)):
+        at = own + layout.contacts + k
+        arrays.adjoints[at] = ti.select(within, present * arrays.adjoints[at], 0.0 * present)
