@@ -49,6 +49,8 @@ def keep_state(worker, scene, step, arrays: ti.template()):
         if ti.static(features.contact):
             contacts = at + ti.static(layout.history_contacts)
             copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), layout.contact)
+        if ti.static(features.outflow):
+            arrays.history[at + ti.static(layout.history_present)] = arrays.state[own + features.present]
 
 
 @ti.func
@@ -80,6 +82,8 @@ def restore_state(worker, scene, step, arrays: ti.template()):
         if ti.static(features.contact):
             contacts = at + ti.static(layout.history_contacts)
             copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, layout.contact)
+        if ti.static(features.outflow):
+            arrays.state[own + features.present] = arrays.history[at + ti.static(layout.history_present)]
         for k in ti.static(range(features.dimension)):
             low[k] = minimum(low[k], arrays.state[block * features.block + k])
             high[k] = maximum(high[k], arrays.state[block * features.block + k])

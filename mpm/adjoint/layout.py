@@ -25,6 +25,11 @@ class Layout:
     @property
     def history(self) -> int:
         """Vectors of a block that are kept of every step: all that a step changes and a reverse step reads."""
+        return self.history_present + int(self.features.outflow)
+
+    @property
+    def history_present(self) -> int:
+        """Vector of a block's history that holds whether particles are in the box, where `outflow`."""
         return self.history_contacts + self.contact
 
     @property

@@ -23,6 +23,7 @@ from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_revers
 from mpm.adjoint.transfer import gather_motion, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, component
+from mpm.physics.boundary import is_wall
 from mpm.physics.contact import normal_stress
 from mpm.physics.particles import strength_of
 from mpm.physics.stress import midpoint_increment, trial_stress
@@ -40,6 +41,11 @@ def update_block_reverse(
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
+    if ti.static(features.outflow):
+        # What has left keeps its position alone.
+        here = arrays.history[after + ti.static(layout.history_present)]
+        for k in range(ti.static(features.velocity), ti.static(features.stress + features.stresses)):
+            arrays.adjoints[own + k] = here * arrays.adjoints[own + k]
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     values = scratch + features.values
@@ -57,8 +63,14 @@ def update_block_reverse(
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx
-        x_bar = ti.select((x > 0.0) & (x < length), x_bar, 0.0)
+        inside = (x > 0.0) & (x < length)
+        if ti.static(features.outflow):
+            below, above = is_wall(2 * i, scene, arrays), is_wall(2 * i + 1, scene, arrays)
+            inside = ((x > 0.0) | (below == 0)) & ((x < length) | (above == 0))
+        x_bar = ti.select(inside, x_bar, 0.0)
         arrays.adjoints[own + i] = x_bar
+        if ti.static(features.outflow):
+            x_bar = arrays.state[first + features.present] * x_bar
         v_bar = arrays.adjoints[own + features.velocity + i]
         value = dt * x_bar
         if ti.static(features.contact):
@@ -217,7 +229,7 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
     cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
     if cut > 0.0:
         arrays.cuts[scene, 1] += ti.cast(cut, float)
-    for k in range(ti.static(features.properties)):
+    for k in range(ti.static(features.velocity if features.outflow else 0), ti.static(features.properties)):
         arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)
     for k in range(ti.static(layout.contact)):
         at = own + layout.contacts + k

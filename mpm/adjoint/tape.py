@@ -351,7 +351,6 @@ def check(features: Features) -> None:
     unknown = {
         "volume_correction": "volume_correction",
         "softens": "a softening_length",
-        "outflow": "open_sides",
         "barriers": "masses with a release",
     }
     for name, key in unknown.items():

@@ -93,9 +93,7 @@ def rougher(scene: Scene, h: float) -> Scene:
     ids=["x", "height", "turn", "friction"],
 )
 @pytest.mark.parametrize("flow", ["2D", "2D APIC, damped", "3D"], indirect=True)
-def test_a_baffle(
-    flow: tuple[Scene, Weighted, Gradient], change: Callable[[Scene, float], Scene], step: float
-) -> None:
+def test_a_baffle(flow: tuple[Scene, Weighted, Gradient], change: Callable[[Scene, float], Scene], step: float) -> None:
     scene, objective, slope = flow
     found = central(lambda h: value_of(change(scene, h), objective), step)
     assert found != 0.0

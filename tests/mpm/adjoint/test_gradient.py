@@ -15,6 +15,10 @@ pytestmark = pytest.mark.double
 
 DILATING = dataclasses.replace(SOIL, dilation_deg=10.0)
 STIFF = dataclasses.replace(SOIL, young=8.0e6)
+LEAVING = (
+    Mass(lower=(0.785, 0.0), size=(0.2, 0.2), velocity=(2.0, 0.0)),
+    Mass(lower=(0.01, 0.0), size=(0.1, 0.2), velocity=(-2.0, -0.3)),
+)
 SCENES = {
     "2D": plane(),
     "2D damped": plane(damping=0.05),
@@ -22,6 +26,7 @@ SCENES = {
     "2D APIC, damped": plane(relaxation_time=0.0, damping=0.05),
     "2D stiff": plane(STIFF, duration=0.01),
     "2D tilted": plane(slope_deg=20.0),
+    "2D open": plane(open_sides=("x-", "x+"), masses=LEAVING, slope_deg=20.0),
     "3D": room(),
     "3D dilating, damped": room(DILATING, damping=0.05),
     "3D APIC": room(relaxation_time=0.0),

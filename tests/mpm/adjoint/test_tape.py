@@ -114,7 +114,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"open_sides": ("x+",)}, "open_sides"),
+        ({"volume_correction": True}, "volume_correction"),
         ({"material": dataclasses.replace(SOIL, softening_length=0.01)}, "softening_length"),
     ],
 )
