@@ -6,12 +6,15 @@
     v'     = v*' - v_s^2 l,    (v_s^2)' = v . l / 2,    l = dt alpha |a| (v^2 + v_s^2)^(-3/2) v*' by components
     (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
 
-**The slope of the sign** is 1 / v_s at v = 0, and q = dt alpha |a| s'(v) is far above 2 where stress waves pass: such a
-node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
-ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of the
-flow. Unless `exact`, the reverse therefore takes q / (1 + q) for q, the slope of the same damping by a backward step,
-v* = v + dt (a - alpha |a| s(v*)): between 0 and 1 as a force that opposes motion
-allows, and equal to q where q is small.
+**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass: such a node
+jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it ends.
+The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of the flow.
+Unless `exact`, the reverse therefore spreads the slope over the jump that a step of damping makes, h = dt alpha |a|:
+
+    s'(v) = (v_s^2 + h^2) (v^2 + v_s^2 + h^2)^(-3/2)
+
+so that h s'(v) lies in [0, 1], as of a force that opposes motion; it is exact where h is small against v_s or |v|, and
+its integral over v stays 2, so that where v scatters by more than h its mean is right.
 
 A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both bars, and v' and kappa'
 with -kappa and -v times that of the change.
@@ -65,7 +68,7 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(dimension))])
         a = a + force
     damped = a
-    size, alpha, sign, slope, slow = zero, zero, 0.0 * a, 0.0 * a, zero
+    size, alpha, sign, slow = zero, zero, 0.0 * a, zero
     if ti.static(features.damped):
         alpha = arrays.settings[scene, Setting.DAMPING]
         size = a.norm()
@@ -73,7 +76,6 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         for axis in ti.static(range(dimension)):
             square = v[axis] * v[axis] + slow
             sign[axis] = v[axis] / ti.sqrt(square)
-            slope[axis] = 1.0 / (square * ti.sqrt(square))
         damped = a - alpha * size * sign
     new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))])
     v_bar, kappa_bar = 0.0 * v, zero
@@ -97,10 +99,13 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         opposed = sign.dot(star_bar)
         damping_bar = (0.0 - dt) * size * opposed
         for axis in ti.static(range(dimension)):
-            lost = dt * alpha * size * slope[axis]
+            strength = dt * alpha * size
+            wide = slow
             if ti.static(not arrays.layout.exact):
-                lost = lost / (1.0 + lost * slow)
-            v_bar[axis] -= slow * lost * star_bar[axis]
+                wide = slow + strength * strength
+            square = v[axis] * v[axis] + wide
+            lost = strength / (square * ti.sqrt(square))
+            v_bar[axis] -= wide * lost * star_bar[axis]
             slow_bar += 0.5 * v[axis] * lost * star_bar[axis]
         a_bar = a_bar - (dt * alpha * opposed / (size + TINY)) * a
     gravity_y_bar = a_bar[1]
