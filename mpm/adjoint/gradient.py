@@ -157,7 +157,7 @@ def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
     """Derivative of a closed form at a value by a central difference, or one into the range where it is at its end."""
-    step = STEP * max(1.0, abs(at)) if step is None else step
+    step = STEP * (abs(at) or 1.0) if step is None else step
     with np.errstate(invalid="ignore"):
         try:
             return (function(at + step) - function(at - step)) / (2.0 * step)

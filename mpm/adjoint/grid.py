@@ -6,10 +6,11 @@
     v'     = v*' - v_s^2 l,    (v_s^2)' = v . l / 2,    l = dt alpha |a| (v^2 + v_s^2)^(-3/2) v*' by components
     (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
 
-**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass: such a node
-jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it ends.
-The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of the flow.
-Unless `exact`, the reverse therefore spreads the slope over the jump that a step of damping makes, h = dt alpha |a|:
+**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass: such a
+node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
+ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of
+the flow. Unless `exact`, the reverse therefore spreads the slope over the jump that a step of damping makes,
+h = dt alpha |a|:
 
     s'(v) = (v_s^2 + h^2) (v^2 + v_s^2 + h^2)^(-3/2)
 

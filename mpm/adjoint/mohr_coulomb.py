@@ -11,6 +11,7 @@ import taichi as ti
 
 from mpm.arrays.access import maximum, minimum
 from mpm.physics.mohr_coulomb import on_edge, on_plane
+from mpm.physics.principal import TINY
 
 
 @ti.func
@@ -266,4 +267,42 @@ def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, la
         shear_bar,
         elastic,
         alike,
+    )
+
+
+@ti.func
+def softened_reverse(
+    bar: ti.template(), strain, per_strain, peak: ti.template(), residual: ti.template(), features: ti.template()
+):
+    """Bars of `strain`, of `per_strain`, of the four numbers of `peak` and the three of `residual`, from those of what
+
+    `mpm.physics.mohr_coulomb.softened` makes of them.
+    """
+    zero = 0.0 * bar[0]
+    rest = 1.0 - per_strain * strain
+    w = maximum(rest, 0.0)
+    sin_phi_bar, sin_psi_bar, strength_bar, limit_bar = bar[0], bar[1], zero, zero
+    if ti.static(features.cohesive):
+        sin_phi = residual[0] + w * (peak[0] - residual[0])
+        strength = residual[1] + w * (peak[2] - residual[1])
+        cutoff = residual[2] + w * (peak[3] - residual[2])
+        per_apex = 1.0 / maximum(2.0 * sin_phi, TINY)
+        at_apex = ti.select(cutoff < strength * per_apex, zero, bar[3])
+        limit_bar = bar[3] - at_apex
+        strength_bar = bar[2] + at_apex * per_apex
+        sin_phi_bar = sin_phi_bar - at_apex * 2.0 * strength * per_apex * per_apex
+    w_bar = sin_phi_bar * (peak[0] - residual[0]) + sin_psi_bar * peak[1]
+    w_bar = w_bar + strength_bar * (peak[2] - residual[1]) + limit_bar * (peak[3] - residual[2])
+    w_bar = ti.select(rest > 0.0, w_bar, zero)
+    left = 1.0 - w
+    return (
+        0.0 - per_strain * w_bar,
+        0.0 - strain * w_bar,
+        w * sin_phi_bar,
+        w * sin_psi_bar,
+        w * strength_bar,
+        w * limit_bar,
+        left * sin_phi_bar,
+        left * strength_bar,
+        left * limit_bar,
     )

@@ -19,6 +19,7 @@ from mpm.adjoint.contact import (
     touched,
 )
 from mpm.adjoint.grid import add_kappa_bar
+from mpm.adjoint.mohr_coulomb import softened_reverse
 from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
 from mpm.adjoint.transfer import gather_motion, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
@@ -136,7 +137,10 @@ def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(
     ]
     trial = trial_stress(stress, increment, lame, shear, size)
     bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
-    returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    strain_bar = zero
+    if ti.static(features.softens):
+        strain_bar = arrays.adjoints[own + features.plastic_strain]
+    returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, strain_bar, features)
     trial_bar = [returned[k] for k in ti.static(range(features.stresses))]
     elastic = trial_stress_reverse(trial_bar, stress, increment, lame, shear, size)
     for k in ti.static(range(features.stresses)):
@@ -149,18 +153,65 @@ def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(
     for k in ti.static(range(size * size)):
         at = own + features.affine + k
         arrays.adjoints[at] = arrays.adjoints[at] + dt * gradient_bar[k]
-    columns = ti.static(
-        (Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT, Property.LAME, Property.SHEAR)
-    )
-    present = arrays.state[first + features.present]
-    for number in ti.static(range(6)):
-        value = returned[ti.static(features.stresses + number)]
-        if ti.static(number >= 4):
-            value = value + elastic[ti.static(features.stresses + size * size + number - 4)]
-        if ti.static(number == 5):
-            value = value + shear_bar
-        at = own + layout.properties + ti.static(int(columns[number]))
-        arrays.adjoints[at] = arrays.adjoints[at] + present * value
+    moduli = [
+        returned[ti.static(features.stresses + 4 + k)] + elastic[ti.static(features.stresses + size * size + k)]
+        for k in ti.static(range(2))
+    ]
+    add_property_bar(block, Property.LAME, moduli[0], arrays)
+    add_property_bar(block, Property.SHEAR, moduli[1] + shear_bar, arrays)
+    strengths = [returned[ti.static(features.stresses + k)] for k in ti.static(range(4))]
+    strength_reverse(scene, block, strengths, arrays)
+
+
+@ti.func
+def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
+    """Bars of the strength of a block's material, and of its plastic strain, from those of `strength_of`."""
+    features, layout = arrays.features, arrays.layout
+    if ti.static(features.softens):
+        zero = 0.0 * bar[0]
+        peak = [zero + property_of(scene, block, Property.SIN_PHI, arrays), zero, zero, zero]
+        if ti.static(features.dilates):
+            peak[1] = zero + property_of(scene, block, Property.SIN_PSI, arrays)
+        if ti.static(features.cohesive):
+            peak[2] = zero + property_of(scene, block, Property.STRENGTH, arrays)
+            peak[3] = zero + property_of(scene, block, Property.LIMIT, arrays)
+        residual = (
+            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
+            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
+            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
+        )
+        cell = arrays.settings[scene, Setting.CELL]
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * cell
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        back = softened_reverse(bar, strain, per_strain, peak, residual, features)
+        at = block * layout.width + features.plastic_strain
+        arrays.adjoints[at] = arrays.adjoints[at] + back[0]
+        add_property_bar(block, Property.SOFTENING, cell * back[1], arrays)
+        columns = ti.static(
+            (
+                Property.SIN_PHI,
+                Property.SIN_PSI,
+                Property.STRENGTH,
+                Property.LIMIT,
+                Property.RESIDUAL_SIN_PHI,
+                Property.RESIDUAL_STRENGTH,
+                Property.RESIDUAL_LIMIT,
+            )
+        )
+        for k in ti.static(range(7)):
+            add_property_bar(block, columns[k], back[ti.static(2 + k)], arrays)
+    else:
+        columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
+        for k in ti.static(range(4)):
+            add_property_bar(block, columns[k], bar[k], arrays)
+
+
+@ti.func
+def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
+    """Add to the bars of a property of the particles of a block."""
+    at = block * arrays.layout.width + arrays.layout.properties + ti.static(int(column))
+    present = arrays.state[block * arrays.features.block + arrays.features.present]
+    arrays.adjoints[at] = arrays.adjoints[at] + present * value
 
 
 @ti.func

@@ -37,6 +37,23 @@ def divided(t, s, elastic, alike):
 
 
 @ti.func
+def strain_reverse(bar, g1, g2, g3, shear, features: ti.template()):
+    """Bars of the changes g of the principal stresses and of mu from that of `mpm.physics.stress.equivalent_strain`.
+
+    0 where nothing yields: there the strain has a corner, from which it grows in either direction.
+    """
+    zero = 0.0 * g1
+    if ti.static(features.softens):
+        mean = (g1 + g2 + g3) / 3.0
+        d1, d2, d3 = g1 - mean, g2 - mean, g3 - mean
+        length = ti.sqrt((d1 * d1 + d2 * d2 + d3 * d3) / 6.0)
+        per = ti.select(length > TINY, bar / (6.0 * maximum(length, TINY) * shear), zero)
+        return per * d1, per * d2, per * d3, 0.0 - bar * length / (shear * shear)
+    else:
+        return zero, zero, zero, zero
+
+
+@ti.func
 def plastic_return_reverse(
     bar: ti.template(),
     stress: ti.template(),
@@ -46,11 +63,13 @@ def plastic_return_reverse(
     limit,
     lame,
     shear,
+    strain_bar,
     features: ti.template(),
 ):
     """Bars of the trial stress's components, then of (sin phi, sin psi, 2 c cos phi, T, lambda, mu).
 
-    bar: of the returned components; stress: the trial's [Pa].
+    bar: of the returned components; stress: the trial's [Pa]; strain_bar: of the plastic strain after the step, read
+    where the material softens.
     """
     if ti.static(features.dimension == 2):
         xx, yy, z, xy = stress
@@ -72,7 +91,10 @@ def plastic_return_reverse(
         b1 = ti.select(above, bar[2], top_bar)
         b2 = ti.select(above, top_bar, ti.select(below, bottom_bar, bar[2]))
         b3 = ti.select(below, bar[2], bottom_bar)
-        g = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        e = strain_reverse(strain_bar, t1 - s1, t2 - s2, t3 - s3, shear, features)
+        b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
+        r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4], r[5], r[6], r[7], r[8] + e[3], r[9], r[10]
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
@@ -110,7 +132,10 @@ def plastic_return_reverse(
         b1, b2, b3 = ux * bux + uy * buy + uz * buz, vx * bvx + vy * bvy + vz * bvz, wx * bwx + wy * bwy + wz * bwz
         b12, b23 = ux * bvx + uy * bvy + uz * bvz, vx * bwx + vy * bwy + vz * bwz
         b13 = ux * bwx + uy * bwy + uz * bwz
-        g = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        e = strain_reverse(strain_bar, t1 - s1, t2 - s2, t3 - s3, shear, features)
+        b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
+        r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4], r[5], r[6], r[7], r[8] + e[3], r[9], r[10]
         zero = 0.0 * b1
         k12 = divided(t1 - t2, a1 - a2, g[9], zero) * b12
         k23 = divided(t2 - t3, a2 - a3, g[9], g[10]) * b23

@@ -350,7 +350,6 @@ def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
     unknown = {
         "volume_correction": "volume_correction",
-        "softens": "a softening_length",
         "barriers": "masses with a release",
     }
     for name, key in unknown.items():

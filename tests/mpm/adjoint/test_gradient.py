@@ -98,6 +98,33 @@ def test_the_tension_cutoff_and_dilation() -> None:
         assert slope.material(name).sum() == pytest.approx(central(value, step), rel=1e-5), name
 
 
+def test_peak_and_residual_strength_of_a_soil_that_softens() -> None:
+    """Strength and dilation fall with the plastic strain, which carries the bars from step to step."""
+    soil = Material(
+        friction_deg=35.0,
+        dilation_deg=8.0,
+        cohesion=300.0,
+        tension_cutoff=100.0,
+        softening_length=4.0e-3,
+        residual_friction_deg=25.0,
+        residual_cohesion=100.0,
+        residual_tension_cutoff=20.0,
+    )
+    for scene in (plane(soil, duration=0.03), room(soil)):
+        objective = Weighted(scene)
+        _, slope = gradient(scene, objective, threads=1, exact=True)
+        names = {"friction_deg": 1e-2, "cohesion": 1.0, "residual_friction_deg": 1e-2, "residual_cohesion": 1.0}
+        for name, step in (names | {"softening_length": 1e-6, "dilation_deg": 1e-2}).items():
+
+            def value(h: float, name: str = name, scene: Scene = scene, objective: Weighted = objective) -> float:
+                material = dataclasses.replace(soil, **{name: getattr(soil, name) + h})
+                return value_of(dataclasses.replace(scene, material=material), objective)
+
+            found = central(value, step)
+            assert found != 0.0
+            assert slope.material(name).sum() == pytest.approx(found, rel=2e-5), name
+
+
 def test_each_body_of_its_own_sand() -> None:
     """Sand without cohesion and two materials: friction of each, where a start without stress is at the cone's apex."""
     first, second = Material(friction_deg=25.0), Material(friction_deg=35.0, density=1500.0)

@@ -115,7 +115,6 @@ def test_scenes_side_by_side_are_as_alone() -> None:
     ("changes", "key"),
     [
         ({"volume_correction": True}, "volume_correction"),
-        ({"material": dataclasses.replace(SOIL, softening_length=0.01)}, "softening_length"),
     ],
 )
 def test_what_has_no_reverse_is_refused(changes: dict[str, object], key: str) -> None:
