@@ -27,6 +27,7 @@ from mpm.adjoint.boundary import before_wall, wall_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import Offset, Setting, Worker
+from mpm.physics.barriers import apply_barriers
 from mpm.physics.grid import SLOW, TINY, store_node_velocity, velocity_after, velocity_before
 
 SUMS = 6
@@ -87,6 +88,9 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         kappa_bar = 0.0 - v.dot(change_bar)
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
     v_star = v + dt * damped
+    if ti.static(features.barriers):
+        # Barriers take components away and damp: what they do to a velocity they do to its bar.
+        new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
     if ti.static(features.contact):
         strides = node_strides(scene, arrays)
         n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]

@@ -24,7 +24,7 @@ from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of
 from mpm.arrays.features import Features, features_of
-from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Setting, Worker
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.kernel import Phase
 from mpm.kernel import kernel as step_kernel
 from mpm.output.outcome import failure
@@ -48,6 +48,7 @@ SPARE = 1.25
 ARGUMENTS = (
     *("state", "lanes", "grid", "scratch", "scratch_lanes", "impulse", "impulse_lanes", "settings", "properties"),
     *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "clamped"),
+    *("barriers", "retained", "settling"),
 )
 """The arrays of a batch that the adjoint's kernel takes, in its order."""
 
@@ -103,15 +104,21 @@ class Tape:
         self.batch.scratch = aligned((len(scenes) * self.layout.scratch, features.lanes), self.batch.state.dtype)
         self.batch.workers[:, Worker.SCRATCH] = np.arange(len(scenes)) * self.layout.scratch
         self.start = self.checkpoint()
+        self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
+        self.released: set[int] = set()
         self.memory_mib, self.outputs = memory_mib, outputs
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.boundaries = self.plan(usual, SPARE * usual)
         self.run()
+        if missing := self.opened(self.frames[-1]) - set(self.boundaries):
+            # Barriers are open or closed over a whole segment.
+            self.released = missing
+            self.boundaries = self.plan(usual, SPARE * usual)
+            self.run()
         if self.bytes() > memory_mib * 2**20:
             # More steps than planned for: now their number is known.
             most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
             self.boundaries = self.plan(most, most)
-            self.restore(self.start)
             self.run()
 
     def plan(self, usual: float, most: float) -> list[int]:
@@ -130,11 +137,16 @@ class Tape:
                 "a state",
                 key="memory_mib",
             )
-        return sorted({*range(0, last, best), *self.frames, last})
+        return sorted({*range(0, last, best), *self.frames, *self.released, last})
 
     def count(self, length: int) -> int:
         """How many segments of `length` frames there are, at most."""
-        return len({*range(0, self.frames[-1], length), *self.frames})
+        return len({*range(0, self.frames[-1], length), *self.frames, *self.released})
+
+    def opened(self, last: int) -> set[int]:
+        """The frames before `last` after which a barrier was open."""
+        frames = self.batch.retained[:, Retained.OPENED] if self.features.barriers else np.zeros(0, np.int32)
+        return {int(frame) for frame in frames if 0 < frame < last}
 
     @property
     def state_bytes(self) -> int:
@@ -176,6 +188,8 @@ class Tape:
     def run(self) -> None:
         """Forwards, by the solver's kernel."""
         run, arguments = step_kernel(self.features), self.batch.arguments
+        self.restore(self.start)
+        self.batch.retained[:], self.batch.settling[:] = self.barriers
         self.checkpoints = []
         self.observed = {0: self.motion()} if 0 in self.frames else {}
         steps = [self.batch.offsets[:, Offset.STEPS].copy()]
@@ -278,14 +292,17 @@ class Tape:
                 direction,
             )
 
+        opened = batch.retained[:, Retained.OPENED].copy()
         for segment in reversed(range(len(self.checkpoints))):
             first, last = self.boundaries[segment : segment + 2]
             self.restore(self.checkpoints[segment])
+            batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
             call(0, first + 1, last + 1, Pass.REPLAY)
             for number, per_scene in enumerate(motion_adjoints):
                 if last in self.frames:
                     self.add_motion_adjoints(adjoints[number], per_scene, self.frames.index(last))
                 call(number, first + 1, last + 1, Pass.REVERSE)
+        batch.retained[:, Retained.OPENED] = opened
         for number in range(len(adjoints)):
             call(number, 0, 0, Pass.START)
         if 0 in self.frames:
@@ -350,7 +367,6 @@ def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
     unknown = {
         "volume_correction": "volume_correction",
-        "barriers": "masses with a release",
     }
     for name, key in unknown.items():
         if getattr(features, name):

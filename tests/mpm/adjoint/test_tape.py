@@ -9,7 +9,7 @@ import pytest
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back, pull_back_all
 from mpm.adjoint.kernel import Pass
@@ -109,6 +109,15 @@ def test_scenes_side_by_side_are_as_alone() -> None:
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)
         np.testing.assert_array_equal(ours.settings, alone.settings)
+
+
+def test_barriers_open_between_two_segments() -> None:
+    """The frame in which they do is known after the run; it is then repeated with a checkpoint there."""
+    held = Mass(lower=(0.1, 0.0), size=(0.2, 0.2), release=0.0125)
+    tape = Tape([plane(masses=(held,), duration=0.05, frame_dt=0.0005)], [100], precision="f32", threads=1)
+    assert 25 in tape.boundaries
+    whole = simulate(tape.batch.scenes[0], threads=1)
+    np.testing.assert_array_equal(tape.positions()[0], whole.positions[100])
 
 
 @pytest.mark.parametrize(
