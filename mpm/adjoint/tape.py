@@ -245,14 +245,17 @@ class Tape:
         """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
-    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list["Adjoints"]:
-        """Bars of the state at the start and of the settings, for each of several objectives.
+    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+        """Bars of what the run began with for each of any number of objectives, `outputs` of them at a time.
 
-        motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Returns for each
-        objective the bars of all blocks, shape [blocks, Layout.width, lanes], and of the settings, shape
-        [scenes, len(Setting)]. Segments are replayed once for all of them. Raises WorkFailed where a gradient grows
-        without bound.
+        motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Raises WorkFailed where
+        a gradient grows without bound.
         """
+        groups = [motion_adjoints[at : at + self.outputs] for at in range(0, len(motion_adjoints), self.outputs)]
+        return [each for group in groups for each in self.reverse_together(group)]
+
+    def reverse_together(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+        """As `reverse`, in one pass: segments are replayed once for all."""
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
         history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)

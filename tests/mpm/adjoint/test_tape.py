@@ -82,6 +82,15 @@ def test_a_budget_that_is_too_small_is_one_clear_line() -> None:
     assert tape.bytes() < enough * 2**20
 
 
+def test_objectives_at_a_time_do_not_change_their_gradients() -> None:
+    scene = plane()
+    weights = list(np.random.default_rng(5).normal(size=(3, 1, *Weighted(scene).positions.shape[1:])))
+    found = [pull_back(Tape([scene], [8], threads=1, outputs=outputs), weights) for outputs in (1, 2, 3)]
+    for number in range(3):
+        for other in found[1:]:
+            np.testing.assert_array_equal(found[0][number].velocities, other[number].velocities)
+
+
 def test_frames_between_are_observed_too() -> None:
     """A sum over frames has the sum of their gradients."""
     scene = plane()
