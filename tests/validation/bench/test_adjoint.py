@@ -25,6 +25,7 @@ def test_one_mass_alone_is_pushed() -> None:
     np.testing.assert_allclose(np.array(speeds) - before, np.where(np.arange(10) == 3, 0.1, 0.0), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_both_jacobians_agree_on_a_short_flow() -> None:
     """A quarter of a second of the coarse layers: the mean x of halves of the sand over ten velocities."""
     scene = read_scene("layers-10")
