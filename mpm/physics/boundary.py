@@ -40,12 +40,8 @@ def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
     """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
-        side = -1
-        if node[axis] <= PADDING and v[axis] < 0.0:
-            side = 2 * axis
-        elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
-            side = 2 * axis + 1
-        if side >= 0 and is_wall(side, scene, arrays) == 1:
+        side = stopping_side(v, node, cells, axis, scene, arrays)
+        if side >= 0:
             friction = arrays.settings[scene, Setting.WALL_FRICTION]
             if side == 2:
                 friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
@@ -54,6 +50,19 @@ def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
             if ti.static(features.walls_recorded):
                 add_wall_impulse(side, mass * (before - v), worker, scene, arrays)
     return v
+
+
+@ti.func
+def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
+    """The side of the box across `axis` that stops velocity `v` at the node `node`, 0 to 2 D - 1; -1: none does."""
+    side = -1
+    if node[axis] <= PADDING and v[axis] < 0.0:
+        side = 2 * axis
+    elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
+        side = 2 * axis + 1
+    if side >= 0 and is_wall(side, scene, arrays) == 0:
+        side = -1
+    return side
 
 
 @ti.func

@@ -91,6 +91,10 @@ BENCHES = {
         module="validation.bench.efficiency.bench",
         summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
     ),
+    "adjoint": Bench(
+        module="validation.bench.adjoint.bench",
+        summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
+    ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
 }
 

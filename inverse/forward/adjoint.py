@@ -1,0 +1,155 @@
+"""The MPM as a differentiable forward model, by its own adjoint: a layer of PyTorch.
+
+    run = Run(read_scene("column-tall-42"), names=("friction_deg", "masses[0].velocity_x"))
+    parameters = torch.tensor([30.0, 1.0], dtype=torch.float64, requires_grad=True)
+    positions, velocities = run(parameters)                  # [m], [m/s], shape [T, N, D] each
+    positions[-1, :, 0].mean().backward()
+    parameters.grad                                          # of the mean x of the deposit
+
+`ParticleRun` begins with positions and velocities of every particle instead. The forward pass is a run of the solver
+with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built, and memory stays within `memory_mib`.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.particles import Particles, initial_particles, initial_volumes
+from datasets.scene import Scene
+from inverse.observations import Observation, Rollout, Values
+from inverse.parameters import Kind, Vector, kind, with_kinds
+from inverse.parameters.masses import Velocity
+from inverse.problem import Problem
+from mpm.adjoint.gradient import Gradient, pull_back
+from mpm.adjoint.tape import MEMORY_MIB, Tape
+from mpm.arrays.layout import Precision
+
+
+class Run:
+    """A run of a scene as a function of some of its parameters (`inverse.parameters`).
+
+    frames: those that it returns, the last alone unless given. Errors as `mpm.adjoint.tape.Tape`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        names: Sequence[str] = (),
+        *,
+        kinds: Sequence[Kind] | None = None,
+        frames: Sequence[int] | None = None,
+        precision: Precision = "f32",
+        memory_mib: float = MEMORY_MIB,
+        threads: int | None = None,
+    ) -> None:
+        self.scene = scene
+        self.kinds: list[Kind] = [kind(name) for name in names] if kinds is None else list(kinds)
+        for each in self.kinds:
+            each.check(scene)
+        self.frames = [scene.frames - 1] if frames is None else sorted(frames)
+        self.options: dict[str, Any] = {"precision": precision, "memory_mib": memory_mib, "threads": threads}
+
+    def __call__(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], of parameters [U]."""
+        values = parameters.detach().numpy().astype(np.float64)
+        scene = with_kinds(self.scene, self.kinds, values)
+        tape = Tape([scene], self.frames, **self.options)
+
+        def slopes(gradient: Gradient) -> Tensor:
+            return torch.from_numpy(self.derivatives(gradient, values))
+
+        positions, velocities = _Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters)  # type: ignore[no-untyped-call]
+        return positions, velocities
+
+    def derivatives(self, gradient: Gradient, values: Vector) -> Vector:
+        """dJ/d(parameters) at `values`, shape [U], from the gradient with respect to what the run begins with."""
+        found = np.zeros(len(values))
+        by_mass = gradient.of_mass(gradient.velocities)
+        for index, each in enumerate(self.kinds):
+            if isinstance(each, Velocity):
+                found[index] = by_mass[each.mass, each.axis]
+                continue
+
+            def scene_at(value: float, index: int = index) -> Scene:
+                return with_kinds(self.scene, self.kinds, np.where(np.arange(len(values)) == index, value, values))
+
+            found[index] = gradient.along(scene_at, float(values[index]))
+        return found
+
+
+class ParticleRun:
+    """A run of a scene as a function of the initial positions and velocities of its particles.
+
+    Arguments as those of `Run`.
+    """
+
+    def __init__(self, scene: Scene, *, frames: Sequence[int] | None = None, **options: Any) -> None:
+        self.scene = scene
+        self.frames = [scene.frames - 1] if frames is None else sorted(frames)
+        self.options: dict[str, Any] = {"precision": "f32", "memory_mib": MEMORY_MIB, "threads": None} | options
+        self.initial: Particles = initial_particles(scene)
+
+    def __call__(self, velocities: Tensor, positions: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What `Run` returns, of initial velocities [m/s] and positions [m], the scene's where absent; shape [N, D]."""
+        if positions is None:
+            positions = torch.from_numpy(self.initial.positions)
+        particles = dataclasses.replace(
+            self.initial,
+            positions=positions.detach().numpy().astype(np.float64),
+            velocities=velocities.detach().numpy().astype(np.float64),
+        )
+        tape = Tape([self.scene], self.frames, particles=[particles], **self.options)
+
+        def slopes(gradient: Gradient) -> tuple[Tensor, Tensor]:
+            return torch.from_numpy(gradient.velocities), torch.from_numpy(gradient.positions)
+
+        moved, sped = _Flow.apply(tape, slopes, velocities, positions)  # type: ignore[no-untyped-call]
+        return moved, sped
+
+
+class _Flow(torch.autograd.Function):
+    """Positions and velocities that a tape has observed; backwards the tape's vector-Jacobian product."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, tape: Tape, slopes: Callable[[Gradient], tuple[Tensor, ...]], *inputs: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        ctx.tape, ctx.slopes, ctx.dtypes = tape, slopes, [each.dtype for each in inputs]
+        return torch.from_numpy(tape.positions()), torch.from_numpy(tape.velocities())
+
+    @staticmethod
+    def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
+        positions, velocities = (each.detach().numpy().astype(np.float64) for each in adjoints)
+        (gradient,) = pull_back(ctx.tape, [positions], [velocities])
+        found = ctx.slopes(gradient)
+        return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
+
+
+class AdjointForward:
+    """The MPM at a problem's parameters, differentiable: in place of a surrogate where its memory and time allow.
+
+    Its observation is the smooth one of the last frame or, where it is one over time, of all frames.
+    """
+
+    def __init__(self, problem: Problem, observation: Observation, **options: Any) -> None:
+        """options: of `Run`."""
+        self.problem, self.observation = problem, observation
+        scene = problem.scene
+        frames = range(scene.frames) if observation.over_time else (0, scene.frames - 1)
+        self.run = Run(scene, kinds=problem.kinds, frames=[*frames], **options)
+        self.times = np.array(self.run.frames) * scene.frame_dt
+
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """The smooth observation, float64 of shape [M], of parameters, float64 of shape [U]."""
+        positions, _ = self.run(parameters)
+        volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy())))
+        return self.observation.predict(Rollout(positions=positions, times=self.times, volumes=volumes))
+
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """The smooth observation [M] at each vector of parameters [U], one after the other."""
+        with torch.no_grad():
+            return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]

@@ -1,0 +1,23 @@
+"""The solver's own adjoint: the exact derivative of a run with respect to everything that it begins with.
+
+    J, slope = gradient(scene, objective)       # objective(positions, velocities) gives J and its derivatives
+    slope.velocities, slope.material("friction_deg"), slope.setting("floor_friction"), slope.along(scene_at, 0.0)
+
+Every term of a step has its reverse by hand, in the file of the same name as in `mpm.physics`, in the same vectors of
+lanes:
+
+    transfer            both transfers, with the motion of the weights
+    grid, boundary      gravity, damping, AFLIP's change of velocity; barriers; walls with Coulomb friction, open sides
+    stress, principal, mohr_coulomb     elastic trial, axes, the plastic return on each of its pieces, softening
+    contact, faces      traction, friction and position of baffles, ground and obstacles
+    particles, kernel   a block of particles; replay and reverse of a segment of steps
+    tape, gradient      checkpoints within a budget of memory; what a user calls
+
+A scene is on one thread, several scenes are side by side; a large scene is not shared between threads and its particles
+are not sorted, so that sums of a run on several threads differ in their last bits. Volume correction has no reverse yet
+and is refused.
+
+Taichi 1.7.4 differentiates a kernel that reads one array and writes another, vectors of lanes included. Where a loop
+overwrites what it has read, as each of our steps does, it silently takes the last value for all: of five steps
+a <- a + 0.1 sin a from a = 1 it says 1.058 where the derivative is 1.205; hence the reverse by hand.
+"""

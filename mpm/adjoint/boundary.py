@@ -1,0 +1,79 @@
+"""The reverse of `mpm.physics.boundary`: walls of the box, node by node.
+
+A wall that stops v_n along its axis leaves u = (1 - mu |v_n| / |w|) w of the rest w where |w| > mu |v_n|, so
+
+    w' = u' - mu |v_n| / |w| (u' - w (w . u') / |w|^2),    (mu |v_n|)' = -(w . u') / |w|
+
+and 0 where the node sticks: at |w| = mu |v_n| the derivative jumps, and the side that the step took is taken.
+"""
+
+import taichi as ti
+
+from mpm.arrays.layout import Setting
+from mpm.physics.boundary import after_wall, stopping_side
+
+
+@ti.func
+def friction_of(side, scene, arrays: ti.template()):
+    """Coulomb coefficient [-] of a side of the box."""
+    friction = arrays.settings[scene, Setting.WALL_FRICTION]
+    if side == 2:
+        friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+    return friction
+
+
+@ti.func
+def before_wall(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
+    """Velocity [m/s] that the walls across `axis` act on: `v` after those across the axes before."""
+    for k in ti.static(range(axis)):
+        side = stopping_side(v, node, cells, k, scene, arrays)
+        if side >= 0:
+            v = after_wall(v, k, friction_of(side, scene, arrays))
+    return v
+
+
+@ti.func
+def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
+    """Bar of the velocity `v_star` before all walls from that after them, shape [D], and of floor and wall friction."""
+    dimension = ti.static(arrays.features.dimension)
+    floor_bar, wall_bar = 0.0 * bar[0], 0.0 * bar[0]
+    for reverse in ti.static(range(dimension)):
+        axis = ti.static(dimension - 1 - reverse)
+        v = before_wall(v_star, node, cells, axis, scene, arrays)
+        side = stopping_side(v, node, cells, axis, scene, arrays)
+        if side >= 0:
+            friction = friction_of(side, scene, arrays)
+            normal = ti.abs(v[axis])
+            along = v
+            along[axis] = 0.0
+            bar[axis] = 0.0
+            speed = along.norm()
+            limit_bar = 0.0 * speed
+            if speed > friction * normal:
+                across = along.dot(bar) / speed
+                limit_bar = 0.0 - across
+                lost = friction * normal / speed
+                bar = bar - lost * (bar - (across / speed) * along)
+            else:
+                bar = 0.0 * bar
+            bar[axis] = friction * limit_bar * (v[axis] / normal)
+            if side == 2:
+                floor_bar += normal * limit_bar
+            else:
+                wall_bar += normal * limit_bar
+    return bar, floor_bar, wall_bar
+
+
+@ti.func
+def after_contact_reverse(bar, v, normal, friction):
+    """Bars of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`, shape [D] twice and a number."""
+    into = v.dot(normal)
+    along = v - into * normal
+    speed, limit = along.norm(), 0.0 - friction * into
+    along_bar, limit_bar = 0.0 * bar, 0.0 * into
+    if speed > limit:
+        across = along.dot(bar) / speed
+        along_bar = bar - (limit / speed) * (bar - (across / speed) * along)
+        limit_bar = 0.0 - across
+    into_bar = 0.0 - friction * limit_bar - normal.dot(along_bar)
+    return along_bar + into_bar * normal, into_bar * v - into * along_bar, 0.0 - into * limit_bar

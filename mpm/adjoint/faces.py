@@ -1,0 +1,170 @@
+"""The reverse of finding contact: distance, normal and friction at the nearest face, and being put onto it.
+
+For a particle whose nearest point lies inside a face with corner a, d = (x - a) . n, so d' moves x along n and a
+against it, and n' is the face's. At a corner c (in 3D also an edge with direction t and weights w_k of its ends)
+d = |x - c| and
+
+    dn = (I - n n^T - t t^T) (dx - sum_k w_k dc_k) / d - t (n . (dc_2 - dc_1)) / length
+
+A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
+`after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
+alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
+in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the bar is that of one
+side. Friction that differs along a face is taken as it is at the particle, without its slope.
+"""
+
+import taichi as ti
+
+from mpm.adjoint.boundary import after_contact_reverse
+from mpm.arrays.layout import Contact, Setting
+from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle
+
+PUT_BACK = 1.0e-6
+"""Distance from a face [cells] within which a particle has been put back onto it."""
+TINY = 1.0e-20
+"""Keeps quotients finite, as in the step."""
+
+
+@ti.func
+def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays: ti.template()):
+    """Bars of position, velocity and shear traction of a block before its contact is found, and those of the faces.
+
+    After: those in the history. put_back: whether a particle may have been kept out of a solid; then the velocity
+    before that is in the scratch from `layout.before`, and the shear traction behind it.
+    """
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    size = ti.static(features.dimension)
+    dx, width = arrays.settings[scene, Setting.CELL], arrays.settings[scene, Setting.CONTACT_WIDTH]
+    own = block * layout.width
+    for lane in range(lanes):
+        present = arrays.lanes[(block * features.block + features.present) * lanes + lane]
+        at = (own + layout.contacts) * lanes + lane
+        then = after * lanes + lane
+        contact = then + layout.history_contacts * lanes
+        delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
+        x_bar, v_bar = (
+            bar_vector(own * lanes + lane, arrays),
+            bar_vector((own + features.velocity) * lanes + lane, arrays),
+        )
+        shear_to = (Contact.NORMAL + size) * lanes
+        q_bar = bar_vector(at + shear_to, arrays)
+        if delta > 0.0 and present > 0.0:
+            x = history_vector(then, arrays)
+            n = history_vector(contact + Contact.NORMAL * lanes, arrays)
+            distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
+            friction = arrays.history_lanes[contact + Contact.FRICTION * lanes]
+            face = ti.cast(arrays.history_lanes[contact + Contact.FACE * lanes], ti.i32)
+            n_bar = bar_vector(at + Contact.NORMAL * lanes, arrays)
+            friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
+            add_face(face, features.face_adhesion, arrays.adjoint_lanes[at + Contact.ADHESION * lanes], arrays)
+            share = ti.min(distance / width, 1.0)
+            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes] + arrays.adjoint_lanes[
+                at + Contact.DELTA * lanes
+            ] * (12.0 / (width * width)) * share * (share - 1.0)
+            back = False
+            if ti.static(put_back):
+                before = scratch_vector((scratch + layout.before) * lanes + lane, arrays)
+                q = scratch_vector((scratch + layout.before + size) * lanes + lane, arrays)
+                n_bar = n_bar - q.dot(n) * q_bar - n.dot(q_bar) * q
+                q_bar = q_bar - q_bar.dot(n) * n
+                back = distance < PUT_BACK * dx
+                if back:
+                    if before.dot(n) < 0.0:
+                        turned, normal_bar, slid = after_contact_reverse(v_bar, before, n, friction)
+                        v_bar = turned
+                        n_bar = n_bar + normal_bar
+                        friction_bar += slid
+                    # What was lost of the displacement is the depth along n.
+                    d_bar = 0.0 - x_bar.dot(n)
+            x_bar = x_bar + foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays)
+        elif ti.static(put_back):
+            q_bar = 0.0 * q_bar
+        put_bar_vector(own * lanes + lane, x_bar, arrays)
+        put_bar_vector((own + features.velocity) * lanes + lane, v_bar, arrays)
+        put_bar_vector(at + shear_to, q_bar, arrays)
+        for column in ti.static(range(len(Contact) - 1 + size)):
+            arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
+
+
+@ti.func
+def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.template()):
+    """Bar of the position `x` [m] from those of its distance, normal and friction at its face, shape [D].
+
+    back: it has been put onto the face, whose inside it is then nearest to. Adds the bars of the face's numbers.
+    """
+    features = arrays.features
+    size = ti.static(features.dimension)
+    w, part = 0.0 * x, 0
+    if ti.static(size == 2):
+        w, part = foot_on_segment(x, face, arrays)
+    else:
+        w, part = foot_on_triangle(x, face, arrays)
+    if back:
+        part = 0
+    result = d_bar * n
+    for k in ti.static(range(size)):
+        add_face(face, features.face_friction + k, w[k] * friction_bar, arrays)
+    if part == 0:
+        corner = face_vector(face, 0, arrays)
+        for k in ti.static(range(size)):
+            add_face(face, k, 0.0 - d_bar * n[k], arrays)
+            add_face(face, features.face_normal + k, d_bar * (x[k] - corner[k]) + n_bar[k], arrays)
+    else:
+        offset, along, length = x, 0.0 * x, 0.0 * d_bar + 1.0
+        for k in ti.static(range(size)):
+            offset = offset - w[k] * face_vector(face, k * size, arrays)
+        first, second = 0, 0
+        if ti.static(size == 3):  # noqa: SIM102 (only of edges is there a part above 3)
+            if part > 3:
+                first, second = part - 4, (part - 3) % 3
+                along = face_vector(face, second * size, arrays) - face_vector(face, first * size, arrays)
+                length = along.norm()
+                along = along / length
+        square = offset.norm()
+        if square > TINY:
+            across = (n_bar - n_bar.dot(n) * n - n_bar.dot(along) * along) / offset.dot(n)
+            result = result + across
+        turn = n_bar.dot(along) / length
+        for k in ti.static(range(size)):
+            for i in ti.static(range(size)):
+                add_face(face, k * size + i, 0.0 - w[k] * result[i], arrays)
+        if ti.static(size == 3):  # noqa: SIM102 (only of edges is there a part above 3)
+            if part > 3:
+                for i in ti.static(range(size)):
+                    add_face(face, second * size + i, 0.0 - turn * n[i], arrays)
+                    add_face(face, first * size + i, turn * n[i], arrays)
+    return result
+
+
+@ti.func
+def add_face(face, column, value, arrays: ti.template()):
+    """Add to the bar of a number of a face."""
+    arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
+
+
+@ti.func
+def bar_vector(first, arrays: ti.template()):
+    """D bars of a lane that begin at `first`, one per vector of its block."""
+    features = arrays.features
+    return ti.Vector([arrays.adjoint_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def put_bar_vector(first, value, arrays: ti.template()):
+    """Put D bars where `bar_vector` reads them."""
+    for k in ti.static(range(arrays.features.dimension)):
+        arrays.adjoint_lanes[first + k * arrays.features.lanes] = value[k]
+
+
+@ti.func
+def history_vector(first, arrays: ti.template()):
+    """D numbers of a lane in the history."""
+    features = arrays.features
+    return ti.Vector([arrays.history_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def scratch_vector(first, arrays: ti.template()):
+    """D numbers of a lane in the scratch."""
+    features = arrays.features
+    return ti.Vector([arrays.scratch_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])

@@ -1,0 +1,242 @@
+"""Gradients of an objective of the flow with respect to everything that a run begins with.
+
+    objective(positions, velocities) -> J, dJ/d(positions), dJ/d(velocities)
+    J, slope = gradient(scene, objective)
+    slope.velocities                    # dJ/d(initial velocity) of every particle, shape [N, D]
+    slope.of_mass(slope.velocities)     # and of every body, shape [masses, D]
+    slope.material("friction_deg")      # of every particle, shape [N]
+    slope.setting("floor_friction")     # of the scene
+    slope.along(scene_at, 0.0)          # along any path of scenes, scene_at(t)
+
+The kernel's own bars are exact; what lies before the kernel, from Young's modulus to Lame's constants or from a tilt to
+gravity, are closed forms of a few numbers, whose derivatives are central differences of these forms alone.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.particles import Particles, initial_particles
+from datasets.scene import Scene
+from mpm.adjoint.tape import Tape
+from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.solids.obstacles import obstacles_in
+
+Floats = NDArray[np.float64]
+
+Objective = Callable[[Floats, Floats], tuple[float, Floats, "Floats | None"]]
+"""Of positions [m] and velocities [m/s] at the observed frames, shape [T, N, D] each: the value, and its derivatives
+with respect to both, or None for no dependence on velocity."""
+
+STEP = 1.0e-5
+"""Relative step of the differences of closed forms."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gradient:
+    """Derivatives of an objective J with respect to what a run of a scene begins with; N particles, D dimensions."""
+
+    scene: Scene
+    particles: Particles
+    positions: Floats
+    """With respect to the initial positions [J / m], shape [N, D]."""
+    velocities: Floats
+    """To the initial velocities [J s / m], shape [N, D]."""
+    velocity_gradients: Floats
+    """To the initial velocity gradients [J s], shape [N, D, D]."""
+    stress: Floats
+    """To the initial stress xx, yy, zz, xy, yz, zx [J / Pa], shape [N, 4 or 6]."""
+    properties: Floats
+    """To `mpm.arrays.layout.Property` of every particle, shape [N, columns]."""
+    settings: Floats
+    """To `mpm.arrays.layout.Setting`, shape [len(Setting)]."""
+    faces: Floats
+    """To the faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
+    cut: float
+    """Share of the bars of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
+    node_contacts: Floats
+    """To what nodes deep in solids know of them, `mpm.solids.obstacles.Obstacles.node_contacts`, shape [K, D + 2]."""
+
+    def of_mass(self, values: Floats) -> Floats:
+        """What particles have, summed over those of each mass, shape [masses, ...]."""
+        found = np.zeros((len(self.scene.masses), *values.shape[1:]))
+        np.add.at(found, self.particles.mass, values)
+        return found
+
+    def material(self, name: str) -> Floats:
+        """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N]."""
+        found = np.zeros(len(self.positions))
+        for index, material in enumerate(self.particles.materials):
+            here = self.particles.material == index
+            depth = self.particles.depth[here]
+
+            def rows_at(value: float, own: Material = material, depth: Floats = depth) -> Floats:
+                return properties_at(with_constant(own, name, value), depth)
+
+            rows = differences(rows_at, getattr(material, name), name)
+            rows = rows[:, : self.properties.shape[1]]
+            rows[:, 0] = 0.0
+            found[here] = (self.properties[here] * rows).sum(axis=1)
+        return found
+
+    def setting(self, name: str) -> float:
+        """dJ/d(number `name` of the scene): floor_friction, wall_friction, damping, gravity, slope_deg, ..."""
+
+        def scene_at(value: float) -> Scene:
+            return dataclasses.replace(self.scene, **{name: value})  # type: ignore[arg-type]
+
+        return self.along(scene_at, getattr(self.scene, name))
+
+    def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
+        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene.
+
+        Raises InputError where a scene has other particles than this one.
+        """
+
+        def inputs(value: float) -> Floats:
+            scene = scene_at(value)
+            particles = initial_particles(scene)
+            if len(particles.positions) != len(self.positions):
+                raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+            parts = (
+                particles.positions,
+                particles.velocities,
+                particles.velocity_gradients,
+                initial_stress(scene, particles),
+                properties_of(particles)[:, : self.properties.shape[1]],
+                np.array(settings_row(scene, particles)),
+                *(solids_of(scene, self.scene) if len(self.faces) else ()),
+            )
+            return np.concatenate([part.ravel() for part in parts])
+
+        adjoints = (
+            self.positions,
+            self.velocities,
+            self.velocity_gradients,
+            self.stress,
+            self.properties,
+            self.settings,
+            *((self.faces, self.node_contacts) if len(self.faces) else ()),
+        )
+        slopes = differences(inputs, at, "the path", step)
+        flat = np.concatenate([bar.ravel() for bar in adjoints])
+        # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
+        return float(flat[flat != 0.0] @ slopes[flat != 0.0])
+
+
+def initial_stress(scene: Scene, particles: Particles) -> Floats:
+    """Initial stress of the particles [Pa], shape [N, 4 or 6]; 0 but where a mass has a K0."""
+    if all(mass.k0 is None for mass in scene.masses):
+        return np.zeros((len(particles.positions), 4 if scene.dimension == 2 else 6))
+    # Imported here: most runs begin without stress and need no sparse solver.
+    from mpm.initial.stress import initial_tractions
+
+    return initial_tractions(scene, particles, particles.positions)[0]
+
+
+def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
+    """Faces of the solids of a scene, and what the nodes deep in those of `base` know of them.
+
+    A node that is deep in one of them alone knows what it does in `base`: that it begins to be is a jump of the flow,
+    not a slope. Raises InputError where the scenes have different faces.
+    """
+    ours, here = obstacles_in(scene), obstacles_in(base)
+    if ours.faces.shape != here.faces.shape:
+        raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    rows, nodes = here.node_contacts.copy(), here.fixed_nodes > 0
+    both = nodes & (ours.fixed_nodes > 0)
+    rows[here.fixed_nodes[both] - 1] = ours.node_contacts[ours.fixed_nodes[both] - 1]
+    return ours.faces, rows
+
+
+def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
+    """Derivative of a closed form at a value by a central difference, or one into the range where it is at its end."""
+    step = STEP * (abs(at) or 1.0) if step is None else step
+    with np.errstate(invalid="ignore"):
+        try:
+            return (function(at + step) - function(at - step)) / (2.0 * step)
+        except InputError:
+            pass
+        try:
+            # Second order from one side.
+            return (4.0 * function(at + step) - function(at + 2.0 * step) - 3.0 * function(at)) / (2.0 * step)
+        except InputError as error:
+            raise InputError(f"expected a value of {name} with others about it, got {at:g}: {error}") from None
+
+
+def with_constant(material: Material, name: str, value: float) -> Material:
+    """`material` with another constant. Raises InputError where cohesion, of which the run has no trace, is meant."""
+    if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
+        raise InputError(f"expected a material with cohesion, a run without any does not depend on {name}", key=name)
+    return dataclasses.replace(material, **{name: value})
+
+
+def gradient(
+    scene: Scene, objective: Objective, frames: Sequence[int] | None = None, **options: Any
+) -> tuple[float, Gradient]:
+    """Value of an objective of a run, and its gradient.
+
+    frames: those that it sees, the last alone unless given; options: of `mpm.adjoint.tape.Tape`. Errors as `Tape`.
+    """
+    tape = Tape([scene], [scene.frames - 1] if frames is None else frames, **options)
+    value, positions, velocities = objective(tape.positions(), tape.velocities())
+    (slope,) = pull_back(tape, [positions], None if velocities is None else [velocities])
+    return value, slope
+
+
+def pull_back(
+    tape: Tape, positions: Sequence[Floats], velocities: Sequence[Floats] | None = None, index: int = 0
+) -> list[Gradient]:
+    """Vector-Jacobian products: for each objective k the gradient whose bars at the observed frames are
+
+    `positions[k]` and `velocities[k]`, shape [T, N, D] each, of scene `index` of the tape.
+    """
+    shape = tape.positions(index).shape
+    still = [np.zeros(shape)] * len(positions) if velocities is None else velocities
+    nothing = [
+        (np.zeros(tape.positions(other).shape), np.zeros(tape.positions(other).shape))
+        for other in range(len(tape.batch.scenes))
+    ]
+    adjoints = [
+        [(moved, sped) if other == index else nothing[other] for other in range(len(nothing))]
+        for moved, sped in zip(positions, still, strict=True)
+    ]
+    return [gradients[index] for gradients in pull_back_all(tape, adjoints)]
+
+
+def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]]) -> list[list[Gradient]]:
+    """For each objective and each scene of the tape its gradient, from bars of positions and velocities of each."""
+    features, layout = tape.features, tape.layout
+    found = []
+    for ours in tape.reverse(adjoints):
+        own = []
+        for index, scene in enumerate(tape.batch.scenes):
+            here = tape.particles(index)
+
+            def numbers(first: int, count: int, blocks: Any = ours.blocks, here: slice = here) -> Floats:
+                return tape.vectors(blocks, first, count)[here].astype(np.float64)
+
+            size = features.dimension
+            own.append(
+                Gradient(
+                    scene=scene,
+                    particles=tape.batch.particles[index],
+                    positions=numbers(0, size),
+                    velocities=numbers(features.velocity, size),
+                    velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
+                    stress=numbers(features.stress, features.stresses),
+                    properties=numbers(layout.properties, features.columns),
+                    settings=ours.settings[index].copy(),
+                    faces=ours.faces[tape.faces(index)],
+                    cut=float(ours.cut[index]),
+                    node_contacts=ours.node_contacts[tape.node_contacts(index)],
+                )
+            )
+        found.append(own)
+    return found

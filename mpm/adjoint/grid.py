@@ -1,0 +1,157 @@
+"""The reverse of `mpm.physics.grid`: bars of momentum, mass and force at the nodes from those of their velocities.
+
+    v* = v + dt (a - alpha |a| s(v)),   a = g + f / m,   v = (m v) / m,   s(v) = v / sqrt(v^2 + v_s^2)
+
+    a'     = dt v*' - (dt alpha s . v*') a / |a|            alpha' = -dt |a| s . v*'
+    v'     = v*' - v_s^2 l,    (v_s^2)' = v . l / 2,    l = dt alpha |a| (v^2 + v_s^2)^(-3/2) v*' by components
+    (m v)' = v' / m,    f' = a' / m,    m' = -(v . v' + f / m . a') / m,    g' = a'
+
+**The slope of the sign** at v = 0 is 1 / v_s, and dt alpha |a| / v_s is far above 2 where stress waves pass: such a
+node jumps to and fro about v = 0, and neighbouring runs part at every jump until they are some 1e-6 m apart, where it
+ends. The derivative along one run is then that of the jumps (1e25 after a second of ten layers) and says nothing of
+the flow. Unless `exact`, the reverse therefore spreads the slope over the jump that a step of damping makes,
+h = dt alpha |a|:
+
+    s'(v) = (v_s^2 + h^2) (v^2 + v_s^2 + h^2)^(-3/2)
+
+so that h s'(v) lies in [0, 1], as of a force that opposes motion; it is exact where h is small against v_s or |v|, and
+its integral over v stays 2, so that where v scatters by more than h its mean is right.
+
+A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both bars, and v' and kappa'
+with -kappa and -v times that of the change.
+"""
+
+import taichi as ti
+
+from mpm.adjoint.boundary import before_wall, wall_reverse
+from mpm.adjoint.contact import solids_reverse
+from mpm.arrays.access import box_cells, node_strides
+from mpm.arrays.layout import Offset, Setting, Worker
+from mpm.physics.barriers import apply_barriers
+from mpm.physics.grid import SLOW, TINY, store_node_velocity, velocity_after, velocity_before
+
+SUMS = 6
+"""Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
+
+
+@ti.func
+def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """As `mpm.physics.grid.update_own_nodes`, but momentum, mass and force are kept in `arrays.kept`; bars become 0."""
+    features = arrays.features
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                node = arrays.grid[first + k]
+                arrays.kept[first + k] = node
+                arrays.grid_adjoints[first + k] = zero
+                if node[features.dimension] > 0.0:
+                    old = velocity_before(node, arrays)
+                    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
+                    store_node_velocity(first + k, new, old, kappa, arrays)
+
+
+@ti.func
+def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
+    """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
+
+    node: before its velocity was computed; (i, j, k): its indices.
+    """
+    features = arrays.features
+    dimension = ti.static(features.dimension)
+    per_mass = 1.0 / node[dimension]
+    zero = 0.0 * per_mass
+    v = ti.Vector([node[axis] * per_mass for axis in ti.static(range(dimension))])
+    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
+    a = ti.Vector([gravity[axis] + zero for axis in ti.static(range(dimension))])
+    force = ti.Vector([zero for _ in ti.static(range(dimension))])
+    if ti.static(features.forces):
+        force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(dimension))])
+        a = a + force
+    damped = a
+    size, alpha, sign, slow = zero, zero, 0.0 * a, zero
+    if ti.static(features.damped):
+        alpha = arrays.settings[scene, Setting.DAMPING]
+        size = a.norm()
+        slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL] + TINY
+        for axis in ti.static(range(dimension)):
+            square = v[axis] * v[axis] + slow
+            sign[axis] = v[axis] / ti.sqrt(square)
+        damped = a - alpha * size * sign
+    new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))])
+    v_bar, kappa_bar = 0.0 * v, zero
+    if ti.static(features.relaxed):
+        change_bar = ti.Vector([bar[features.change + axis] for axis in ti.static(range(dimension))])
+        new_bar = new_bar + change_bar
+        v_bar = (0.0 - kappa) * change_bar
+        kappa_bar = 0.0 - v.dot(change_bar)
+    index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
+    v_star = v + dt * damped
+    if ti.static(features.barriers):
+        # Barriers take components away and damp: what they do to a velocity they do to its bar.
+        new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
+    if ti.static(features.contact):
+        strides = node_strides(scene, arrays)
+        n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
+        stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
+        new_bar = solids_reverse(new_bar, stopped, n, arrays)
+    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, index, box_cells(scene, arrays), scene, arrays)
+    v_bar = v_bar + star_bar
+    a_bar = dt * star_bar
+    damping_bar, slow_bar = zero, zero
+    if ti.static(features.damped):
+        opposed = sign.dot(star_bar)
+        damping_bar = (0.0 - dt) * size * opposed
+        for axis in ti.static(range(dimension)):
+            strength = dt * alpha * size
+            wide = slow
+            if ti.static(not arrays.layout.exact):
+                wide = slow + strength * strength
+            square = v[axis] * v[axis] + wide
+            lost = strength / (square * ti.sqrt(square))
+            v_bar[axis] -= wide * lost * star_bar[axis]
+            slow_bar += 0.5 * v[axis] * lost * star_bar[axis]
+        a_bar = a_bar - (dt * alpha * opposed / (size + TINY)) * a
+    gravity_y_bar = a_bar[1]
+    if ti.static(features.damped):
+        # v_s^2 grows with gravity.
+        gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * ti.math.sign(gravity[1])
+    result = 0.0 * node
+    for axis in ti.static(range(dimension)):
+        result[axis] = v_bar[axis] * per_mass
+        result[dimension] -= v[axis] * v_bar[axis] * per_mass
+        if ti.static(features.forces):
+            result[features.force + axis] = a_bar[axis] * per_mass
+            result[dimension] -= force[axis] * a_bar[axis] * per_mass
+    return result, ti.Vector([a_bar[0], gravity_y_bar, floor_bar, wall_bar, damping_bar, kappa_bar])
+
+
+@ti.func
+def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """Bars of the nodes of a worker in place; add what they share to `arrays.sums`."""
+    features = arrays.features
+    total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
+    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
+        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
+            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
+            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
+                node = arrays.kept[first + k]
+                if node[features.dimension] > 0.0:
+                    bar, shared = node_reverse(node, arrays.grid_adjoints[first + k], i, j, k, scene, dt, kappa, arrays)
+                    arrays.grid_adjoints[first + k] = bar
+                    for number in ti.static(range(SUMS)):
+                        total[number] += ti.cast(shared[number], ti.f64)
+    columns = ti.static(
+        (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
+    )
+    for number in ti.static(range(SUMS - 1)):
+        arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
+    add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
+
+
+@ti.func
+def add_kappa_bar(worker, dt, kappa, bar, arrays: ti.template()):
+    """Add the bar of kappa = exp(-dt rate) to that of the rate of relaxation."""
+    if ti.static(arrays.features.relaxed):
+        arrays.sums[worker, ti.static(int(Setting.RELAXATION_RATE))] -= ti.cast(dt * kappa, ti.f64) * bar

@@ -1,0 +1,255 @@
+"""The steps of a segment once more, with every state kept; and those steps backwards, from their last to their first.
+
+    replay     states s_0, ..., s_n of a segment, by the functions of `mpm.kernel` in their order: the same to the bit
+    reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
+
+A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
+velocities of the nodes (`mpm.adjoint.grid.update_kept_nodes`), then bars of particles to bars of nodes, of nodes before
+their forces, and of particles (`mpm.adjoint.particles`). A scene is on one thread, several scenes side by side.
+"""
+
+from collections.abc import Callable
+from enum import Enum, auto
+from functools import cache
+
+import taichi as ti
+
+from mpm.adjoint.faces import found_reverse
+from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
+from mpm.adjoint.layout import Layout
+from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
+from mpm.arrays.access import lane_maximum, lane_minimum, maximum, minimum, node_strides
+from mpm.arrays.layout import PADDING, Setting, Worker
+from mpm.kernel import ITERATIONS, Arrays
+from mpm.output.recorder import steps_of_frame
+from mpm.physics.grid import clear, relaxation_factor, update_grid
+from mpm.physics.particles import update_particles
+from mpm.physics.transfer import particles_to_grid
+
+
+class Pass(Enum):
+    """What a call of the kernel does with the frames of a segment."""
+
+    REPLAY = auto()
+    """Compute the frames [first, last) and keep the state before every step and at the end."""
+    REVERSE = auto()
+    """Take the bars at the end of what was replayed back to its beginning."""
+    START = auto()
+    """Take the bars of the contact at the beginning to those of what it follows from."""
+
+
+@ti.func
+def keep_state(worker, scene, step, arrays: ti.template()):
+    """Keep the states of a worker's blocks as those before `step`."""
+    features, layout = arrays.features, arrays.layout
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        at = state_before(step, block, arrays)
+        own = block * features.block
+        copy(arrays.history, at, arrays.state, own, layout.history_contacts)
+        if ti.static(features.contact):
+            contacts = at + ti.static(layout.history_contacts)
+            copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), layout.contact)
+        if ti.static(features.outflow):
+            arrays.history[at + ti.static(layout.history_present)] = arrays.state[own + features.present]
+
+
+@ti.func
+def state_before(step, block, arrays: ti.template()):
+    """The first vector in the history of a block before `step`."""
+    blocks = arrays.state.shape[0] // ti.static(arrays.features.block)
+    return (step * blocks + block) * ti.static(arrays.layout.history)
+
+
+@ti.func
+def copy(to: ti.template(), at, source: ti.template(), first, count: ti.template()):
+    """Copy `count` vectors."""
+    for k in range(count):
+        to[at + k] = source[first + k]
+
+
+@ti.func
+def restore_state(worker, scene, step, arrays: ti.template()):
+    """The states of a worker's blocks before `step`, and the box of nodes in their support."""
+    features, layout = arrays.features, arrays.layout
+    first = arrays.workers[worker, Worker.FIRST]
+    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
+    low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
+    high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
+    for block in range(first, arrays.workers[worker, Worker.LAST]):
+        at = state_before(step, block, arrays)
+        own = block * features.block
+        copy(arrays.state, own, arrays.history, at, layout.history_contacts)
+        if ti.static(features.contact):
+            contacts = at + ti.static(layout.history_contacts)
+            copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, layout.contact)
+        if ti.static(features.outflow):
+            arrays.state[own + features.present] = arrays.history[at + ti.static(layout.history_present)]
+        for k in ti.static(range(features.dimension)):
+            low[k] = minimum(low[k], arrays.state[block * features.block + k])
+            high[k] = maximum(high[k], arrays.state[block * features.block + k])
+    for k in ti.static(range(features.dimension)):
+        lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
+        highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
+        arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
+        arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
+
+
+@ti.func
+def replay(worker, first, last, arrays: ti.template()):
+    """Compute the frames [first, last) of a worker's scene as `mpm.kernel.advance_worker`, and keep every state."""
+    scene = arrays.workers[worker, Worker.SCENE]
+    strides = node_strides(scene, arrays)
+    step = 0
+    for _frame in range(first, last):
+        substeps = steps_of_frame(scene, arrays)
+        dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
+        kappa = relaxation_factor(scene, dt, arrays)
+        for _step in range(substeps):
+            keep_state(worker, scene, step, arrays)
+            arrays.step_times[scene, step] = dt
+            clear(worker, strides, arrays)
+            particles_to_grid(worker, scene, dt, strides, arrays)
+            update_grid(worker, scene, dt, kappa, strides, arrays)
+            update_particles(worker, scene, dt, kappa, strides, arrays)
+            step += 1
+    keep_state(worker, scene, step, arrays)
+    arrays.step_counts[scene] = step
+
+
+@ti.func
+def reverse(worker, arrays: ti.template()):
+    """Bars of a worker's scene at the beginning of its replayed steps from those at their end."""
+    scene = arrays.workers[worker, Worker.SCENE]
+    strides = node_strides(scene, arrays)
+    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
+    count = arrays.step_counts[scene]
+    for number in range(count):
+        step = count - 1 - number
+        dt = arrays.step_times[scene, step]
+        kappa = relaxation_factor(scene, dt, arrays)
+        restore_state(worker, scene, step, arrays)
+        clear(worker, strides, arrays)
+        particles_to_grid(worker, scene, dt, strides, arrays)
+        update_kept_nodes(worker, scene, dt, kappa, strides, arrays)
+        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            after = state_before(step + 1, block, arrays)
+            update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
+        update_grid_reverse(worker, scene, dt, kappa, strides, arrays)
+        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            block_to_grid_reverse(grid, scene, block, scratch, dt, strides, arrays)
+
+
+@ti.func
+def reverse_start(worker, arrays: ti.template()):
+    """From the bars of the contact that a run begins with to those of positions and faces."""
+    if ti.static(arrays.features.contact):
+        scene, scratch = arrays.workers[worker, Worker.SCENE], arrays.workers[worker, Worker.SCRATCH]
+        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            found_reverse(block, scratch, state_before(0, block, arrays), False, scene, arrays)
+
+
+@cache
+def kernel(layout: Layout) -> Callable[..., None]:
+    """The kernel for scenes with `features`: the arrays of `mpm.arrays.batch.Batch.arguments` that a step reads, those
+
+    of `mpm.adjoint.tape.Tape`, then `first`, `last` and the pass.
+    """
+    features = layout.features
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    numbers = ti.types.ndarray(dtype=real, ndim=1)
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+    nodes = ti.types.ndarray(dtype=ti.types.vector(features.node, real), ndim=1)
+    table = ti.types.ndarray(dtype=real, ndim=2)
+    integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
+    integer_table = ti.types.ndarray(dtype=ti.i32, ndim=2)
+    double_table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+
+    @ti.kernel
+    def walk(
+        state: blocks,
+        lanes: numbers,
+        grid: nodes,
+        scratch: blocks,
+        scratch_lanes: numbers,
+        impulse: blocks,
+        impulse_lanes: numbers,
+        settings: table,
+        properties: table,
+        faces: table,
+        cell_faces: integers,
+        near_faces: integers,
+        fixed_nodes: integers,
+        node_contacts: table,
+        offsets: integer_table,
+        workers: integer_table,
+        clamped: integers,
+        barriers: integer_table,
+        retained: integer_table,
+        settling: double_table,
+        kept: nodes,
+        grid_adjoints: nodes,
+        adjoints: blocks,
+        adjoint_lanes: numbers,
+        history: blocks,
+        history_lanes: numbers,
+        face_adjoints: double_table,
+        node_contact_adjoints: double_table,
+        cuts: table,
+        sums: double_table,
+        step_times: table,
+        step_counts: integers,
+        first: ti.i32,
+        last: ti.i32,
+        direction: ti.template(),
+    ):
+        arrays = ti.static(
+            [
+                Arrays(
+                    features,
+                    layout=layout,
+                    state=state,
+                    lanes=lanes,
+                    grid=grid,
+                    scratch=scratch,
+                    scratch_lanes=scratch_lanes,
+                    impulse=impulse,
+                    impulse_lanes=impulse_lanes,
+                    settings=settings,
+                    properties=properties,
+                    faces=faces,
+                    cell_faces=cell_faces,
+                    near_faces=near_faces,
+                    fixed_nodes=fixed_nodes,
+                    node_contacts=node_contacts,
+                    offsets=offsets,
+                    workers=workers,
+                    clamped=clamped,
+                    barriers=barriers,
+                    retained=retained,
+                    settling=settling,
+                    kept=kept,
+                    grid_adjoints=grid_adjoints,
+                    adjoints=adjoints,
+                    adjoint_lanes=adjoint_lanes,
+                    history=history,
+                    history_lanes=history_lanes,
+                    face_adjoints=face_adjoints,
+                    node_contact_adjoints=node_contact_adjoints,
+                    cuts=cuts,
+                    sums=sums,
+                    step_times=step_times,
+                    step_counts=step_counts,
+                )
+            ]
+        )[0]
+        ti.loop_config(block_dim=ITERATIONS)
+        for iteration in range(workers.shape[0] * ITERATIONS):
+            if iteration % ITERATIONS == 0:
+                if ti.static(direction == Pass.REPLAY):
+                    replay(iteration // ITERATIONS, first, last, arrays)
+                if ti.static(direction == Pass.REVERSE):
+                    reverse(iteration // ITERATIONS, arrays)
+                if ti.static(direction == Pass.START):
+                    reverse_start(iteration // ITERATIONS, arrays)
+
+    return walk

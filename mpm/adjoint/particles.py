@@ -1,0 +1,287 @@
+"""The reverse of what a block of particles does in a step: `mpm.physics.particles` and its giving to the grid.
+
+    x <- x + dt u_p,   v <- kappa v + change_p,   C <- C_p,   sigma <- stress step of (sigma, dt C_p)
+
+From the last of these to the first: bars of the stress and C by `mpm.adjoint.stress`; a coordinate that a wall of the
+box has put back has none; u_p' = dt x'; change_p' = v' and then v' = kappa v', or u_p' += v' where tau = 0. The bars
+go to the nodes, through the grid, and come back to x, v, C, sigma and the properties of the particles.
+"""
+
+import taichi as ti
+
+from mpm.adjoint.contact import (
+    contact_of,
+    foot_motion,
+    jump_reverse,
+    opening_of,
+    push_reverse,
+    slip_reverse,
+    touched,
+)
+from mpm.adjoint.grid import add_kappa_bar
+from mpm.adjoint.mohr_coulomb import softened_reverse
+from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
+from mpm.adjoint.transfer import gather_motion, gather_reverse, prepare_weights, scatter_reverse
+from mpm.arrays.access import lane_sum, no_overflow
+from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, component
+from mpm.physics.boundary import is_wall
+from mpm.physics.contact import normal_stress
+from mpm.physics.particles import strength_of
+from mpm.physics.stress import midpoint_increment, trial_stress
+from mpm.physics.transfer import prepare_contributions, property_of, spline, volume_of
+
+
+@ti.func
+def update_block_reverse(
+    worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()
+):
+    """Bars of a block at the start of a step, but for what it gave to the grid; and those of the nodes from `grid` on.
+
+    after: its first vector in the history of the state after the step.
+    """
+    features, layout = arrays.features, arrays.layout
+    size = ti.static(features.dimension)
+    first, own = no_overflow(block * features.block), block * layout.width
+    if ti.static(features.outflow):
+        # What has left keeps its position alone.
+        here = arrays.history[after + ti.static(layout.history_present)]
+        for k in range(ti.static(features.velocity), ti.static(features.stress + features.stresses)):
+            arrays.adjoints[own + k] = here * arrays.adjoints[own + k]
+    dx = arrays.settings[scene, Setting.CELL]
+    per_dx = 1.0 / dx
+    values = scratch + features.values
+    arrays.scratch[values + size] = 0.0 * arrays.state[first]
+    f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(size))]
+    for k in ti.static(range(size)):
+        low = ti.floor(f[k] - 0.5)
+        f[k] = f[k] - low
+        arrays.scratch[scratch + features.lowest + k] = low
+        w = spline(f[k])
+        for a in ti.static(range(3)):
+            arrays.scratch[scratch + 3 * k + a] = w[a]
+    stress_reverse(grid, scene, block, scratch, after, dt, strides, arrays)
+    kappa_bar = 0.0 * f[0]
+    for i in ti.static(range(size)):
+        x_bar = arrays.adjoints[own + i]
+        x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx
+        inside = (x > 0.0) & (x < length)
+        if ti.static(features.outflow):
+            below, above = is_wall(2 * i, scene, arrays), is_wall(2 * i + 1, scene, arrays)
+            inside = ((x > 0.0) | (below == 0)) & ((x < length) | (above == 0))
+        x_bar = ti.select(inside, x_bar, 0.0)
+        arrays.adjoints[own + i] = x_bar
+        if ti.static(features.outflow):
+            x_bar = arrays.state[first + features.present] * x_bar
+        v_bar = arrays.adjoints[own + features.velocity + i]
+        value = dt * x_bar
+        if ti.static(features.contact):
+            value = value + arrays.scratch[scratch + layout.foot + i]
+        if ti.static(features.relaxed):
+            arrays.scratch[values + features.change + i] = v_bar
+            kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
+            arrays.adjoints[own + features.velocity + i] = kappa * v_bar
+        else:
+            if ti.static(features.forces):
+                arrays.scratch[values + features.force + i] = 0.0 * v_bar
+            value = value + v_bar
+            arrays.adjoints[own + features.velocity + i] = 0.0 * v_bar
+        for j in ti.static(range(size)):
+            slope = 4.0 * per_dx * arrays.adjoints[own + features.affine + i * size + j]
+            value = value - slope * f[j]
+            arrays.scratch[values + (1 + j) * features.node + i] = slope
+            if ti.static(features.forces):
+                arrays.scratch[values + (1 + j) * features.node + features.force + i] = 0.0 * slope
+        arrays.scratch[values + i] = value
+    prepare_weights(scene, block, scratch, arrays)
+    scatter_reverse(grid, block, scratch, strides, arrays)
+    for j in ti.static(range(size)):
+        moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
+        for i in ti.static(range(size)):
+            affine_bar = arrays.adjoints[own + features.affine + i * size + j]
+            moved = moved - (4.0 * per_dx * per_dx) * affine_bar * arrays.scratch[scratch + layout.sums + i]
+        arrays.adjoints[own + j] = moved
+    if ti.static(features.relaxed):
+        add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
+
+
+@ti.func
+def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
+    """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it."""
+    features, layout = arrays.features, arrays.layout
+    size = ti.static(features.dimension)
+    first, own = no_overflow(block * features.block), block * layout.width
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    gradient = [dt * arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
+    inside = midpoint_increment(gradient, size)
+    touching, zero = 0, 0.0 * stress[0]
+    jump, opening, opening_bar, shear_bar = zero, zero, zero, zero
+    n, n_bar = [zero for _ in ti.static(range(size))], [zero for _ in ti.static(range(size))]
+    if ti.static(features.contact):
+        touching = touched(block, after, arrays)
+        for k in ti.static(range(size)):
+            arrays.scratch[scratch + layout.foot + k] = zero
+        if touching == 1:
+            for k in ti.static(range(size)):
+                n[k] = arrays.state[contact_of(block, Contact.NORMAL + k, arrays)]
+            gather_motion(grid, block, scratch, strides, arrays)
+            opening = opening_of(foot_motion(block, scratch, after, n, arrays), n)
+            separated = normal_stress(block, n, arrays) >= arrays.state[contact_of(block, Contact.ADHESION, arrays)]
+            delta = arrays.state[contact_of(block, Contact.DELTA, arrays)]
+            jump = ti.select(separated & (opening > 0.0), zero, dt * delta * opening)
+            opening_bar, shear_bar = slip_reverse(scene, block, scratch, after, dt, shear, opening, n, n_bar, arrays)
+    increment = [
+        inside[k] + jump * n[k // size] * n[k % size] if ti.static(features.contact) else inside[k]
+        for k in ti.static(range(size * size))
+    ]
+    trial = trial_stress(stress, increment, lame, shear, size)
+    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
+    strain_bar = zero
+    if ti.static(features.softens):
+        strain_bar = arrays.adjoints[own + features.plastic_strain]
+    returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, strain_bar, features)
+    trial_bar = [returned[k] for k in ti.static(range(features.stresses))]
+    elastic = trial_stress_reverse(trial_bar, stress, increment, lame, shear, size)
+    for k in ti.static(range(features.stresses)):
+        arrays.adjoints[own + features.stress + k] = elastic[k]
+    increment_bar = [elastic[ti.static(features.stresses + k)] for k in ti.static(range(size * size))]
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if touching == 1:
+            jump_reverse(block, scratch, after, dt, jump, opening, opening_bar, increment_bar, n, n_bar, arrays)
+    gradient_bar = midpoint_increment_reverse(increment_bar, gradient, size)
+    for k in ti.static(range(size * size)):
+        at = own + features.affine + k
+        arrays.adjoints[at] = arrays.adjoints[at] + dt * gradient_bar[k]
+    moduli = [
+        returned[ti.static(features.stresses + 4 + k)] + elastic[ti.static(features.stresses + size * size + k)]
+        for k in ti.static(range(2))
+    ]
+    add_property_bar(block, Property.LAME, moduli[0], arrays)
+    add_property_bar(block, Property.SHEAR, moduli[1] + shear_bar, arrays)
+    strengths = [returned[ti.static(features.stresses + k)] for k in ti.static(range(4))]
+    strength_reverse(scene, block, strengths, arrays)
+
+
+@ti.func
+def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
+    """Bars of the strength of a block's material, and of its plastic strain, from those of `strength_of`."""
+    features, layout = arrays.features, arrays.layout
+    if ti.static(features.softens):
+        zero = 0.0 * bar[0]
+        peak = [zero + property_of(scene, block, Property.SIN_PHI, arrays), zero, zero, zero]
+        if ti.static(features.dilates):
+            peak[1] = zero + property_of(scene, block, Property.SIN_PSI, arrays)
+        if ti.static(features.cohesive):
+            peak[2] = zero + property_of(scene, block, Property.STRENGTH, arrays)
+            peak[3] = zero + property_of(scene, block, Property.LIMIT, arrays)
+        residual = (
+            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
+            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
+            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
+        )
+        cell = arrays.settings[scene, Setting.CELL]
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * cell
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        back = softened_reverse(bar, strain, per_strain, peak, residual, features)
+        at = block * layout.width + features.plastic_strain
+        arrays.adjoints[at] = arrays.adjoints[at] + back[0]
+        add_property_bar(block, Property.SOFTENING, cell * back[1], arrays)
+        columns = ti.static(
+            (
+                Property.SIN_PHI,
+                Property.SIN_PSI,
+                Property.STRENGTH,
+                Property.LIMIT,
+                Property.RESIDUAL_SIN_PHI,
+                Property.RESIDUAL_STRENGTH,
+                Property.RESIDUAL_LIMIT,
+            )
+        )
+        for k in ti.static(range(7)):
+            add_property_bar(block, columns[k], back[ti.static(2 + k)], arrays)
+    else:
+        columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
+        for k in ti.static(range(4)):
+            add_property_bar(block, columns[k], bar[k], arrays)
+
+
+@ti.func
+def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
+    """Add to the bars of a property of the particles of a block."""
+    at = block * arrays.layout.width + arrays.layout.properties + ti.static(int(column))
+    present = arrays.state[block * arrays.features.block + arrays.features.present]
+    arrays.adjoints[at] = arrays.adjoints[at] + present * value
+
+
+@ti.func
+def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
+    """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known.
+
+    Particles whose velocity then has a bar beyond the cut (`mpm.adjoint.tape.CUT`) have none any more.
+    """
+    features, layout = arrays.features, arrays.layout
+    size = ti.static(features.dimension)
+    first, own = no_overflow(block * features.block), block * layout.width
+    prepare_contributions(scene, block, scratch, dt, arrays)
+    prepare_weights(scene, block, scratch, arrays)
+    gather_reverse(grid, block, scratch, strides, arrays)
+    dx = arrays.settings[scene, Setting.CELL]
+    volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)
+    present = arrays.state[first + features.present]
+    mass, per_square = volume * density, 4.0 / (dx * dx)
+    sums, force = scratch + layout.sums, ti.static(features.force if features.forces else 0)
+    # Where forces are added to the momentum at once, their bar is dt times that of momentum.
+    scale = volume * per_square
+    if ti.static(not features.forces):
+        scale = dt * scale
+    mass_bar = arrays.scratch[sums + size]
+    force_work = 0.0 * mass_bar
+    for i in ti.static(range(size)):
+        v_bar = arrays.scratch[sums + i]
+        at = own + features.velocity + i
+        mass_bar = mass_bar + arrays.state[first + features.velocity + i] * v_bar
+        arrays.adjoints[at] = arrays.adjoints[at] + mass * v_bar
+        for j in ti.static(range(size)):
+            affine = arrays.scratch[sums + (1 + j) * features.node + i]
+            mass_bar = mass_bar + arrays.state[first + features.affine + i * size + j] * affine
+            arrays.adjoints[own + features.affine + i * size + j] = mass * affine
+    for k in ti.static(range(size)):
+        moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
+        for i in ti.static(range(size)):
+            stress = arrays.state[first + features.stress + ti.static(component(i, k, size))]
+            moved = moved - mass * arrays.state[first + features.affine + i * size + k] * arrays.scratch[sums + i]
+            carried = stress
+            if ti.static(features.contact):
+                push, arm = scratch + features.push + i, scratch + features.push + size + k
+                carried = stress + arrays.scratch[push] * arrays.scratch[arm]
+            moved = moved + scale * carried * arrays.scratch[sums + force + i]
+            pull = arrays.scratch[sums + (1 + k) * features.node + force + i]
+            force_work = force_work + stress * pull
+            at = own + features.stress + ti.static(component(i, k, size))
+            arrays.adjoints[at] = arrays.adjoints[at] - scale * pull
+        arrays.adjoints[own + k] = moved
+    at = own + layout.properties
+    unit = per_square
+    if ti.static(not features.forces):
+        unit = dt * per_square
+    arrays.adjoints[at + Property.DENSITY] = arrays.adjoints[at + Property.DENSITY] + present * volume * mass_bar
+    if ti.static(features.contact):
+        pushed = push_reverse(scene, block, scratch, volume, unit, arrays)
+        arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * pushed
+    arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
+        density * mass_bar - unit * force_work
+    )
+    bounded = 0.0 * present
+    for k in ti.static(range(size)):
+        v_bar = arrays.adjoints[own + features.velocity + k]
+        bounded = bounded + v_bar * v_bar
+    within = bounded <= arrays.cuts[scene, 0]
+    cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
+    if cut > 0.0:
+        arrays.cuts[scene, 1] += ti.cast(cut, float)
+    for k in range(ti.static(features.velocity if features.outflow else 0), ti.static(features.properties)):
+        arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)
+    for k in range(ti.static(layout.contact)):
+        at = own + layout.contacts + k
+        arrays.adjoints[at] = ti.select(within, present * arrays.adjoints[at], 0.0 * present)

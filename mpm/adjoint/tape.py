@@ -1,0 +1,376 @@
+"""A run that can be differentiated: forwards with checkpoints, backwards segment by segment (Griewank & Walther 2000).
+
+Two levels. The run goes forwards in the solver's own kernel and keeps its state at the first frame of every segment.
+Backwards, the last segment first, a segment is replayed from there with the state before every step in memory, and its
+steps are reversed. With F frames of n steps and segments of k frames that is F / k states and k n: least at
+k = sqrt(F / n), so memory grows with the root of the steps and every step is computed twice and reversed once.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.command_line import WorkFailed
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.particles import Particles
+from datasets.scene import Scene
+from mpm import runtime
+from mpm.adjoint.kernel import Pass
+from mpm.adjoint.kernel import kernel as adjoint_kernel
+from mpm.adjoint.layout import Layout
+from mpm.arrays.batch import Batch, aligned, particles_of
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
+from mpm.kernel import Phase
+from mpm.kernel import kernel as step_kernel
+from mpm.output.outcome import failure
+from mpm.output.request import LAST
+from mpm.solids.obstacles import obstacles_in
+
+Array = NDArray[Any]
+
+MEMORY_MIB = 256.0
+"""What checkpoints, states of a segment and bars may take unless another budget is given [MiB]."""
+CUT = 5.0
+"""Bar of a particle's velocity, over the largest one that the objective has times the duration, beyond which it is cut.
+
+Single particles that fly apart and touch again swing on their own, and beyond `lone_particle_step` ever more so until
+they lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of
+their steps. What such a particle does has no derivative that says anything, and its bar is set to 0."""
+MOST_CUT = 0.02
+"""Share of all bars of particles and steps from which a gradient with cuts is none."""
+SPARE = 1.25
+"""More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
+ARGUMENTS = (
+    *("state", "lanes", "grid", "scratch", "scratch_lanes", "impulse", "impulse_lanes", "settings", "properties"),
+    *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "clamped"),
+    *("barriers", "retained", "settling"),
+)
+"""The arrays of a batch that the adjoint's kernel takes, in its order."""
+
+
+class Adjoints(NamedTuple):
+    """Bars of what a run of scenes begins with."""
+
+    blocks: Array
+    """Of particles, shape [blocks, Layout.width, lanes]."""
+    settings: Array
+    """Shape [scenes, len(Setting)]."""
+    faces: Array
+    """Of the solids of all scenes, shape [F, columns]."""
+    node_contacts: Array
+    """Of the nodes that solids hold, shape [K, D + 2]."""
+    cut: Array
+    """Share of the bars of particles and steps that were cut, shape [scenes]."""
+
+
+class Tape:
+    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
+
+    frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
+    beside the arrays of the run itself; outputs: objectives that are reversed together; exact: as
+    `mpm.adjoint.layout.Layout.exact`, for tests; particles: those of each scene at the start, where a run begins with
+    others than the scene's. Raises InputError where a scene has what the adjoint does not know, where
+    scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        frames: Sequence[int],
+        *,
+        precision: Precision = "f64",
+        memory_mib: float = MEMORY_MIB,
+        threads: int | None = None,
+        outputs: int = 1,
+        exact: bool = False,
+        particles: Sequence[Particles] | None = None,
+    ) -> None:
+        self.frames = checked_frames(scenes, frames)
+        particles = particles_of(scenes) if particles is None else list(particles)
+        features = features_of(scenes, particles, precision, record=LAST)
+        for scene, own in zip(scenes, particles, strict=True):
+            if features_of([scene], [own], precision, record=LAST) != features:
+                raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
+        check(features)
+        runtime.start(precision, threads, enough=min(len(scenes), threads or len(scenes)))
+        self.batch = Batch(scenes, precision=precision, record=LAST, particles=particles)
+        self.features, self.layout = features, Layout(features, exact)
+        # The reverse has more scratch vectors than a step.
+        self.batch.scratch = aligned((len(scenes) * self.layout.scratch, features.lanes), self.batch.state.dtype)
+        self.batch.workers[:, Worker.SCRATCH] = np.arange(len(scenes)) * self.layout.scratch
+        self.start = self.checkpoint()
+        self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
+        self.released: set[int] = set()
+        self.memory_mib, self.outputs = memory_mib, outputs
+        usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
+        self.boundaries = self.plan(usual, SPARE * usual)
+        self.run()
+        if missing := self.opened(self.frames[-1]) - set(self.boundaries):
+            # Barriers are open or closed over a whole segment.
+            self.released = missing
+            self.boundaries = self.plan(usual, SPARE * usual)
+            self.run()
+        if self.bytes() > memory_mib * 2**20:
+            # More steps than planned for: now their number is known.
+            most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
+            self.boundaries = self.plan(most, most)
+            self.run()
+
+    def plan(self, usual: float, most: float) -> list[int]:
+        """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
+        last, budget = self.frames[-1], self.memory_mib * 2**20 - self.fixed_bytes
+        state, steps = self.state_bytes, self.step_bytes
+        best, smallest = 1, math.inf
+        for length in range(1, last + 1):
+            whole = self.count(length) * state + math.ceil(length * most + 1) * steps
+            if whole < smallest:
+                best, smallest = length, whole
+        if smallest > budget:
+            raise InputError(
+                f"expected memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB, "
+                f"got {self.memory_mib:g} MiB: {last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB "
+                "a state",
+                key="memory_mib",
+            )
+        return sorted({*range(0, last, best), *self.frames, *self.released, last})
+
+    def count(self, length: int) -> int:
+        """How many segments of `length` frames there are, at most."""
+        return len({*range(0, self.frames[-1], length), *self.frames, *self.released})
+
+    def opened(self, last: int) -> set[int]:
+        """The frames before `last` after which a barrier was open."""
+        frames = self.batch.retained[:, Retained.OPENED] if self.features.barriers else np.zeros(0, np.int32)
+        return {int(frame) for frame in frames if 0 < frame < last}
+
+    @property
+    def state_bytes(self) -> int:
+        """Of a checkpoint."""
+        return int(self.batch.state[:, self.changing].nbytes)
+
+    @property
+    def step_bytes(self) -> int:
+        """Of the states before one step."""
+        state = self.batch.state
+        return int(state.shape[0] * self.layout.history * state.shape[2] * state.itemsize)
+
+    @property
+    def fixed_bytes(self) -> int:
+        """Of bars and of the nodes that a reverse step keeps."""
+        state = self.batch.state
+        adjoints = self.outputs * state.shape[0] * self.layout.width * state.shape[2] * state.itemsize
+        return int(2 * self.batch.grid.nbytes + adjoints)
+
+    @property
+    def changing(self) -> list[int]:
+        """The vectors of a block that change from step to step."""
+        features = self.features
+        return [*range(features.properties), *range(features.remainder, features.block)]
+
+    def bytes(self) -> int:
+        """Of everything beside the arrays of the run itself."""
+        longest = int(self.steps.max()) + 1
+        return self.fixed_bytes + len(self.checkpoints) * self.state_bytes + longest * self.step_bytes
+
+    def checkpoint(self) -> tuple[Array, Array]:
+        """The state of all scenes, and the nodes in the support of their particles."""
+        return self.batch.state[:, self.changing].copy(), self.batch.workers.copy()
+
+    def restore(self, checkpoint: tuple[Array, Array]) -> None:
+        """Go back to a state."""
+        self.batch.state[:, self.changing], self.batch.workers[:] = checkpoint
+
+    def run(self) -> None:
+        """Forwards, by the solver's kernel."""
+        run, arguments = step_kernel(self.features), self.batch.arguments
+        self.restore(self.start)
+        self.batch.retained[:], self.batch.settling[:] = self.barriers
+        self.checkpoints = []
+        self.observed = {0: self.motion()} if 0 in self.frames else {}
+        steps = [self.batch.offsets[:, Offset.STEPS].copy()]
+        for first, last in zip(self.boundaries, self.boundaries[1:], strict=False):
+            self.checkpoints.append(self.checkpoint())
+            run(*arguments.values(), first + 1, last + 1, Phase.FRAMES)
+            steps.append(self.batch.offsets[:, Offset.STEPS].copy())
+            if last in self.frames:
+                self.observed[last] = self.motion()
+        for index in range(len(self.batch.scenes)):
+            if (failed := failure(self.batch, index)) is not None:
+                raise failed
+        self.steps = np.diff(steps, axis=0)
+        """Of each segment and scene, shape [segments, scenes]."""
+
+    def motion(self) -> tuple[Array, Array]:
+        """Positions [m] and velocities [m/s] of the particles of all scenes, shape [blocks * lanes, D] each."""
+        return self.vectors(self.batch.state, 0), self.vectors(self.batch.state, self.features.velocity)
+
+    def vectors(self, blocks: Array, first: int, count: int | None = None) -> Array:
+        """`count` numbers of every particle, D unless given, from vector `first` of its block on, shape [., count]."""
+        count = self.features.dimension if count is None else count
+        return np.moveaxis(blocks[:, first : first + count], 1, 2).reshape(-1, count).copy()
+
+    def particles(self, index: int) -> slice:
+        """Where the particles of scene `index` lie in what `vectors` returns."""
+        first = int(self.batch.offsets[index, Offset.BLOCK]) * self.features.lanes
+        return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
+
+    def faces(self, index: int) -> slice:
+        """Where the faces of scene `index` lie among those of all; nowhere without solids."""
+        return self.rows([first.face for first in self.batch.first_obstacles], len(self.batch.faces), index)
+
+    def node_contacts(self, index: int) -> slice:
+        """Where the nodes that solids hold in scene `index` lie among those of all."""
+        counts = (
+            [len(obstacles_in(scene).node_contacts) for scene in self.batch.scenes] if self.features.contact else []
+        )
+        return self.rows([0, *np.cumsum(counts)[:-1]], int(sum(counts)), index)
+
+    def rows(self, firsts: Sequence[int], count: int, index: int) -> slice:
+        """Of `count` rows those of scene `index`, where `firsts` are the first ones of each."""
+        if not self.features.contact:
+            return slice(0, 0)
+        ends = [*firsts[1:], count]
+        return slice(int(firsts[index]), int(ends[index]))
+
+    def positions(self, index: int = 0) -> NDArray[np.float64]:
+        """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
+        return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
+
+    def velocities(self, index: int = 0) -> NDArray[np.float64]:
+        """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
+        return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
+
+    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+        """Bars of what the run began with for each of any number of objectives, `outputs` of them at a time.
+
+        motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Raises WorkFailed where
+        a gradient grows without bound.
+        """
+        groups = [motion_adjoints[at : at + self.outputs] for at in range(0, len(motion_adjoints), self.outputs)]
+        return [each for group in groups for each in self.reverse_together(group)]
+
+    def reverse_together(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+        """As `reverse`, in one pass: segments are replayed once for all."""
+        batch, features, layout = self.batch, self.features, self.layout
+        real, lanes = batch.state.dtype, features.lanes
+        history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)
+        if history.size >= INDEX_LIMIT:
+            raise InputError(
+                f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
+            )
+        kept, grid_adjoints = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
+        step_times = np.zeros((len(batch.scenes), len(history)), real)
+        step_counts = np.zeros(len(batch.scenes), np.int32)
+        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_adjoints]
+        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_adjoints]
+        faces = [np.zeros(batch.faces.shape) for _ in motion_adjoints]
+        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in motion_adjoints]
+        cuts = [self.cuts(per_scene).astype(real) for per_scene in motion_adjoints]
+        walk = adjoint_kernel(self.layout)
+        arguments = batch.arguments
+        shared = [arguments[name] for name in ARGUMENTS]
+
+        def call(number: int, first: int, last: int, direction: Pass) -> None:
+            walk(
+                *shared,
+                kept,
+                grid_adjoints,
+                adjoints[number].reshape(-1, lanes),
+                adjoints[number].reshape(-1),
+                history.reshape(-1, lanes),
+                history.reshape(-1),
+                faces[number],
+                node_contacts[number],
+                cuts[number],
+                sums[number],
+                step_times,
+                step_counts,
+                first,
+                last,
+                direction,
+            )
+
+        opened = batch.retained[:, Retained.OPENED].copy()
+        for segment in reversed(range(len(self.checkpoints))):
+            first, last = self.boundaries[segment : segment + 2]
+            self.restore(self.checkpoints[segment])
+            batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
+            call(0, first + 1, last + 1, Pass.REPLAY)
+            for number, per_scene in enumerate(motion_adjoints):
+                if last in self.frames:
+                    self.add_motion_adjoints(adjoints[number], per_scene, self.frames.index(last))
+                call(number, first + 1, last + 1, Pass.REVERSE)
+        batch.retained[:, Retained.OPENED] = opened
+        for number in range(len(adjoints)):
+            call(number, 0, 0, Pass.START)
+        if 0 in self.frames:
+            for number, per_scene in enumerate(motion_adjoints):
+                self.add_motion_adjoints(adjoints[number], per_scene, 0)
+        steps = self.steps.sum(axis=0) * self.batch.offsets[:, Offset.PARTICLES]
+        shares = [cut[:, 1] / steps for cut in cuts]
+        for index, share in enumerate(np.max(shares, axis=0)):
+            if share > MOST_CUT:
+                raise WorkFailed(self.unbounded(index, share))
+        return [Adjoints(*each) for each in zip(adjoints, sums, faces, node_contacts, shares, strict=True)]
+
+    def cuts(self, per_scene: Sequence[tuple[Array, Array]]) -> Array:
+        """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
+        found = np.zeros((len(per_scene), 2))
+        for index, (positions, velocities) in enumerate(per_scene):
+            time = self.frames[-1] * self.batch.scenes[index].frame_dt
+            usual = np.abs(positions).max() * time + np.abs(velocities).max()
+            found[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
+        return found
+
+    def unbounded(self, index: int, share: float) -> str:
+        """What to say of a scene of whose bars a `share` was cut."""
+        scene = self.batch.scenes[index]
+        stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
+        return (
+            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all bars were cut. A step is "
+            f"stable for single particles up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
+        )
+
+    def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:
+        """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
+        for index, (positions, velocities) in enumerate(per_scene):
+            here = self.particles(index)
+            for first, values in ((0, positions), (self.features.velocity, velocities)):
+                flat = self.vectors(adjoints, first)
+                flat[here] += values[slot]
+                columns = flat.reshape(len(adjoints), self.features.lanes, -1)
+                adjoints[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
+
+
+def lone_particle_step(material: Material, dimension: int) -> float:
+    """The largest stable `step_fraction` of a particle that has its nodes to itself, compressed alike along all axes.
+
+    Its C and stress swing as dC/dt = -4 p / (rho dx^2), dp/dt = (D lambda + 2 mu) C per axis, whatever its place in the
+    cell, and explicit steps follow that up to 2 / omega; waves in a body are slower than this.
+    """
+    swinging = dimension * material.lame + 2.0 * material.shear_modulus
+    return math.sqrt((material.lame + 2.0 * material.shear_modulus) / swinging)
+
+
+def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
+    """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
+    shortest = min(scene.frames for scene in scenes)
+    found = sorted(set(frames))
+    if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
+        raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
+    return found
+
+
+def check(features: Features) -> None:
+    """Raise InputError where the adjoint does not know something that scenes with `features` have."""
+    unknown = {
+        "volume_correction": "volume_correction",
+    }
+    for name, key in unknown.items():
+        if getattr(features, name):
+            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {key} yet", key="scene")

@@ -1,0 +1,215 @@
+"""The reverse of the two transfers (`mpm.physics.transfer`).
+
+Particles take from the nodes n_i = (u_i, u_i - kappa v_i). With v', C', change' the bars of what they took,
+
+    b_ip = (v' + (4 / dx^2) C' x_ip, change'),    n_i' = sum_p w_ip b_ip
+    x_p' = sum_i dw_ip/dx_p (n_i . b_ip) - (4 / dx^2) C'^T sum_i w_ip u_i
+
+and give to the nodes g_ip = (m v + m C x_ip, m, -V0 (4 / dx^2) sigma x_ip). With N_i' the bars of the nodes
+
+    Z = sum_i w_ip N_i',    Y_j = sum_i w_ip x_ip,j N_i',    g_ip = g_0 + sum_j g_j x_ip,j
+    g_0' = Z,   g_j' = Y_j,    x_p' = sum_i dw_ip/dx_p (N_i' . g_ip) - sum_j (g_j . Z) e_j
+
+So the first is a sum at the nodes of what is linear in the node's position, as the step's own particles to grid; the
+second gathers at a particle, as its grid to particles; and both move the weights alike: with the sum over i of
+dw_ip/dx_p times the product of what lies at the node and what the particle gives it (`weight_forces`).
+"""
+
+import taichi as ti
+
+from mpm.arrays.access import add, no_overflow
+from mpm.arrays.layout import PADDING, Setting
+from mpm.physics.transfer import lowest_node, node_vector, three_vectors, zero_node
+
+
+@ti.func
+def prepare_weights(scene, block, scratch, arrays: ti.template()):
+    """Leave in `scratch` the slopes of the weights of a block [1/m] and the weights times distances [m]."""
+    features, layout = arrays.features, arrays.layout
+    first = no_overflow(block * features.block)
+    dx = arrays.settings[scene, Setting.CELL]
+    per_dx = 1.0 / dx
+    for k in ti.static(range(features.dimension)):
+        x_cells = arrays.state[first + k] * per_dx + PADDING
+        f = x_cells - ti.floor(x_cells - 0.5)
+        slopes = (f - 1.5) * per_dx, (2.0 - 2.0 * f) * per_dx, (f - 0.5) * per_dx
+        for a in ti.static(range(3)):
+            w = arrays.scratch[scratch + 3 * k + a]
+            arrays.scratch[scratch + layout.slopes + 3 * k + a] = slopes[a]
+            arrays.scratch[scratch + layout.levers + 3 * k + a] = w * (ti.static(float(a)) - f) * dx
+
+
+@ti.func
+def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+    """Add the values and slopes that a block has left in `scratch` to the bars of the nodes from `grid` on.
+
+    Leaves the sum of w_ip n_i of what lies at the nodes, and the `weight_forces`.
+    """
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    stride_x, stride_y = strides[0], strides[1]
+    for lane in range(lanes):
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        slope = weight + layout.slopes * lanes
+        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
+        dx, dy = three_vectors(arrays, slope), three_vectors(arrays, slope + 3 * lanes)
+        value = node_vector(arrays, scratch, 0, lane)
+        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
+        around, x_force, y_force = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        if ti.static(features.dimension == 2):
+            for a in ti.static(range(3)):
+                at = no_overflow(n + a * stride_x)
+                here = value
+                row, product, y_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+                for b in ti.static(range(3)):
+                    node = arrays.grid[at + b]
+                    add(arrays.grid_adjoints, at + b, (wx[a] * wy[b]) * here, arrays)
+                    both = node * here
+                    row = row + wy[b] * node
+                    product = product + wy[b] * both
+                    y_product = y_product + dy[b] * both
+                    here = here + slope_y
+                around = around + wx[a] * row
+                x_force = x_force + dx[a] * product
+                y_force = y_force + wx[a] * y_product
+                value = value + slope_x
+            store_forces((x_force, y_force), scratch, lane, arrays)
+        else:
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            dz = three_vectors(arrays, slope + 6 * lanes)
+            z_force = zero_node(arrays)
+            for a in ti.static(range(3)):
+                along = value
+                for b in ti.static(range(3)):
+                    at = no_overflow(n + a * stride_x + b * stride_y)
+                    here = along
+                    row, product, z_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+                    for c in ti.static(range(3)):
+                        node = arrays.grid[at + c]
+                        add(arrays.grid_adjoints, at + c, (wx[a] * wy[b] * wz[c]) * here, arrays)
+                        both = node * here
+                        row = row + wz[c] * node
+                        product = product + wz[c] * both
+                        z_product = z_product + dz[c] * both
+                        here = here + slope_z
+                    around = around + (wx[a] * wy[b]) * row
+                    x_force = x_force + (dx[a] * wy[b]) * product
+                    y_force = y_force + (wx[a] * dy[b]) * product
+                    z_force = z_force + (wx[a] * wy[b]) * z_product
+                    along = along + slope_y
+                value = value + slope_x
+            store_forces((x_force, y_force, z_force), scratch, lane, arrays)
+        store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
+def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+    """Leave sum_i w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
+    features, lanes = arrays.features, arrays.features.lanes
+    size = ti.static(features.dimension)
+    for lane in range(lanes):
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        around = zero_node(arrays)
+        for a, b in ti.static(ti.ndrange(3, 3)):
+            w = arrays.scratch_lanes[weight + a * lanes] * arrays.scratch_lanes[weight + (3 + b) * lanes]
+            at = n + a * strides[0] + b * strides[1]
+            if ti.static(size == 2):
+                around = around + w * arrays.grid[at]
+            else:
+                for c in ti.static(range(3)):
+                    around = around + (w * arrays.scratch_lanes[weight + (6 + c) * lanes]) * arrays.grid[at + c]
+        store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
+def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+    """Leave Z, Y_j of each particle of a block and the `weight_forces` of what it gave, from the bars of the nodes."""
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    stride_x, stride_y = strides[0], strides[1]
+    for lane in range(lanes):
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        slope, lever = weight + layout.slopes * lanes, weight + layout.levers * lanes
+        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
+        dx, dy = three_vectors(arrays, slope), three_vectors(arrays, slope + 3 * lanes)
+        lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
+        value = node_vector(arrays, scratch, 0, lane)
+        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
+        around, x_sum, y_sum = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        x_force, y_force = zero_node(arrays), zero_node(arrays)
+        if ti.static(features.dimension == 2):
+            for a in ti.static(range(3)):
+                at = no_overflow(n + a * stride_x)
+                here = value
+                row, y_row = zero_node(arrays), zero_node(arrays)
+                product, y_product = zero_node(arrays), zero_node(arrays)
+                for b in ti.static(range(3)):
+                    node = arrays.grid_adjoints[at + b]
+                    both = node * here
+                    row = row + wy[b] * node
+                    y_row = y_row + ly[b] * node
+                    product = product + wy[b] * both
+                    y_product = y_product + dy[b] * both
+                    here = here + slope_y
+                around = around + wx[a] * row
+                x_sum = x_sum + lx[a] * row
+                y_sum = y_sum + wx[a] * y_row
+                x_force = x_force + dx[a] * product
+                y_force = y_force + wx[a] * y_product
+                value = value + slope_x
+            store_forces((x_force, y_force), scratch, lane, arrays)
+        else:
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            dz, lz = three_vectors(arrays, slope + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
+            z_sum, z_force = zero_node(arrays), zero_node(arrays)
+            for a in ti.static(range(3)):
+                along = value
+                for b in ti.static(range(3)):
+                    at = no_overflow(n + a * stride_x + b * stride_y)
+                    here = along
+                    row, z_row = zero_node(arrays), zero_node(arrays)
+                    product, z_product = zero_node(arrays), zero_node(arrays)
+                    for c in ti.static(range(3)):
+                        node = arrays.grid_adjoints[at + c]
+                        both = node * here
+                        row = row + wz[c] * node
+                        z_row = z_row + lz[c] * node
+                        product = product + wz[c] * both
+                        z_product = z_product + dz[c] * both
+                        here = here + slope_z
+                    around = around + (wx[a] * wy[b]) * row
+                    x_sum = x_sum + (lx[a] * wy[b]) * row
+                    y_sum = y_sum + (wx[a] * ly[b]) * row
+                    z_sum = z_sum + (wx[a] * wy[b]) * z_row
+                    x_force = x_force + (dx[a] * wy[b]) * product
+                    y_force = y_force + (wx[a] * dy[b]) * product
+                    z_force = z_force + (wx[a] * wy[b]) * z_product
+                    along = along + slope_y
+                value = value + slope_x
+            store_forces((x_force, y_force, z_force), scratch, lane, arrays)
+            store_sum(z_sum, 3, scratch, lane, arrays)
+        store_sum(around, 0, scratch, lane, arrays)
+        store_sum(x_sum, 1, scratch, lane, arrays)
+        store_sum(y_sum, 2, scratch, lane, arrays)
+
+
+@ti.func
+def store_sum(value, group: ti.template(), scratch, lane, arrays: ti.template()):
+    """Leave a gathered node in the lane's `group` of sums."""
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    at = no_overflow(scratch * lanes + lane) + (layout.sums + group * features.node) * lanes
+    for k in ti.static(range(features.used)):
+        arrays.scratch_lanes[at + k * lanes] = value[k]
+
+
+@ti.func
+def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
+    """Leave the sum over the numbers of a node of each of the D `products`."""
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    at = no_overflow(scratch * lanes + lane) + layout.forces * lanes
+    for k in ti.static(range(features.dimension)):
+        total = products[k][0]
+        for number in ti.static(range(1, features.used)):
+            total = total + products[k][number]
+        arrays.scratch_lanes[at + k * lanes] = total

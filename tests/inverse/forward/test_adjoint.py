@@ -1,0 +1,128 @@
+"""The MPM as a layer of PyTorch: gradients against central differences, alone and under an observation."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from inverse.forward.adjoint import AdjointForward, ParticleRun, Run
+from inverse.jacobian import automatic, by_ad
+from inverse.observations import build
+from inverse.parameters import with_parameters
+from inverse.problem import Parameter, Problem
+from inverse.settings import ObservationSettings, TargetSettings
+from mpm import LAST, simulate
+
+NAMES = ("friction_deg", "masses[0].velocity_x", "masses[1].velocity_y", "floor_friction", "young")
+VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6])
+STEPS = np.array([1e-4, 1e-6, 1e-6, 1e-5, 10.0])
+SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
+SCENE = Scene(
+    domain=Domain(size=(1.0, 1.0), cell=0.02),
+    material=SOIL,
+    masses=(
+        Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+        Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
+    ),
+    duration=0.02,
+    floor_friction=0.3,
+)
+
+
+def test_a_layer_is_ten_lines() -> None:
+    """As its docstring has it: a loss of the deposit, backward, and the gradient of two parameters."""
+    run = Run(SCENE, names=NAMES, precision="f64", threads=1)
+    parameters = torch.tensor(VALUES, requires_grad=True)
+    positions, velocities = run(parameters)
+    (positions[-1, :, 0].mean() + 0.1 * velocities[-1, :, 1].square().mean()).backward()
+    assert parameters.grad is not None
+
+    def loss(values: np.ndarray) -> float:
+        moved, sped = Run(SCENE, names=NAMES, precision="f64", threads=1)(torch.tensor(values))
+        return float(moved[-1, :, 0].mean() + 0.1 * sped[-1, :, 1].square().mean())
+
+    for index, step in enumerate(STEPS):
+        change = np.where(np.arange(len(VALUES)) == index, step, 0.0)
+        found = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
+        assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
+
+
+def test_particles_of_their_own_speed_and_position() -> None:
+    run = ParticleRun(SCENE, precision="f64", threads=1)
+    velocities = torch.from_numpy(run.initial.velocities).requires_grad_()
+    positions = torch.from_numpy(run.initial.positions).requires_grad_()
+    moved, _ = run(velocities, positions)
+    weights = torch.from_numpy(np.random.default_rng(0).normal(size=moved.shape))
+    (weights * moved).sum().backward()
+    random = torch.from_numpy(np.random.default_rng(1).normal(size=velocities.shape))
+    for given, step in ((velocities, 1e-7), (positions, 1e-9)):
+        assert given.grad is not None
+        values = []
+        for sign in (step, -step):
+            pair = [each.detach() + (sign * random if each is given else 0.0) for each in (velocities, positions)]
+            values.append(float((weights * run(pair[0], pair[1])[0]).sum()))
+        found = (values[0] - values[1]) / (2.0 * step)
+        assert float((given.grad * random).sum()) == pytest.approx(found, rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    """Two unknowns of the scene, and a target of the front."""
+    parameters = tuple(
+        Parameter(name=name, initial=value, lower=0.5 * value, upper=1.5 * value)
+        for name, value in zip(NAMES[:2], VALUES[:2], strict=True)
+    )
+    return Problem(
+        name="slide",
+        scene=SCENE,
+        parameters=parameters,
+        observation=ObservationSettings(kind="deposit"),
+        target=TargetSettings(twin=True, truth=dict(zip(NAMES[:2], VALUES[:2].tolist(), strict=True))),
+    )
+
+
+def test_the_misfit_and_its_gradient(problem: Problem) -> None:
+    """Through an observation: the forward model of gradient descent, beside the surrogate's."""
+    observation = build(ObservationSettings(kind="deposit"), SCENE)
+    forward = AdjointForward(problem, observation, precision="f64", threads=1)
+    truth = with_parameters(SCENE, NAMES[:2], [33.0, 1.2])
+    target = observation.observe(simulate(truth, record=LAST, precision="f64", threads=1))
+    evaluate = automatic(forward, target, components=observation.components)
+    here = evaluate(VALUES[:2])
+    for index, step in ((0, 1e-4), (1, 1e-6)):
+        change = np.where(np.arange(2) == index, step, 0.0)
+        found = (evaluate(VALUES[:2] + change).loss - evaluate(VALUES[:2] - change).loss) / (2.0 * step)
+        assert here.slope[index] == pytest.approx(found, rel=1e-3)
+
+
+def test_the_jacobian_of_a_few_numbers(problem: Problem) -> None:
+    """Row by row by `torch`, from one run with checkpoints."""
+    observation = build(ObservationSettings(kind="toe"), SCENE)
+    forward = AdjointForward(problem, observation, precision="f64", threads=1)
+    rows = by_ad(forward, VALUES[:2])
+    assert rows.shape[1] == 2
+    step = 1e-6
+    change = np.array([0.0, step])
+    ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
+    np.testing.assert_allclose(rows[:, 1], (ahead - behind) / (2.0 * step), rtol=1e-4)
+
+
+def test_initial_stress_is_an_unknown() -> None:
+    """K0 of a bed that carries its weight, of a material that does not yield: weak beds start at their strength."""
+    bed = Mass(lower=(0.0, 0.0), size=(0.3, 0.1), k0=0.5)
+    strong = dataclasses.replace(SOIL, cohesion=1.0e5, tension_cutoff=1.0e4)
+    scene = dataclasses.replace(SCENE, masses=(bed,), material=strong, duration=0.01)
+    run = Run(scene, names=("masses[0].k0",), precision="f64", threads=1)
+
+    def loss(k0: float) -> torch.Tensor:
+        moved, _ = run(torch.tensor([k0], dtype=torch.float64))
+        return moved[-1, :, 0].mean()
+
+    parameters = torch.tensor([0.5], dtype=torch.float64, requires_grad=True)
+    run(parameters)[0][-1, :, 0].mean().backward()
+    assert parameters.grad is not None
+    found = float(loss(0.5 + 1e-4) - loss(0.5 - 1e-4)) / 2e-4
+    assert float(parameters.grad[0]) == pytest.approx(found, rel=1e-5)

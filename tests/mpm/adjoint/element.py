@@ -1,0 +1,128 @@
+"""The reverse of a material element's stress step, for tests: a block of lanes per number, as in the solver."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from mpm import runtime
+from mpm.adjoint.principal import principal_axes
+from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
+from mpm.arrays.batch import aligned
+from mpm.arrays.features import Features
+from mpm.arrays.layout import Precision
+from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
+
+Array = NDArray[Any]
+
+CONSTANTS = 6
+"""sin phi, sin psi, 2 c cos phi, T, lambda, mu."""
+
+
+@cache
+def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Forwards (inputs, returned stress) and backwards (inputs, bar of that stress, bars of the inputs).
+
+    Inputs: stress, increment A row by row, CONSTANTS; a block of lanes each.
+    """
+    real = ti.f32 if features.precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+    stresses, gradients, dimension = features.stresses, features.dimension**2, features.dimension
+
+    @ti.kernel
+    def forwards(x: blocks, y: blocks):
+        for e in range(y.shape[0] // stresses):
+            at = e * (stresses + gradients + CONSTANTS)
+            increment = midpoint_increment([x[at + stresses + k] for k in ti.static(range(gradients))], dimension)
+            p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
+            old = [x[at + k] for k in ti.static(range(stresses))]
+            trial = trial_stress(old, increment, p[4], p[5], dimension)
+            new = plastic_return(trial, p[0], p[1], p[2], p[3], p[4], p[5], features)
+            for k in ti.static(range(stresses)):
+                y[e * stresses + k] = new[k]
+
+    @ti.kernel
+    def backwards(x: blocks, y: blocks, result: blocks):
+        for e in range(y.shape[0] // stresses):
+            at = e * (stresses + gradients + CONSTANTS)
+            a = [x[at + stresses + k] for k in ti.static(range(gradients))]
+            increment = midpoint_increment(a, dimension)
+            p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
+            old = [x[at + k] for k in ti.static(range(stresses))]
+            trial = trial_stress(old, increment, p[4], p[5], dimension)
+            bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
+            returned = plastic_return_reverse(bar, trial, p[0], p[1], p[2], p[3], p[4], p[5], 0.0 * p[0], features)
+            trial_bar = [returned[k] for k in ti.static(range(stresses))]
+            elastic = trial_stress_reverse(trial_bar, old, increment, p[4], p[5], dimension)
+            a_bar = midpoint_increment_reverse(
+                [elastic[ti.static(stresses + k)] for k in ti.static(range(gradients))], a, dimension
+            )
+            for k in ti.static(range(stresses)):
+                result[at + k] = elastic[k]
+            for k in ti.static(range(gradients)):
+                result[at + stresses + k] = a_bar[k]
+            for k in ti.static(range(CONSTANTS)):
+                value = returned[ti.static(stresses + k)]
+                if ti.static(k >= 4):
+                    value = value + elastic[ti.static(stresses + gradients + k - 4)]
+                result[at + stresses + gradients + k] = value
+
+    return forwards, backwards
+
+
+def call(function: Callable[..., None], features: Features, inputs: Array, *others: Array, rows: int) -> Array:
+    """`function` of E elements, given as columns of `inputs` and `others`; the last argument is `rows` by E."""
+    lanes, count = features.lanes, inputs.shape[1]
+    blocks = -(-count // lanes)
+    real: np.dtype[Any] = np.dtype(np.float64 if features.precision == "f64" else np.float32)
+    source = np.minimum(np.arange(blocks * lanes), count - 1)
+
+    def packed(columns: Array) -> Array:
+        memory = aligned((blocks, len(columns), lanes), real)
+        memory[:] = np.moveaxis(columns[:, source].reshape(len(columns), blocks, lanes), 0, 1)
+        return memory.reshape(-1, lanes)
+
+    result = aligned((blocks * rows, lanes), real)
+    function(*(packed(each) for each in (inputs, *others)), result)
+    return np.moveaxis(result.reshape(blocks, rows, lanes), 1, 0).reshape(rows, -1)[:, :count].astype(np.float64)
+
+
+def stepped(features: Features, inputs: Array) -> Array:
+    """Returned stresses of E elements, shape [4 or 6, E]."""
+    runtime.start(features.precision, enough=1)
+    return call(kernels(features)[0], features, inputs, rows=features.stresses)
+
+
+def reversed_step(features: Features, inputs: Array, bar: Array) -> Array:
+    """Bars of `inputs` from those of the returned stresses, the shape of `inputs`."""
+    runtime.start(features.precision, enough=1)
+    return call(kernels(features)[1], features, inputs, bar, rows=len(inputs))
+
+
+@cache
+def axes_kernel(precision: Precision) -> Callable[..., None]:
+    """(six components, twelve numbers of `principal_axes`), a block of lanes each."""
+    features = Features(dimension=3, precision=precision)
+    real = ti.f32 if precision == "f32" else ti.f64
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+
+    @ti.kernel
+    def find(x: blocks, y: blocks):
+        for e in range(x.shape[0] // 6):
+            t = [x[6 * e + k] for k in ti.static(range(6))]
+            found = principal_axes(t[0], t[1], t[2], t[3], t[4], t[5], precision)
+            for k in ti.static(range(12)):
+                y[12 * e + k] = found[k]
+
+    return find
+
+
+def principal(precision: Precision, tensors: Array) -> tuple[Array, Array]:
+    """Principal values [E, 3] and axes as rows [E, 3, 3] of tensors given as components [6, E]."""
+    runtime.start(precision, enough=1)
+    features = Features(dimension=3, precision=precision)
+    found = call(axes_kernel(precision), features, tensors, rows=12)
+    return found[:3].T, found[3:].T.reshape(-1, 3, 3)

@@ -1,0 +1,79 @@
+"""Small flows for the tests of the adjoint, what is observed of them, and central differences."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.material import Material
+from datasets.particles import Particles, initial_particles
+from datasets.scene import Domain, Mass, Scene
+from mpm.adjoint.tape import Tape
+
+Floats = NDArray[np.float64]
+
+SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
+"""Carries enough tension for a start without stress to be inside the yield surface, where the flow is smooth."""
+
+
+def plane(material: Material = SOIL, **changes: Any) -> Scene:
+    """Two bodies side by side in 2D that slide on a rough floor: 104 steps in 8 frames, unless changed."""
+    masses = (
+        Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+        Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
+    )
+    settings: dict[str, Any] = {"masses": masses, "duration": 0.02, "floor_friction": 0.3, "wall_friction": 0.2}
+    return Scene(domain=Domain(size=(1.0, 1.0), cell=0.02), material=material, **(settings | changes))
+
+
+def room(material: Material = SOIL, **changes: Any) -> Scene:
+    """A body in 3D, thrown obliquely along a rough floor: 28 steps in 4 frames, unless changed."""
+    masses = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(1.0, 0.0, 0.2)),)
+    settings: dict[str, Any] = {"masses": masses, "duration": 0.01, "floor_friction": 0.3, "wall_friction": 0.2}
+    return Scene(domain=Domain(size=(0.8, 0.8, 0.8), cell=0.04), material=material, **(settings | changes))
+
+
+class Weighted:
+    """An objective that every particle's position and velocity enters with its own weight."""
+
+    def __init__(self, scene: Scene, frames: int = 1) -> None:
+        random = np.random.default_rng(0)
+        count = len(initial_particles(scene).positions)
+        self.positions = random.normal(size=(frames, count, scene.dimension))
+        self.velocities = 0.01 * random.normal(size=self.positions.shape)
+
+    def value(self, positions: Floats, velocities: Floats) -> float:
+        return float((self.positions * positions).sum() + (self.velocities * velocities).sum())
+
+    def __call__(self, positions: Floats, velocities: Floats) -> tuple[float, Floats, Floats]:
+        return self.value(positions, velocities), self.positions, self.velocities
+
+
+def value_of(scene: Scene, objective: Weighted, change: Callable[[Particles], Particles] | None = None) -> float:
+    """The objective of a run in double precision, of particles that `change` moves."""
+    particles = initial_particles(scene)
+    tape = Tape([scene], [scene.frames - 1], threads=1, particles=[particles if change is None else change(particles)])
+    return objective.value(tape.positions(), tape.velocities())
+
+
+def central(function: Callable[[float], float], step: float) -> float:
+    """Derivative at 0 by central differences, of the steps from `step` down three in a row that agree best.
+
+    A large step crosses from a piece of the flow to the next (a yield surface, sticking and sliding), a small one
+    rounds.
+    """
+    steps = step * 10.0 ** -np.arange(0.0, 4.5, 0.5)
+    found = np.array([(function(h) - function(-h)) / (2.0 * h) for h in steps])
+    threes = np.lib.stride_tricks.sliding_window_view(found, 3)
+    return float(np.median(threes[np.argmin(np.ptp(threes, axis=1))]))
+
+
+def moved(name: str, direction: Floats) -> Callable[[float], Callable[[Particles], Particles]]:
+    """What moves one of the arrays of the particles by h along `direction`."""
+
+    def by(h: float) -> Callable[[Particles], Particles]:
+        return lambda particles: dataclasses.replace(particles, **{name: getattr(particles, name) + h * direction})
+
+    return by

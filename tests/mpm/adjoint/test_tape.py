@@ -1,0 +1,189 @@
+"""Checkpoints: the run is the solver's own, segments change nothing, a budget is kept or refused."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from datasets.command_line import WorkFailed
+from datasets.errors import InputError
+from datasets.library import read_scene
+from datasets.scene import Mass, Scene
+from mpm import simulate
+from mpm.adjoint.gradient import gradient, pull_back, pull_back_all
+from mpm.adjoint.kernel import Pass
+from mpm.adjoint.kernel import kernel as adjoint_kernel
+from mpm.adjoint.tape import Tape, lone_particle_step
+from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
+
+
+@pytest.mark.parametrize("scene", [plane(), room(damping=0.05)], ids=["2D", "3D"])
+def test_positions_are_those_of_the_solver(scene: Scene) -> None:
+    """To the bit, at every frame that is observed."""
+    frames = [0, 1, scene.frames - 1]
+    tape = Tape([scene], frames, precision="f32", threads=1)
+    whole = simulate(scene, threads=1)
+    np.testing.assert_array_equal(tape.positions(), whole.positions[frames])
+
+
+def test_the_replay_is_the_run_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every segment ends, when replayed, in the state from which the next one began in the run."""
+    scene = plane()
+    tape = Tape([scene], [scene.frames - 1], threads=1)
+    final = tape.batch.state.copy()
+    ends = [checkpoint[0] for checkpoint in tape.checkpoints[1:]] + [final[:, tape.changing]]
+    replayed = []
+    walk = adjoint_kernel(tape.layout)
+
+    def spy(*arguments: object) -> None:
+        walk(*arguments)
+        if arguments[-1] == Pass.REPLAY:
+            replayed.append(tape.batch.state[:, tape.changing].copy())
+
+    monkeypatch.setattr("mpm.adjoint.tape.adjoint_kernel", lambda layout: spy)
+    tape.reverse([[(np.ones_like(tape.positions()), np.zeros_like(tape.positions()))]])
+    assert len(replayed) == len(ends) > 3
+    for found, expected in zip(replayed, reversed(ends), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit: one frame a segment, three, or all frames in one."""
+    scene = plane()
+    found = []
+    for length in (1, 3, scene.frames - 1):
+        monkeypatch.setattr(
+            Tape, "plan", lambda self, usual, most, k=length: sorted({*range(0, self.frames[-1], k), self.frames[-1]})
+        )
+        found.append(gradient(scene, Weighted(scene), threads=1)[1])
+    for other in found[1:]:
+        for name in ("positions", "velocities", "properties"):
+            np.testing.assert_array_equal(getattr(found[0], name), getattr(other, name))
+        np.testing.assert_allclose(found[0].settings, other.settings, rtol=1e-12)
+
+
+def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -> None:
+    used = []
+    for duration in (0.04, 0.16):
+        scene = plane(duration=duration)
+        tape = Tape([scene], [scene.frames - 1], threads=1, memory_mib=64.0)
+        assert tape.bytes() < 64.0 * 2**20
+        used.append(tape.bytes() - tape.fixed_bytes)
+    # Four times the steps, at most two and a half times the states.
+    assert used[1] < 2.5 * used[0]
+
+
+def test_a_budget_that_is_too_small_is_one_clear_line() -> None:
+    with pytest.raises(InputError, match=r"memory for the adjoint of at least [\d.]+ MiB, got 0.5 MiB") as refused:
+        Tape([plane()], [8], threads=1, memory_mib=0.5)
+    enough = float(re.findall(r"at least ([\d.]+)", str(refused.value))[0]) + 0.1
+    tape = Tape([plane()], [8], threads=1, memory_mib=enough)
+    assert tape.bytes() < enough * 2**20
+
+
+def test_objectives_at_a_time_do_not_change_their_gradients() -> None:
+    scene = plane()
+    weights = list(np.random.default_rng(5).normal(size=(3, 1, *Weighted(scene).positions.shape[1:])))
+    found = [pull_back(Tape([scene], [8], threads=1, outputs=outputs), weights) for outputs in (1, 2, 3)]
+    for number in range(3):
+        for other in found[1:]:
+            np.testing.assert_array_equal(found[0][number].velocities, other[number].velocities)
+
+
+def test_frames_between_are_observed_too() -> None:
+    """A sum over frames has the sum of their gradients."""
+    scene = plane()
+    frames = [0, 3, 8]
+    tape = Tape([scene], frames, threads=1, outputs=4)
+    shape = tape.positions().shape
+    random = np.random.default_rng(1)
+    weights = random.normal(size=shape)
+    parts = [weights * (np.arange(3) == slot)[:, None, None] for slot in range(3)]
+    whole, *each = pull_back(tape, [weights, *parts])
+    np.testing.assert_allclose(sum(part.velocities for part in each), whole.velocities, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(each[0].positions, parts[0][0])
+    assert not each[0].velocities.any()
+    alone = gradient(dataclasses.replace(scene, duration=0.0075), lambda x, v: (0.0, parts[1][1:2], None), threads=1)[1]
+    np.testing.assert_allclose(each[1].velocities, alone.velocities, rtol=1e-9, atol=1e-12)
+
+
+def test_scenes_side_by_side_are_as_alone() -> None:
+    """Of other seeds and speeds, each with its own steps; to the bit."""
+    first, second = plane(), plane(seed=3, gravity=40.0)
+    tape = Tape([first, second], [8], threads=2)
+    objectives = [Weighted(first), Weighted(second)]
+    together = pull_back_all(tape, [[(each.positions, each.velocities) for each in objectives]])[0]
+    for scene, objective, ours in zip((first, second), objectives, together, strict=True):
+        _, alone = gradient(scene, objective, threads=1)
+        np.testing.assert_array_equal(ours.velocities, alone.velocities)
+        np.testing.assert_array_equal(ours.settings, alone.settings)
+
+
+def test_barriers_open_between_two_segments() -> None:
+    """The frame in which they do is known after the run; it is then repeated with a checkpoint there."""
+    held = Mass(lower=(0.1, 0.0), size=(0.2, 0.2), release=0.0125)
+    tape = Tape([plane(masses=(held,), duration=0.05, frame_dt=0.0005)], [100], precision="f32", threads=1)
+    assert 25 in tape.boundaries
+    whole = simulate(tape.batch.scenes[0], threads=1)
+    np.testing.assert_array_equal(tape.positions()[0], whole.positions[100])
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"volume_correction": True}, "volume_correction"),
+    ],
+)
+def test_what_has_no_reverse_is_refused(changes: dict[str, object], key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        Tape([plane(**changes)], [8], threads=1)
+
+
+@pytest.mark.parametrize("frames", [[], [0], [9], [-1, 8]])
+def test_frames_that_are_none_are_refused(frames: list[int]) -> None:
+    with pytest.raises(InputError, match="expected frames from 0 to 8"):
+        Tape([plane()], frames, threads=1)
+
+
+def test_scenes_of_two_kinds_are_refused() -> None:
+    with pytest.raises(InputError, match="scenes of one kind"):
+        Tape([plane(), plane(damping=0.1)], [8], threads=1)
+
+
+def test_the_stable_step_of_a_lone_particle() -> None:
+    """2 / omega with omega^2 = 4 (2 lambda + 2 mu) / (rho dx^2) in the plane: by hand for nu = 0 and nu = 0.3."""
+    assert lone_particle_step(dataclasses.replace(SOIL, poisson=0.0), 2) == pytest.approx(1.0)
+    assert lone_particle_step(SOIL, 2) == pytest.approx(np.sqrt(0.7 / (2 * 0.5)), rel=1e-12)
+
+
+def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where more bars are cut than may be: here all that are not 0."""
+    scene = plane(step_fraction=0.9)
+    tape = Tape([scene], [8], threads=1)
+    monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
+    with pytest.raises(WorkFailed, match=r"grows without bound.* up to a step_fraction of 0.84; the scene has 0.9"):
+        pull_back(tape, [np.ones_like(tape.positions())])
+
+
+@pytest.mark.slow
+@pytest.mark.double
+def test_lone_particles_that_swing_are_cut() -> None:
+    """Sand of ten layers: at 0.9 of the step lone particles swing on their own, at 0.8 none does.
+
+    Exact, the first gradient has no bound; with a few bars cut it is that of the same flow in shorter steps.
+    """
+    scene = read_scene("layers-10")
+    sand = dataclasses.replace(scene.material, cohesion=0.0, tension_cutoff=None)
+    scene = dataclasses.replace(scene, material=sand, damping=0.0)
+    found = {}
+    for fraction, exact in ((0.9, True), (0.9, False), (0.8, False)):
+        tape = Tape([dataclasses.replace(scene, step_fraction=fraction)], [400], threads=1, exact=exact)
+        weights = np.zeros_like(tape.positions())
+        weights[..., 0] = 1.0 / weights.shape[1]
+        (found[fraction, exact],) = pull_back(tape, [weights])
+    assert np.abs(found[0.9, True].velocities).max() > 1e3
+    assert 0.0 < found[0.9, False].cut < 1e-4
+    assert found[0.8, False].cut == 0.0
+    speeds = [found[fraction, False].of_mass(found[fraction, False].velocities)[:, 0] for fraction in (0.9, 0.8)]
+    assert speeds[0].sum() == pytest.approx(speeds[1].sum(), rel=0.05)
