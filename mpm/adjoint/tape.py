@@ -332,7 +332,7 @@ class Tape:
         scene = self.batch.scenes[index]
         stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
         return (
-            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all bars were cut. A step is "
+            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints of particles were cut. A step is "
             f"stable for single particles up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
         )
 
