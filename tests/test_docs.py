@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,6 +107,21 @@ def test_the_deposit_is_explained(deposit: Path) -> None:
     result = json.loads((deposit / "out" / "site-problem" / "result.json").read_text())
     found, width = result["unknowns"]["friction_deg"], result["certainty"]["friction_deg"]
     assert abs(found - 27.0) <= width
+
+
+@pytest.mark.slow
+def test_the_gradients_of_the_page_agree() -> None:
+    """With respect to the floor's friction, by the page's second script, and by the first with that as a parameter."""
+    layer, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
+    text = layer.replace('"masses[0].velocity_x"', '"floor_friction"').replace("[30.0, 0.5]", "[42.0, FLOOR]")
+    text = text.replace("(positions[-1, :, 0].mean() - 0.3) ** 2", "positions[-1, :, 0].mean()")
+    names: dict[str, Any] = {"FLOOR": read_scene("column-tall-42").floor_friction}
+    exec(text, names)  # the page's own script
+    exec(plain, names)
+    assert float(names["loss"]) == pytest.approx(names["value"], rel=2e-3)
+    expected = names["slope"].setting("floor_friction")
+    assert float(names["parameters"].grad[1]) == pytest.approx(expected, rel=0.1)
+    assert np.isfinite(names["parameters"].grad.numpy()).all()
 
 
 def test_the_scene_on_terrain_is_read(tmp_path: Path) -> None:

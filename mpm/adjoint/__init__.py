@@ -3,6 +3,7 @@
     J, slope = gradient(scene, objective)       # objective(positions, velocities) gives J and its derivatives
     slope.velocities, slope.material("friction_deg"), slope.setting("floor_friction"), slope.along(scene_at, 0.0)
 
+The adjoint of a quantity x is its bar, dJ/dx, in names `x_bar` (Griewank & Walther, Evaluating derivatives, 2008).
 Every term of a step has its reverse by hand, in the file of the same name as in `mpm.physics`, in the same vectors of
 lanes:
 

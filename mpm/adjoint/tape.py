@@ -332,8 +332,9 @@ class Tape:
         scene = self.batch.scenes[index]
         stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
         return (
-            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints of particles were cut. A step is "
-            f"stable for single particles up to a step_fraction of {stable:.2f}; the scene has {scene.step_fraction:g}"
+            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were cut. "
+            f"A step is stable for single particles up to a step_fraction of {stable:.2f}; "
+            f"the scene has {scene.step_fraction:g}"
         )
 
     def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:

@@ -62,7 +62,7 @@ def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares
     page.section("Price")
     page.text("""
         A run of the solver, and a run with checkpoints, its replay and its reverse; on one thread, in turns. Memory is
-        that of checkpoints, one segment's states and bars, beside the arrays of the run.
+        that of checkpoints, one segment's states and adjoints, beside the arrays of the run.
     """)
     page.table(
         prices,
@@ -73,7 +73,7 @@ def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares
         The Jacobian of {shares} equal shares of the deposit with respect to ten velocities, averaged over {seeds}
         jitter seeds, beside central differences of {STEP:g} m/s of the same seeds. Differences over a finite step see
         the flow's corners blurred; the adjoint sees one side of each. The sign of local damping has a bounded slope
-        in the reverse (`mpm.adjoint.grid`), and bars of lone particles that swing on their own are cut
+        in the reverse (`mpm.adjoint.grid`), and adjoints of lone particles that swing on their own are cut
         (`mpm.adjoint.tape.CUT`); "cut" is their share.
     """)
     page.table(
