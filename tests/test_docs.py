@@ -118,7 +118,7 @@ def test_the_gradients_of_the_page_agree() -> None:
     names: dict[str, Any] = {"FLOOR": read_scene("column-tall-42").floor_friction}
     exec(text, names)  # the page's own script
     exec(plain, names)
-    assert float(names["loss"]) == pytest.approx(names["value"], rel=2e-3)
+    assert names["loss"].item() == pytest.approx(names["value"], rel=2e-3)
     expected = names["slope"].setting("floor_friction")
     assert float(names["parameters"].grad[1]) == pytest.approx(expected, rel=0.1)
     assert np.isfinite(names["parameters"].grad.numpy()).all()
