@@ -1,6 +1,6 @@
 """The posterior of the parameters over the whole box, by an emulator of the MPM.
 
-    p(v | y*) ~ t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
+    p(v | y*) ~ pi(v) t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
 
 | symbol | variable | meaning |
 |---|---|---|
@@ -11,6 +11,7 @@
 | D | `discretisation` | what the MPM's cells change, where the target is no flow on the same cells |
 | F | `factor` | model discrepancy that the fit shows beyond all of these (`validation.loop.discrepancy`) |
 | nu | `freedom` | degrees of freedom of Student's t: those of S, more where N is known and larger |
+| pi | `Likelihood.in_regime` | probability that flows at v are such as the target's, where regimes are parted |
 
 The prior is uniform between the bounds. What an emulator has excluded stays so, and runs around the rest alone make the
 next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
