@@ -149,12 +149,12 @@ def test_the_budget_is_kept(tmp_path: Path, runs: int) -> None:
 
 
 def test_a_budget_of_seconds_is_one_of_runs_at_their_price(tmp_path: Path) -> None:
-    def solved(seconds: float | None) -> Result:
+    def result_of(seconds: float | None) -> Result:
         case = layers(tmp_path, count=4, scatter=0.002, bend=0.05)
         problem = dataclasses.replace(case.problem, loop=LoopSettings(mpm_seconds=seconds))
         return dataclasses.replace(case, problem=problem).solve(tmp_path / str(seconds))
 
-    whole, cut, enough = solved(None), solved(1e-9), solved(1e6)
+    whole, cut, enough = result_of(None), result_of(1e-9), result_of(1e6)
     assert [run.purpose for run in cut.mpm_runs].count(Purpose.CHECK) == CONSTANTS.checks
     assert len(cut.mpm_runs) == cut.outcome.state.waves[0].runs + CONSTANTS.checks < len(whole.mpm_runs)
     assert enough.unknowns == whole.unknowns
