@@ -30,7 +30,8 @@ def main(
     out
         Folder for the results.
     gradient
-        Automatic differentiation, the MPM has none; central differences, its default; or none, a search without.
+        Reverse mode, of the surrogate by default, of the MPM by its adjoint; central differences, the MPM's default;
+        or none, a search without.
     forward
         What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
     model

@@ -12,7 +12,7 @@ from gns import card
 from gns.inference import model_path, shipped
 from gns.model import checkpoint
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
-from inverse.forward.interface import Evaluation
+from inverse.forward.interface import Differentiable, Evaluation
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic, central
 from inverse.observations import Target
@@ -29,7 +29,7 @@ class Gradient(StrEnum):
     """Where the gradient comes from."""
 
     AD = "ad"
-    """Reverse-mode automatic differentiation through the whole rollout."""
+    """Reverse mode: automatic differentiation of the surrogate, the adjoint of the MPM."""
     FD = "fd"
     """Central differences."""
     NONE = "none"
@@ -59,20 +59,20 @@ def invert(
     >>> result.unknowns
     {'friction_deg': 41.59...}
 
-    forward: the surrogate where absent, unless the problem asks for none; gradient: automatic differentiation of the
-    surrogate, central differences of the MPM where absent; model: weights, those that ship where absent; memory_gib:
+    forward: the surrogate where absent, unless the problem asks for none; gradient: reverse mode of the surrogate,
+    central differences of the MPM where absent; model: weights, those that ship where absent; memory_gib:
     activations that the backward pass may find ready; out: folder for `result.json`, `report.md` and pictures.
     Raises InputError for a combination that there is none of.
     """
     if forward is None:
         forward = ForwardModel.MPM if problem.surrogate is Surrogate.NONE else ForwardModel.GNS
-    if forward is ForwardModel.MPM and gradient is Gradient.AD:
-        raise InputError("expected --gradient fd or none, the MPM has no automatic gradient", where="--forward mpm")
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     target = read_target(problem, simulate)
     chosen: GnsForward | MpmForward
-    if forward is ForwardModel.MPM:
+    if forward is ForwardModel.MPM and gradient is Gradient.AD:
+        chosen = adjoint(problem, target)
+    elif forward is ForwardModel.MPM:
         chosen = MpmForward(problem, target.observation, simulate_many)
     else:
         chosen = surrogate(problem, target, model, memory_gib)
@@ -85,6 +85,16 @@ def invert(
         result.write(out)
         report.write(result, chosen.deposit, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
     return result
+
+
+def adjoint(problem: Problem, target: Target) -> MpmForward:
+    """The MPM of `problem` with its adjoint. Raises InputError."""
+    # Imported here: other inversions have no use for its kernels.
+    from inverse.forward.adjoint import AdjointForward
+
+    if not target.observation.differentiable:
+        raise InputError("expected fd, forces have no derivative by the adjoint", where="--gradient ad")
+    return AdjointForward(problem, target.observation, simulate_many)
 
 
 def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> GnsForward:
@@ -103,15 +113,14 @@ def search(
     problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
 ) -> list[Evaluation]:
     """Every evaluation of `forward` on the way to the minimum of its misfit."""
-    differentiable = isinstance(forward, GnsForward)
-    gradient = gradient or (Gradient.AD if differentiable else Gradient.FD)
+    gradient = gradient or (Gradient.AD if isinstance(forward, GnsForward) else Gradient.FD)
     values, components = forward.select(target.values), target.observation.components
     if gradient is Gradient.NONE:
         # The MPM runs a scene per core, and as many are proposed at a time.
-        at_once = 1 if differentiable else os.cpu_count() or 1
+        at_once = 1 if isinstance(forward, GnsForward) else os.cpu_count() or 1
         return explore(forward, values, problem, components=components, at_once=at_once)
     jacobian = problem.optimiser.method is Method.GAUSS_NEWTON
-    if gradient is Gradient.AD and isinstance(forward, GnsForward):
+    if gradient is Gradient.AD and isinstance(forward, Differentiable):
         evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)
     else:
         evaluate = central(forward, values, problem.steps, components=components, with_jacobian=jacobian)

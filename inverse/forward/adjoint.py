@@ -20,6 +20,8 @@ from torch import Tensor
 
 from datasets.particles import Particles, initial_particles, initial_volumes
 from datasets.scene import Scene
+from inverse.forward.interface import Simulate
+from inverse.forward.mpm import MpmForward
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Kind, Vector, kind, with_kinds
 from inverse.parameters.masses import Velocity
@@ -129,15 +131,15 @@ class _Flow(torch.autograd.Function):
         return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
 
 
-class AdjointForward:
+class AdjointForward(MpmForward):
     """The MPM at a problem's parameters, differentiable: in place of a surrogate where its memory and time allow.
 
     Its observation is the smooth one of the last frame or, where it is one over time, of all frames.
     """
 
-    def __init__(self, problem: Problem, observation: Observation, **options: Any) -> None:
+    def __init__(self, problem: Problem, observation: Observation, simulate: Simulate, **options: Any) -> None:
         """options: of `Run`."""
-        self.problem, self.observation = problem, observation
+        super().__init__(problem, observation, simulate)
         scene = problem.scene
         frames = range(scene.frames) if observation.over_time else (0, scene.frames - 1)
         self.run = Run(scene, kinds=problem.kinds, frames=[*frames], **options)

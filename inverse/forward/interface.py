@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ class Forward(Protocol):
         """The observation [M] at each vector of parameters [U]; runs may be side by side."""
 
 
+@runtime_checkable
 class Differentiable(Forward, Protocol):
     """A forward model through which torch differentiates."""
 
@@ -37,16 +38,6 @@ class Surrogate(Differentiable, Protocol):
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of its particles [m], shape [N, D]: for pictures."""
-
-
-class SurrogateSource(Protocol):
-    """Makes surrogates of a flow: a learned one, or the MPM linearised."""
-
-    def start(self, beginning: Trajectory | None) -> Surrogate:
-        """The surrogate beside `beginning`, a run of the problem's scene at some parameters, which it may agree with.
-
-        The jitter of its particles is that of `beginning`; of the problem's scene where there is no run yet.
-        """
 
 
 class Simulate(Protocol):

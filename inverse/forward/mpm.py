@@ -1,4 +1,4 @@
-"""The MPM as a forward model: exact observations of whole runs, side by side on all cores. It has no gradient."""
+"""The MPM as a forward model: exact observations of whole runs, side by side on all cores."""
 
 from collections.abc import Sequence
 

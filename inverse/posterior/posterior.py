@@ -108,9 +108,8 @@ class Likelihood:
 
         Where little is known a likelihood is small, whatever the residuals: it is spread over so many observations.
         """
-        residual, fixed, variance = self.residual(points)
-        largest = student(np.zeros_like(residual), fixed, variance, self.freedom)
-        return student(residual, fixed, variance, self.freedom) - largest + self.in_regime(points)
+        square, _ = whitened(*self.residual(points))
+        return relative_density(square, len(self.target), self.freedom) + self.in_regime(points)
 
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, shape [S]."""
@@ -167,7 +166,7 @@ class Posterior:
 
     @property
     def next_region(self) -> Region:
-        """Around the samples, where the emulator hides most of the posterior; else as before: its slopes need room."""
+        """Around what is plausible, where the emulator is most of the variance; else as before: slopes need room."""
         return Region.around(self.plausible) if self.emulator_share > CONSTANTS.narrow_above else self.region
 
 
@@ -241,12 +240,21 @@ def emulated(
 def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
     """Logarithm of Student's density of residuals [S, r] with the scales fixed + diag variance, shape [S]."""
     count = residual.shape[1]
-    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(count))
-    scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
-    square = (scaled**2).sum(axis=1)
-    logarithm = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+    square, determinant = whitened(residual, fixed, variance)
     constant = gammaln(0.5 * (freedom + count)) - gammaln(0.5 * freedom) - 0.5 * count * np.log(np.pi * freedom)
-    return np.asarray(constant - 0.5 * logarithm - 0.5 * (freedom + count) * np.log1p(square / freedom))
+    return np.asarray(constant - 0.5 * determinant + relative_density(square, count, freedom))
+
+
+def relative_density(square: Row, count: int, freedom: float) -> Row:
+    """Logarithm of Student's density over its largest value, of `count` numbers with squared lengths [S], shape [S]."""
+    return np.asarray(-0.5 * (freedom + count) * np.log1p(square / freedom))
+
+
+def whitened(residual: Matrix, fixed: Matrix, variance: Matrix) -> tuple[Row, Row]:
+    """Squared length of residuals [S, r] in scales fixed + diag variance, and the logarithm of the determinant, [S]."""
+    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(residual.shape[1]))
+    scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
+    return (scaled**2).sum(axis=1), 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
@@ -270,7 +278,7 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:
-    """Where further runs shrink the emulator's variance most, among samples, shape [count, U].
+    """Where further runs shrink the emulator's variance most, among plausible parameters, shape [count, U].
 
     One after the other where it is largest, given those before (MacKay, Information-based objective functions for
     active data selection, Neural Comput. 4 (1992) 590-604); over all components, each by its scatter and noise. Of more

@@ -19,6 +19,6 @@ are not sorted, so that sums of a run on several threads differ in their last bi
 and is refused.
 
 Taichi 1.7.4 differentiates a kernel that reads one array and writes another, vectors of lanes included. Where a loop
-overwrites what it has read, as each of our steps does, it silently takes the last value for all: of five steps
-a <- a + 0.1 sin a from a = 1 it says 1.058 where the derivative is 1.205; hence the reverse by hand.
+overwrites what it has read, as each of our steps does, it silently takes the last value for all; hence the reverse by
+hand.
 """

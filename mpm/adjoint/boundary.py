@@ -9,17 +9,7 @@ and 0 where the node sticks: at |w| = mu |v_n| the derivative jumps, and the sid
 
 import taichi as ti
 
-from mpm.arrays.layout import Setting
-from mpm.physics.boundary import after_wall, stopping_side
-
-
-@ti.func
-def friction_of(side, scene, arrays: ti.template()):
-    """Coulomb coefficient [-] of a side of the box."""
-    friction = arrays.settings[scene, Setting.WALL_FRICTION]
-    if side == 2:
-        friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
-    return friction
+from mpm.physics.boundary import after_wall, friction_of, stopping_side
 
 
 @ti.func

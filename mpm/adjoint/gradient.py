@@ -25,6 +25,7 @@ from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
 from mpm.adjoint.tape import Tape
+from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
 from mpm.solids.obstacles import obstacles_in
 
@@ -81,7 +82,8 @@ class Gradient:
 
             rows = differences(rows_at, getattr(material, name), name)
             rows = rows[:, : self.properties.shape[1]]
-            rows[:, 0] = 0.0
+            # The volume goes with the particle's initial position, not with its material.
+            rows[:, Property.VOLUME] = 0.0
             found[here] = (self.properties[here] * rows).sum(axis=1)
         return found
 

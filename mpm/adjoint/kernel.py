@@ -18,12 +18,12 @@ from mpm.adjoint.faces import found_reverse
 from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
-from mpm.arrays.access import lane_maximum, lane_minimum, maximum, minimum, node_strides
-from mpm.arrays.layout import PADDING, Setting, Worker
+from mpm.arrays.access import maximum, minimum, node_strides
+from mpm.arrays.layout import Setting, Worker
 from mpm.kernel import ITERATIONS, Arrays
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid
-from mpm.physics.particles import update_particles
+from mpm.physics.particles import set_box, update_particles
 from mpm.physics.transfer import particles_to_grid
 
 
@@ -72,7 +72,6 @@ def restore_state(worker, scene, step, arrays: ti.template()):
     """The states of a worker's blocks before `step`, and the box of nodes in their support."""
     features, layout = arrays.features, arrays.layout
     first = arrays.workers[worker, Worker.FIRST]
-    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
     low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
@@ -87,11 +86,7 @@ def restore_state(worker, scene, step, arrays: ti.template()):
         for k in ti.static(range(features.dimension)):
             low[k] = minimum(low[k], arrays.state[block * features.block + k])
             high[k] = maximum(high[k], arrays.state[block * features.block + k])
-    for k in ti.static(range(features.dimension)):
-        lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
-        highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
-        arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
-        arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
+    set_box(worker, scene, low, high, arrays)
 
 
 @ti.func

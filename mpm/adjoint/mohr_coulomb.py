@@ -10,7 +10,7 @@ and likewise for each constant; the piece is the one that the return takes, and 
 import taichi as ti
 
 from mpm.arrays.access import maximum, minimum
-from mpm.physics.mohr_coulomb import on_edge, on_plane
+from mpm.physics.mohr_coulomb import multipliers, on_hexagon
 from mpm.physics.principal import TINY
 
 
@@ -63,18 +63,13 @@ def edge_reverse(
     sign = ti.static(1.0 if upper else -1.0)
     zero = 0.0 * single_bar
     if ti.static(dilates):
-        second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
-        if ti.static(upper):
-            second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
-        a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
-        b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
-        total = (excess + second) / (a + b)
+        total, per_total = multipliers(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper)
         # What a unit of `total` takes of the pair and of the single one.
         of_pair = 4.0 * lame * sin_psi + sign * 2.0 * shear * (1.0 + sign * sin_psi)
         of_single = 2.0 * lame * sin_psi - sign * 2.0 * shear * (1.0 - sign * sin_psi)
         total_bar = 0.0 - (pair_bar * of_pair + single_bar * of_single)
         pair_rate, single_rate = 0.0 - pair_bar * total, 0.0 - single_bar * total
-        second_bar = total_bar / (a + b)
+        second_bar = total_bar / per_total
         sum_bar = 0.0 - second_bar * total
         lame_bar = sin_psi * (4.0 * pair_rate + 2.0 * single_rate + 8.0 * sin_phi * sum_bar)
         shear_bar = (
@@ -189,15 +184,7 @@ def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, la
     """
     dilates = ti.static(features.dilates)
     zero = 0.0 * b1
-    over = s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
-    excess = maximum(over, 0.0)
-    t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
-    upper, lower = t2 > t1, t3 > t2
-    low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
-    high, twin_low = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, False, dilates)
-    h1 = ti.select(upper, twin_high, ti.select(lower, high, t1))
-    h2 = ti.select(upper, twin_high, ti.select(lower, twin_low, t2))
-    h3 = ti.select(upper, low, ti.select(lower, twin_low, t3))
+    h1, h2, h3, excess, upper, lower = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
     open_ = h1 + h2 + h3 >= 0.0
     if ti.static(features.cohesive):
         open_ = h1 > limit
@@ -237,7 +224,7 @@ def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, la
         False,
         dilates,
     )
-    excess_bar = ti.select(over > 0.0, plane[0] + top[3] + bottom[3], zero)
+    excess_bar = ti.select(excess > 0.0, plane[0] + top[3] + bottom[3], zero)
     s1_bar = p1 + top[0] + bottom[0] + (1.0 + sin_phi) * excess_bar
     s2_bar = p2 + top[1] + bottom[1]
     s3_bar = p3 + top[2] + bottom[2] - (1.0 - sin_phi) * excess_bar
@@ -246,7 +233,7 @@ def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, la
     strength_bar = top[6] + bottom[6] - excess_bar
     lame_bar, shear_bar = plane[3] + top[7] + bottom[7], plane[4] + top[8] + bottom[8]
     limit_bar, alike = zero, zero
-    elastic = ti.select(over > 0.0, zero, ti.select(open_, zero, zero + 1.0))
+    elastic = ti.select(excess > 0.0, zero, ti.select(open_, zero, zero + 1.0))
     if ti.static(features.cohesive):
         c1, c2, c3 = ti.select(open_, b1, zero), ti.select(open_, b2, zero), ti.select(open_, b3, zero)
         crack = cutoff_reverse(c2, c3, s1, s2, s3, sin_phi, strength, limit, lame, shear)

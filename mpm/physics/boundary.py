@@ -42,9 +42,7 @@ def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
     for axis in ti.static(range(features.dimension)):
         side = stopping_side(v, node, cells, axis, scene, arrays)
         if side >= 0:
-            friction = arrays.settings[scene, Setting.WALL_FRICTION]
-            if side == 2:
-                friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+            friction = friction_of(side, scene, arrays)
             before = v
             v = after_wall(v, axis, friction)
             if ti.static(features.walls_recorded):
@@ -63,6 +61,15 @@ def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.templat
     if side >= 0 and is_wall(side, scene, arrays) == 0:
         side = -1
     return side
+
+
+@ti.func
+def friction_of(side, scene, arrays: ti.template()):
+    """Coulomb coefficient [-] of a side of the box."""
+    friction = arrays.settings[scene, Setting.WALL_FRICTION]
+    if side == 2:
+        friction = arrays.settings[scene, Setting.FLOOR_FRICTION]
+    return friction
 
 
 @ti.func

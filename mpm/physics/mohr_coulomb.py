@@ -87,13 +87,7 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
     if ti.static(upper):
         pair, single = s1 + s2, s3
     if ti.static(dilates):
-        second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
-        if ti.static(upper):
-            second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
-        # a, b: change of a plane's F per own and per other multiplier.
-        a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
-        b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
-        total = (excess + second) / (a + b)
+        total, _ = multipliers(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper)
         bulge = 2.0 * lame * sin_psi * total
         pair = pair - (2.0 * bulge + sign * 2.0 * shear * (1.0 + sign * sin_psi) * total)
         single = single - (bulge - sign * 2.0 * shear * (1.0 - sign * sin_psi) * total)
@@ -106,8 +100,24 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 
 
 @ti.func
+def multipliers(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: ti.template()):
+    """Sum of the multipliers of the two planes of an edge, and the change of both F together per unit of it."""
+    sign = ti.static(1.0 if upper else -1.0)
+    second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
+    if ti.static(upper):
+        second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
+    # a, b: change of a plane's F per own and per other multiplier.
+    a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
+    b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
+    return (excess + second) / (a + b), a + b
+
+
+@ti.func
 def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
-    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
+    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged.
+
+    Then by how much the plane was violated, and whether the return is to the upper edge, or else to the lower one.
+    """
     excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
     low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
@@ -117,6 +127,9 @@ def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.
         ti.select(upper, twin_high, ti.select(lower, high, t1)),
         ti.select(upper, twin_high, ti.select(lower, twin_low, t2)),
         ti.select(upper, low, ti.select(lower, twin_low, t3)),
+        excess,
+        upper,
+        lower,
     )
 
 
@@ -147,7 +160,7 @@ def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear,
     stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
     """
     dilates = ti.static(features.dilates)
-    t1, t2, t3 = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
+    t1, t2, t3, _, _, _ = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
     open_ = t1 + t2 + t3 >= 0.0
     if ti.static(features.cohesive):
         open_ = t1 > limit

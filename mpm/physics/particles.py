@@ -17,7 +17,6 @@ def update_particles(worker, scene, dt, kappa, strides: ti.template(), arrays: t
     """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
-    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
     # The lowest and highest place of each lane, then of all: the box of nodes that the next step touches.
     low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
@@ -27,7 +26,14 @@ def update_particles(worker, scene, dt, kappa, strides: ti.template(), arrays: t
         for k in ti.static(range(features.dimension)):
             low[k] = minimum(low[k], arrays.state[block * features.block + k])
             high[k] = maximum(high[k], arrays.state[block * features.block + k])
-    for k in ti.static(range(features.dimension)):
+    set_box(worker, scene, low, high, arrays)
+
+
+@ti.func
+def set_box(worker, scene, low: ti.template(), high: ti.template(), arrays: ti.template()):
+    """The box of nodes in the support of particles between `low` and `high` [m], D vectors of lanes each."""
+    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
+    for k in ti.static(range(arrays.features.dimension)):
         lowest = ti.floor(lane_minimum(low[k], arrays) * per_dx + (PADDING - 0.5))
         highest = ti.floor(lane_maximum(high[k], arrays) * per_dx + (PADDING - 0.5))
         arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)

@@ -85,6 +85,26 @@ def test_an_inversion(
     assert (out / "deposit.png").exists()
 
 
+def test_the_mpm_by_its_adjoint_and_by_differences(tmp_path: Path) -> None:
+    """Of the velocity of a slide: the first gradients agree, and the adjoint's search gets nearer to the target."""
+    (tmp_path / "scene.toml").write_text(SCENE.split("[[baffles]]")[0])
+    unknowns, rest = PROBLEM.split("[observation]")
+    head = unknowns.split("[[unknowns]]")
+    text = "[[unknowns]]".join(head[:2]) + "step = 0.05\n[observation]" + rest
+    text = text.replace("KIND", 'kind = "front"').replace("TARGET", "value = 0.13").replace("METHOD", "lbfgs-b")
+    (tmp_path / "problem.toml").write_text(text)
+    results = []
+    for gradient in ("ad", "fd"):
+        out = tmp_path / gradient
+        arguments = [str(tmp_path / "problem.toml"), "--forward", "mpm", "--gradient", gradient, "--out", str(out)]
+        assert run(main, "inverse", arguments) == 0
+        results.append(json.loads((out / "result.json").read_text()))
+    ours, theirs = (each["iterations"][0]["gradient"]["masses[0].velocity_x"] for each in results)
+    # The adjoint is of the smooth front, differences are of the exact one.
+    assert ours == pytest.approx(theirs, rel=0.3)
+    assert results[0]["loss"]["surrogate"] < 0.2 * results[0]["loss"]["initial"]
+
+
 def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
     """The call is the command: the same answer, whether the problem was written down or built."""
     checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})

@@ -1,1 +1,1 @@
-"""The loop: the surrogate proposes, the MPM checks and corrects it, and gives the verdict."""
+"""The loop: runs of the MPM narrow the posterior, confirm its answers, and give the verdict."""

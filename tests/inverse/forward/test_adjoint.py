@@ -14,7 +14,7 @@ from inverse.observations import build
 from inverse.parameters import with_parameters
 from inverse.problem import Parameter, Problem
 from inverse.settings import ObservationSettings, TargetSettings
-from mpm import LAST, simulate
+from mpm import LAST, simulate, simulate_many
 
 NAMES = ("friction_deg", "masses[0].velocity_x", "masses[1].velocity_y", "floor_friction", "young")
 VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6])
@@ -87,7 +87,7 @@ def problem() -> Problem:
 def test_the_misfit_and_its_gradient(problem: Problem) -> None:
     """Through an observation: the forward model of gradient descent, beside the surrogate's."""
     observation = build(ObservationSettings(kind="deposit"), SCENE)
-    forward = AdjointForward(problem, observation, precision="f64", threads=1)
+    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
     truth = with_parameters(SCENE, NAMES[:2], [33.0, 1.2])
     target = observation.observe(simulate(truth, record=LAST, precision="f64", threads=1))
     evaluate = automatic(forward, target, components=observation.components)
@@ -101,7 +101,7 @@ def test_the_misfit_and_its_gradient(problem: Problem) -> None:
 def test_the_jacobian_of_a_few_numbers(problem: Problem) -> None:
     """Row by row by `torch`, from one run with checkpoints."""
     observation = build(ObservationSettings(kind="toe"), SCENE)
-    forward = AdjointForward(problem, observation, precision="f64", threads=1)
+    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
     rows = by_ad(forward, VALUES[:2])
     assert rows.shape[1] == 2
     step = 1e-6

@@ -29,7 +29,7 @@ from validation.report.page import Page
 Floats = NDArray[np.float64]
 
 STEP = 0.15
-"""Of the central differences [m/s], as in issue 15 and on the page of the efficiency."""
+"""Of the central differences [m/s]."""
 PRICED: tuple[tuple[str, Precision], ...] = (("layers-10", "f32"), ("layers-10", "f64"), ("baffles-2", "f32"))
 """Scenes, as they ship, and precisions of the table of prices."""
 COARSE = 0.02
