@@ -71,7 +71,10 @@ def invert(
     target = read_target(problem, simulate)
     chosen: GnsForward | MpmForward
     if forward is ForwardModel.MPM and gradient is Gradient.AD:
-        chosen = adjoint(problem, target)
+        # Imported here: other inversions have no use for its kernels.
+        from inverse.forward.adjoint import AdjointForward
+
+        chosen = AdjointForward(problem, target.observation, simulate_many)
     elif forward is ForwardModel.MPM:
         chosen = MpmForward(problem, target.observation, simulate_many)
     else:
@@ -87,20 +90,10 @@ def invert(
     return result
 
 
-def adjoint(problem: Problem, target: Target) -> MpmForward:
-    """The MPM of `problem` with its adjoint. Raises InputError."""
-    # Imported here: other inversions have no use for its kernels.
-    from inverse.forward.adjoint import AdjointForward
-
-    if not target.observation.differentiable:
-        raise InputError("expected fd, forces have no derivative by the adjoint", where="--gradient ad")
-    return AdjointForward(problem, target.observation, simulate_many)
-
-
 def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> GnsForward:
     """The learned surrogate of `problem`. Raises InputError."""
     unsupported = [each.name for each in problem.parameters if not each.kind.differentiable]
-    if unsupported or not target.observation.differentiable:
+    if unsupported or not target.observation.of_positions:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)

@@ -12,7 +12,7 @@ with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built, a
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -29,6 +29,17 @@ from inverse.problem import Problem
 from mpm.adjoint.gradient import Gradient, pull_back
 from mpm.adjoint.tape import MEMORY_MIB, Tape
 from mpm.arrays.layout import Precision
+
+
+class Flow(NamedTuple):
+    """What a run is observed by, at T frames."""
+
+    positions: Tensor
+    """Of the particles [m], shape [T, N, D]."""
+    velocities: Tensor
+    """[m/s], shape [T, N, D]."""
+    impulses: Tensor
+    """Momentum that each solid has taken since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
 
 
 class Run:
@@ -57,6 +68,11 @@ class Run:
 
     def __call__(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], of parameters [U]."""
+        flow = self.flow(parameters)
+        return flow.positions, flow.velocities
+
+    def flow(self, parameters: Tensor) -> Flow:
+        """All that is observed at the frames, of parameters [U]."""
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
         tape = Tape([scene], self.frames, **self.options)
@@ -64,8 +80,7 @@ class Run:
         def slopes(gradient: Gradient) -> Tensor:
             return torch.from_numpy(self.derivatives(gradient, values))
 
-        positions, velocities = _Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters)  # type: ignore[no-untyped-call]
-        return positions, velocities
+        return Flow(*_Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters))  # type: ignore[no-untyped-call]
 
     def derivatives(self, gradient: Gradient, values: Vector) -> Vector:
         """dJ/d(parameters) at `values`, shape [U], from the gradient with respect to what the run begins with."""
@@ -97,6 +112,11 @@ class ParticleRun:
 
     def __call__(self, velocities: Tensor, positions: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """What `Run` returns, of initial velocities [m/s] and positions [m], the scene's where absent; shape [N, D]."""
+        flow = self.flow(velocities, positions)
+        return flow.positions, flow.velocities
+
+    def flow(self, velocities: Tensor, positions: Tensor | None = None) -> Flow:
+        """All that is observed at the frames, of what particles begin with."""
         if positions is None:
             positions = torch.from_numpy(self.initial.positions)
         particles = dataclasses.replace(
@@ -109,24 +129,26 @@ class ParticleRun:
         def slopes(gradient: Gradient) -> tuple[Tensor, Tensor]:
             return torch.from_numpy(gradient.velocities), torch.from_numpy(gradient.positions)
 
-        moved, sped = _Flow.apply(tape, slopes, velocities, positions)  # type: ignore[no-untyped-call]
-        return moved, sped
+        return Flow(*_Flow.apply(tape, slopes, velocities, positions))  # type: ignore[no-untyped-call]
 
 
 class _Flow(torch.autograd.Function):
-    """Positions and velocities that a tape has observed; backwards the tape's vector-Jacobian product."""
+    """What a tape has observed; backwards its vector-Jacobian product."""
 
     @staticmethod
     def forward(
         ctx: Any, tape: Tape, slopes: Callable[[Gradient], tuple[Tensor, ...]], *inputs: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         ctx.tape, ctx.slopes, ctx.dtypes = tape, slopes, [each.dtype for each in inputs]
-        return torch.from_numpy(tape.positions()), torch.from_numpy(tape.velocities())
+        observed = tape.positions(), tape.velocities(), tape.impulses()
+        return torch.from_numpy(observed[0]), torch.from_numpy(observed[1]), torch.from_numpy(observed[2])
 
     @staticmethod
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
-        positions, velocities = (each.detach().numpy().astype(np.float64) for each in adjoints)
-        (gradient,) = pull_back(ctx.tape, [positions], [velocities])
+        positions, velocities, impulses = (each.detach().numpy().astype(np.float64) for each in adjoints)
+        # Most objectives depend on no force, and pay for none.
+        taken = [impulses] if impulses.any() else None
+        (gradient,) = pull_back(ctx.tape, [positions], [velocities], taken)
         found = ctx.slopes(gradient)
         return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
 
@@ -147,9 +169,10 @@ class AdjointForward(MpmForward):
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [M], of parameters, float64 of shape [U]."""
-        positions, _ = self.run(parameters)
+        flow = self.run.flow(parameters)
         volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy())))
-        return self.observation.predict(Rollout(positions=positions, times=self.times, volumes=volumes))
+        rollout = Rollout(positions=flow.positions, times=self.times, volumes=volumes, impulses=flow.impulses)
+        return self.observation.predict(rollout)
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [M] at each vector of parameters [U], one after the other."""

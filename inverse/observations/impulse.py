@@ -3,13 +3,15 @@
 from typing import Self
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
 from inverse.observations.measured_profile import read_columns
-from inverse.observations.observation import Context, Measurement, Observation, Values
-from inverse.observations.sampling import require_count, require_times
+from inverse.observations.observation import Context, Measurement, Observation, Rollout, Values
+from inverse.observations.sampling import brackets, require_count, require_times
 from inverse.settings import ObservationSettings
 
 SCATTER = 0.05
@@ -21,7 +23,7 @@ class SolidObservation(Observation):
 
     alone = False
     over_time = True
-    differentiable = False
+    of_positions = False
 
     def prior_scatter(self, values: Values, cell: float) -> Values:
         return np.asarray(SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
@@ -70,6 +72,10 @@ class Impulse(SolidObservation):
             return impulse[-1:].copy()
         return np.asarray(np.interp(self.times, trajectory.time, impulse))
 
+    def predict(self, rollout: Rollout) -> Tensor:
+        impulse = predicted_impulse(rollout, self.solid, self.axis)
+        return impulse[-1:] if self.times is None else interpolated(impulse, rollout.times, self.times)
+
 
 class PeakForce(SolidObservation):
     """The largest force on a solid along an axis: max_t |I(t + w/2) - I(t - w/2)| / w, w the window, I the impulse.
@@ -95,10 +101,20 @@ class PeakForce(SolidObservation):
 
     def observe(self, trajectory: Trajectory) -> Values:
         impulse, time = impulse_on(trajectory, self.solid, self.axis), trajectory.time
-        inner = (time >= time[0] + (0.5 - 1e-9) * self.window) & (time <= time[-1] - (0.5 - 1e-9) * self.window)
-        middles = time[inner]
+        middles = self.middles(time)
         before, after = (np.interp(middles + half * self.window, time, impulse) for half in (-0.5, 0.5))
         return np.array([np.abs(after - before).max(initial=0.0) / self.window])
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        """Differentiable but where the largest force changes from one time to another."""
+        impulse, middles = predicted_impulse(rollout, self.solid, self.axis), self.middles(rollout.times)
+        before, after = (interpolated(impulse, rollout.times, middles + half * self.window) for half in (-0.5, 0.5))
+        return (after - before).abs().max().reshape(1) / self.window
+
+    def middles(self, time: Values) -> Values:
+        """The frames about which the whole window lies in the run [s]."""
+        inner = (time >= time[0] + (0.5 - 1e-9) * self.window) & (time <= time[-1] - (0.5 - 1e-9) * self.window)
+        return np.asarray(time[inner])
 
 
 def solid_of(settings: ObservationSettings, scene: Scene) -> int:
@@ -119,3 +135,17 @@ def impulse_on(trajectory: Trajectory, solid: int, axis: int) -> Values:
     if impulse is None or solid >= impulse.shape[1]:
         raise InputError(f"expected a run that recorded the impulse on solid {solid}, it did not")
     return np.asarray(impulse[:, solid, axis])
+
+
+def predicted_impulse(rollout: Rollout, solid: int, axis: int) -> Tensor:
+    """As `impulse_on`, differentiable."""
+    if rollout.impulses is None or solid >= rollout.impulses.shape[1]:
+        raise InputError(f"expected a run that recorded the impulse on solid {solid}, it did not")
+    return rollout.impulses[:, solid, axis]
+
+
+def interpolated(values: Tensor, time: Values, times: Values) -> Tensor:
+    """`values` [T] at each of `times` [s], linear in time, differentiable; shape [M]."""
+    before, share = brackets(time, times)
+    after = np.minimum(before + 1, len(time) - 1)
+    return torch.lerp(values[before], values[after], torch.from_numpy(share).to(values))

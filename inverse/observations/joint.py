@@ -58,7 +58,7 @@ class Joint(Observation):
         """scale, prior: s and c of each number, in its unit, both of shape [M]."""
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.over_time = any(part.observation.over_time for part in parts)
-        self.differentiable = all(part.observation.differentiable for part in parts)
+        self.of_positions = all(part.observation.of_positions for part in parts)
 
     @classmethod
     def build(cls, settings: ObservationSettings, scene: Scene) -> Self:

@@ -38,7 +38,7 @@ SCATTER_CELLS = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Rollout:
-    """The particles' positions from the start to the end, as the surrogate predicts them."""
+    """The particles' positions from the start to the end, and where it is the MPM's what solids took meanwhile."""
 
     positions: Tensor
     """[m], shape [T, N, D]."""
@@ -46,6 +46,8 @@ class Rollout:
     """[s], shape [T]."""
     volumes: Tensor
     """[m^D], shape [N]."""
+    impulses: Tensor | None = None
+    """Momentum that solids have taken [N s], in 2D per metre of width, shape [T, solids, D]; no surrogate has it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,8 +117,8 @@ class Observation(ABC):
     """How many of the numbers are the components of one point: their squared differences add up in the misfit."""
     over_time: bool = False
     """Whether it needs more of a trajectory than its last frame."""
-    differentiable: bool = True
-    """Whether the surrogate predicts it."""
+    of_positions: bool = True
+    """Whether it follows from positions alone: what the surrogate predicts."""
     distance_unit: ClassVar[tuple[float, str]] = (100.0, "%")
     """Factor and unit in which `distance` is reported."""
     change_unit: ClassVar[tuple[float, str]] = (1e3, "mm")
@@ -160,8 +162,8 @@ class Observation(ABC):
         """Of a run, exactly; shape [M]."""
 
     def predict(self, rollout: Rollout) -> Tensor:
-        """Of a rollout of the surrogate, differentiable; shape [M]."""
-        raise NotImplementedError(f"no surrogate predicts {self.kind}; `differentiable` says so")
+        """Of a rollout, differentiable; shape [M]."""
+        raise NotImplementedError(f"{self.kind} of a rollout")
 
     def front(self, values: Values) -> float:
         """The deposit's front [m] by this observation alone; nan where it does not give it."""

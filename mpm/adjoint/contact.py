@@ -3,6 +3,12 @@
 Backwards from what a step leaves: the contact that is found at the new position (delta, d, n, the turned q), the
 particle kept out of the solid, Coulomb's bound on q, q itself, the strain of contact, and last the force on the nodes.
 Where contact is found follows in `mpm.adjoint.faces`.
+
+**Impulses.** What contact takes of the flow's momentum in a step is added to the impulse I of its solid, whose bar I'
+is that of all later frames together. It joins the bars of the force on the nodes and of velocities before a surface:
+
+    I += -dt V0 delta t     so   t' -= dt V0 delta I',                (delta, V0)' likewise
+    I += m (v - v_after)    so   v' += m I',  v_after' -= m I',       m' += I' . (v - v_after)
 """
 
 import taichi as ti
@@ -10,9 +16,12 @@ import taichi as ti
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import found_reverse
 from mpm.arrays.access import maximum, minimum
-from mpm.arrays.layout import Contact, Setting, component
-from mpm.physics.contact import normal_stress, normals, shear_at, touches
+from mpm.arrays.layout import Contact, Property, Setting, Worker, component
+from mpm.physics.boundary import after_contact
+from mpm.physics.contact import normal_stress, normals, present, shear_at, touches
 from mpm.physics.grid import relaxation_factor
+from mpm.physics.transfer import property_of
+from mpm.solids.face_lookup import solid_of
 
 TINY = 1.0e-20
 """Keeps quotients finite, as in the step."""
@@ -44,27 +53,32 @@ def touched(block, after, arrays: ti.template()):
 
 
 @ti.func
-def solids_reverse(bar, v, n, arrays: ti.template()):
-    """Bar of a node's velocity `v` before `mpm.physics.contact.apply_solids` from that after it, shape [D].
+def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
+    """Bars of a node's velocity `v` before `mpm.physics.contact.apply_solids`, shape [D], and of its mass.
 
-    n: its entry in `fixed_nodes`. Adds the bars of the held node's normal and friction.
+    bar: of the velocity after it; n: its entry in `fixed_nodes`. Adds the bars of the held node's normal and friction.
     """
     features = arrays.features
-    line = arrays.fixed_nodes[n] - 1
+    line, mass_bar = arrays.fixed_nodes[n] - 1, 0.0 * mass
     if line >= 0:
         normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
         if v.dot(normal) < 0.0:
             friction = arrays.node_contacts[line, features.dimension]
-            v_bar, normal_bar, friction_bar = after_contact_reverse(bar, v, normal, friction)
-            bar = v_bar
+            taken_bar = 0.0 * bar
+            if ti.static(arrays.layout.impulses):
+                solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
+                taken_bar = impulse_bar(solid, worker, arrays)
+                mass_bar = taken_bar.dot(v - after_contact(v, normal, friction))
+            v_bar, normal_bar, friction_bar = after_contact_reverse(bar - mass * taken_bar, v, normal, friction)
+            bar = v_bar + mass * taken_bar
             for k in ti.static(range(features.dimension)):
                 arrays.node_contact_adjoints[line, k] += ti.cast(normal_bar[k], ti.f64)
             arrays.node_contact_adjoints[line, features.dimension] += ti.cast(friction_bar, ti.f64)
-    return bar
+    return bar, mass_bar
 
 
 @ti.func
-def push_reverse(scene, block, scratch, volume, unit, arrays: ti.template()):
+def push_reverse(worker, scene, block, scratch, volume, unit, dt, arrays: ti.template()):
     """Bars of the contact and the stress of a block from those of its force on the nodes, gathered in `scratch`.
 
     unit: 4 / dx^2, times dt where forces are momentum at once; with `prepare_contact` in `scratch`. Returns the bar of
@@ -85,9 +99,13 @@ def push_reverse(scene, block, scratch, volume, unit, arrays: ti.template()):
         each = unit * dx * dx * 0.25
         delta_bar, distance_bar, pull_bar = 0.0 * delta, 0.0 * delta, 0.0 * delta
         n_bar = [0.0 * delta for _ in ti.static(range(size))]
+        if ti.static(layout.impulses):
+            gather_impulse_bars(block, scratch, worker, arrays)
         for i in ti.static(range(size)):
             push = arrays.scratch[scratch + features.push + i]
             push_bar = each * arrays.scratch[sums + force + i]
+            if ti.static(layout.impulses):
+                push_bar = push_bar - dt * present(block, arrays) * arrays.scratch[scratch + layout.before + i]
             for j in ti.static(range(size)):
                 gathered = arrays.scratch[sums + (1 + j) * features.node + force + i]
                 push_bar = push_bar - unit * gathered * distance * n[j]
@@ -111,6 +129,26 @@ def push_reverse(scene, block, scratch, volume, unit, arrays: ti.template()):
         for k in ti.static(range(size)):
             add_contact_bar(block, Contact.NORMAL + k, n_bar[k], arrays)
     return volume_bar
+
+
+@ti.func
+def impulse_bar(solid, worker, arrays: ti.template()):
+    """The bar of the impulse of a solid, shape [D]."""
+    features = arrays.features
+    first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
+    return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def gather_impulse_bars(block, scratch, worker, arrays: ti.template()):
+    """Leave in the scratch from `layout.before` the bar of the impulse of the solid next to each particle."""
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    face = contact_of(block, Contact.FACE, arrays)
+    for lane in range(lanes):
+        solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
+        bar = impulse_bar(solid, worker, arrays)
+        for k in ti.static(range(features.dimension)):
+            arrays.scratch_lanes[(scratch + layout.before + k) * lanes + lane] = bar[k]
 
 
 @ti.func
@@ -165,7 +203,17 @@ def opening_of(velocity: ti.template(), n: ti.template()):
 
 @ti.func
 def slip_reverse(
-    scene, block, scratch, after, dt, shear, opening, n: ti.template(), n_bar: ti.template(), arrays: ti.template()
+    worker,
+    scene,
+    block,
+    scratch,
+    after,
+    dt,
+    shear,
+    opening,
+    n: ti.template(),
+    n_bar: ti.template(),
+    arrays: ti.template(),
 ):
     """From the bars of what a step leaves of contact to those of its stress and of v_f, which come in `scratch` from
 
@@ -195,7 +243,21 @@ def slip_reverse(
             kept = relaxation_factor(scene, dt, arrays) * arrays.state[block * features.block + features.velocity + k]
             v = kept + arrays.scratch[scratch + layout.sums + features.change + k]
         arrays.scratch[before + k] = v
-    found_reverse(block, scratch, after, True, scene, arrays)
+    if ti.static(layout.impulses):
+        volume, density = (
+            property_of(scene, block, Property.VOLUME, arrays),
+            property_of(scene, block, Property.DENSITY, arrays),
+        )
+        mass = contact_of(block, Contact.IMPULSE, arrays)
+        arrays.state[mass] = volume * density * present(block, arrays)
+        found_reverse(worker, block, scratch, after, True, scene, arrays)
+        mass_bar = arrays.adjoints[contact_bar(block, Contact.IMPULSE, arrays)]
+        own = block * layout.width + layout.properties
+        arrays.adjoints[own + Property.VOLUME] = arrays.adjoints[own + Property.VOLUME] + density * mass_bar
+        arrays.adjoints[own + Property.DENSITY] = arrays.adjoints[own + Property.DENSITY] + volume * mass_bar
+        arrays.adjoints[contact_bar(block, Contact.IMPULSE, arrays)] = 0.0 * mass_bar
+    else:
+        found_reverse(worker, block, scratch, after, True, scene, arrays)
     # Coulomb's bound, then the elastic shear traction.
     product = 0.0 * delta
     for k in ti.static(range(size)):

@@ -10,14 +10,15 @@ A particle that a step has put back onto a face lost d n of its displacement, x'
 `after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
 alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
 in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the bar is that of one
-side. Friction that differs along a face is taken as it is at the particle, without its slope.
+side. Friction that differs along a face is taken as it is at the particle, without its slope; a particle that is put
+back beyond the end of the face that it crossed, over a ridge, is taken as not put back.
 """
 
 import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
-from mpm.arrays.layout import Contact, Setting
-from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle
+from mpm.arrays.layout import Contact, Setting, Worker
+from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle, solid_of
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
@@ -26,11 +27,12 @@ TINY = 1.0e-20
 
 
 @ti.func
-def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays: ti.template()):
+def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene, arrays: ti.template()):
     """Bars of position, velocity and shear traction of a block before its contact is found, and those of the faces.
 
     After: those in the history. put_back: whether a particle may have been kept out of a solid; then the velocity
-    before that is in the scratch from `layout.before`, and the shear traction behind it.
+    before that is in the scratch from `layout.before`, and the shear traction behind it. Where the objective depends on
+    impulses, the mass [kg] of each particle is in `Contact.IMPULSE`, where its bar is left.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -48,6 +50,7 @@ def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays:
         )
         shear_to = (Contact.NORMAL + size) * lanes
         q_bar = bar_vector(at + shear_to, arrays)
+        mass_bar = 0.0 * present
         if delta > 0.0 and present > 0.0:
             x = history_vector(then, arrays)
             n = history_vector(contact + Contact.NORMAL * lanes, arrays)
@@ -70,8 +73,18 @@ def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays:
                 back = distance < PUT_BACK * dx
                 if back:
                     if before.dot(n) < 0.0:
-                        turned, normal_bar, slid = after_contact_reverse(v_bar, before, n, friction)
-                        v_bar = turned
+                        taken_bar = 0.0 * v_bar
+                        if ti.static(layout.impulses):
+                            mass = arrays.lanes[
+                                (block * features.block + features.contacts + Contact.IMPULSE) * lanes + lane
+                            ]
+                            first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
+                            stopped = history_vector(then + features.velocity * lanes, arrays)
+                            for k in ti.static(range(size)):
+                                taken_bar[k] = mass * arrays.impulse_adjoints[first + k]
+                                mass_bar += arrays.impulse_adjoints[first + k] * (before[k] - stopped[k])
+                        turned, normal_bar, slid = after_contact_reverse(v_bar - taken_bar, before, n, friction)
+                        v_bar = turned + taken_bar
                         n_bar = n_bar + normal_bar
                         friction_bar += slid
                     # What was lost of the displacement is the depth along n.
@@ -84,6 +97,8 @@ def found_reverse(block, scratch, after, put_back: ti.template(), scene, arrays:
         put_bar_vector(at + shear_to, q_bar, arrays)
         for column in ti.static(range(len(Contact) - 1 + size)):
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
+        if ti.static(layout.impulses and put_back):
+            arrays.adjoint_lanes[at + Contact.IMPULSE * lanes] = mass_bar
 
 
 @ti.func

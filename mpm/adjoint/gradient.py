@@ -24,7 +24,7 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
-from mpm.adjoint.tape import Tape
+from mpm.adjoint.tape import FlowBars, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
 from mpm.solids.obstacles import obstacles_in
@@ -193,27 +193,29 @@ def gradient(
 
 
 def pull_back(
-    tape: Tape, positions: Sequence[Floats], velocities: Sequence[Floats] | None = None, index: int = 0
+    tape: Tape,
+    positions: Sequence[Floats],
+    velocities: Sequence[Floats] | None = None,
+    impulses: Sequence[Floats] | None = None,
+    index: int = 0,
 ) -> list[Gradient]:
     """Vector-Jacobian products: for each objective k the gradient whose bars at the observed frames are
 
-    `positions[k]` and `velocities[k]`, shape [T, N, D] each, of scene `index` of the tape.
+    `positions[k]` and `velocities[k]`, shape [T, N, D] each, and `impulses[k]`, shape [T, solids, D], of scene `index`
+    of the tape.
     """
-    shape = tape.positions(index).shape
-    still = [np.zeros(shape)] * len(positions) if velocities is None else velocities
-    nothing = [
-        (np.zeros(tape.positions(other).shape), np.zeros(tape.positions(other).shape))
-        for other in range(len(tape.batch.scenes))
-    ]
+    still = [np.zeros(tape.positions(index).shape)] * len(positions) if velocities is None else velocities
+    taken = [None] * len(positions) if impulses is None else impulses
+    nothing = [np.zeros(tape.positions(other).shape) for other in range(len(tape.batch.scenes))]
     adjoints = [
-        [(moved, sped) if other == index else nothing[other] for other in range(len(nothing))]
-        for moved, sped in zip(positions, still, strict=True)
+        [FlowBars(*bars) if other == index else FlowBars(zeros, zeros) for other, zeros in enumerate(nothing)]
+        for bars in zip(positions, still, taken, strict=True)
     ]
     return [gradients[index] for gradients in pull_back_all(tape, adjoints)]
 
 
-def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[tuple[Floats, Floats]]]) -> list[list[Gradient]]:
-    """For each objective and each scene of the tape its gradient, from bars of positions and velocities of each."""
+def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowBars]]) -> list[list[Gradient]]:
+    """For each objective and each scene of the tape its gradient, from the bars of each flow."""
     features, layout = tape.features, tape.layout
     found = []
     for ours in tape.reverse(adjoints):

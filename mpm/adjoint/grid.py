@@ -53,7 +53,7 @@ def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
 
 
 @ti.func
-def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
+def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
     """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
 
     node: before its velocity was computed; (i, j, k): its indices.
@@ -91,11 +91,12 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
     if ti.static(features.barriers):
         # Barriers take components away and damp: what they do to a velocity they do to its bar.
         new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
+    mass_bar = zero
     if ti.static(features.contact):
         strides = node_strides(scene, arrays)
         n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
         stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
-        new_bar = solids_reverse(new_bar, stopped, n, arrays)
+        new_bar, mass_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
     star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, index, box_cells(scene, arrays), scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
@@ -118,6 +119,7 @@ def node_reverse(node, bar, i, j, k, scene, dt, kappa, arrays: ti.template()):
         # v_s^2 grows with gravity.
         gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * ti.math.sign(gravity[1])
     result = 0.0 * node
+    result[dimension] = mass_bar
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass
@@ -138,7 +140,9 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
             for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
                 node = arrays.kept[first + k]
                 if node[features.dimension] > 0.0:
-                    bar, shared = node_reverse(node, arrays.grid_adjoints[first + k], i, j, k, scene, dt, kappa, arrays)
+                    bar, shared = node_reverse(
+                        node, arrays.grid_adjoints[first + k], i, j, k, worker, scene, dt, kappa, arrays
+                    )
                     arrays.grid_adjoints[first + k] = bar
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)

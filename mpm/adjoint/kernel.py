@@ -131,7 +131,7 @@ def reverse(worker, arrays: ti.template()):
             update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
         update_grid_reverse(worker, scene, dt, kappa, strides, arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            block_to_grid_reverse(grid, scene, block, scratch, dt, strides, arrays)
+            block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides, arrays)
 
 
 @ti.func
@@ -140,7 +140,7 @@ def reverse_start(worker, arrays: ti.template()):
     if ti.static(arrays.features.contact):
         scene, scratch = arrays.workers[worker, Worker.SCENE], arrays.workers[worker, Worker.SCRATCH]
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            found_reverse(block, scratch, state_before(0, block, arrays), False, scene, arrays)
+            found_reverse(worker, block, scratch, state_before(0, block, arrays), False, scene, arrays)
 
 
 @cache
@@ -189,6 +189,7 @@ def kernel(layout: Layout) -> Callable[..., None]:
         history_lanes: numbers,
         face_adjoints: double_table,
         node_contact_adjoints: double_table,
+        impulse_adjoints: numbers,
         cuts: table,
         sums: double_table,
         step_times: table,
@@ -230,6 +231,7 @@ def kernel(layout: Layout) -> Callable[..., None]:
                     history_lanes=history_lanes,
                     face_adjoints=face_adjoints,
                     node_contact_adjoints=node_contact_adjoints,
+                    impulse_adjoints=impulse_adjoints,
                     cuts=cuts,
                     sums=sums,
                     step_times=step_times,

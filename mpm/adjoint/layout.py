@@ -18,6 +18,8 @@ class Layout:
     features: Features
     exact: bool = False
     """Whether the sign of local damping has the slope of the step, else a bounded one (`mpm.adjoint.grid`)."""
+    impulses: bool = False
+    """Whether the objective depends on the momentum that solids have taken."""
 
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""

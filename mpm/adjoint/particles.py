@@ -59,7 +59,7 @@ def update_block_reverse(
         w = spline(f[k])
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
-    stress_reverse(grid, scene, block, scratch, after, dt, strides, arrays)
+    stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
     kappa_bar = 0.0 * f[0]
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
@@ -105,7 +105,7 @@ def update_block_reverse(
 
 
 @ti.func
-def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
+def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
     """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -130,7 +130,9 @@ def stress_reverse(grid, scene, block, scratch, after, dt, strides: ti.template(
             separated = normal_stress(block, n, arrays) >= arrays.state[contact_of(block, Contact.ADHESION, arrays)]
             delta = arrays.state[contact_of(block, Contact.DELTA, arrays)]
             jump = ti.select(separated & (opening > 0.0), zero, dt * delta * opening)
-            opening_bar, shear_bar = slip_reverse(scene, block, scratch, after, dt, shear, opening, n, n_bar, arrays)
+            opening_bar, shear_bar = slip_reverse(
+                worker, scene, block, scratch, after, dt, shear, opening, n, n_bar, arrays
+            )
     increment = [
         inside[k] + jump * n[k // size] * n[k % size] if ti.static(features.contact) else inside[k]
         for k in ti.static(range(size * size))
@@ -215,7 +217,7 @@ def add_property_bar(block, column: ti.template(), value, arrays: ti.template())
 
 
 @ti.func
-def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
+def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
     """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known.
 
     Particles whose velocity then has a bar beyond the cut (`mpm.adjoint.tape.CUT`) have none any more.
@@ -267,7 +269,7 @@ def block_to_grid_reverse(grid, scene, block, scratch, dt, strides: ti.template(
         unit = dt * per_square
     arrays.adjoints[at + Property.DENSITY] = arrays.adjoints[at + Property.DENSITY] + present * volume * mass_bar
     if ti.static(features.contact):
-        pushed = push_reverse(scene, block, scratch, volume, unit, arrays)
+        pushed = push_reverse(worker, scene, block, scratch, volume, unit, dt, arrays)
         arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * pushed
     arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
         density * mass_bar - unit * force_work

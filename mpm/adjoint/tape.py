@@ -6,6 +6,7 @@ steps are reversed. With F frames of n steps and segments of k frames that is F 
 k = sqrt(F / n), so memory grows with the root of the steps and every step is computed twice and reversed once.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,15 +16,15 @@ from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm import runtime
+from mpm.adjoint.checks import check, checked_frames, lone_particle_step
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of
-from mpm.arrays.features import Features, features_of
+from mpm.arrays.features import features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.kernel import Phase
 from mpm.kernel import kernel as step_kernel
@@ -35,12 +36,13 @@ Array = NDArray[Any]
 
 MEMORY_MIB = 256.0
 """What checkpoints, states of a segment and bars may take unless another budget is given [MiB]."""
-CUT = 5.0
+CUT = 20.0
 """Bar of a particle's velocity, over the largest one that the objective has times the duration, beyond which it is cut.
 
 Single particles that fly apart and touch again swing on their own, and beyond `lone_particle_step` ever more so until
 they lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of
-their steps. What such a particle does has no derivative that says anything, and its bar is set to 0."""
+their steps. What such a particle does has no derivative that says anything, and its bar is set to 0. In a flow against a
+baffle bars of its force grow tenfold, without such particles."""
 MOST_CUT = 0.02
 """Share of all bars of particles and steps from which a gradient with cuts is none."""
 SPARE = 1.25
@@ -66,6 +68,17 @@ class Adjoints(NamedTuple):
     """Of the nodes that solids hold, shape [K, D + 2]."""
     cut: Array
     """Share of the bars of particles and steps that were cut, shape [scenes]."""
+
+
+class FlowBars(NamedTuple):
+    """Bars of what a run of a scene is observed by, at T frames."""
+
+    positions: Array
+    """Of N particles [J / m], shape [T, N, D]."""
+    velocities: Array
+    """[J s / m], shape [T, N, D]."""
+    impulses: Array | None = None
+    """Of the momentum that solids have taken [J / (N s)], shape [T, solids, D]; none where J does not depend on it."""
 
 
 class Tape:
@@ -189,6 +202,7 @@ class Tape:
         """Forwards, by the solver's kernel."""
         run, arguments = step_kernel(self.features), self.batch.arguments
         self.restore(self.start)
+        self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
         self.batch.retained[:], self.batch.settling[:] = self.barriers
         self.checkpoints = []
         self.observed = {0: self.motion()} if 0 in self.frames else {}
@@ -245,16 +259,19 @@ class Tape:
         """Of the particles of a scene at the observed frames [m/s], shape [T, N, D]."""
         return np.stack([self.observed[frame][1][self.particles(index)] for frame in self.frames]).astype(np.float64)
 
-    def reverse(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+    def impulses(self, index: int = 0) -> NDArray[np.float64]:
+        """Momentum that the solids of a scene have taken at the observed frames [N s], shape [T, solids, D]."""
+        return self.batch.impulses(index)[self.frames]
+
+    def reverse(self, flow_bars: Sequence[Sequence[FlowBars]]) -> list[Adjoints]:
         """Bars of what the run began with for each of any number of objectives, `outputs` of them at a time.
 
-        motion_adjoints: for each objective and scene the bars of `positions` and `velocities`. Raises WorkFailed where
-        a gradient grows without bound.
+        flow_bars: for each objective and scene. Raises WorkFailed where a gradient grows without bound.
         """
-        groups = [motion_adjoints[at : at + self.outputs] for at in range(0, len(motion_adjoints), self.outputs)]
+        groups = [flow_bars[at : at + self.outputs] for at in range(0, len(flow_bars), self.outputs)]
         return [each for group in groups for each in self.reverse_together(group)]
 
-    def reverse_together(self, motion_adjoints: Sequence[Sequence[tuple[Array, Array]]]) -> list[Adjoints]:
+    def reverse_together(self, flow_bars: Sequence[Sequence[FlowBars]]) -> list[Adjoints]:
         """As `reverse`, in one pass: segments are replayed once for all."""
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -266,12 +283,14 @@ class Tape:
         kept, grid_adjoints = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
         step_times = np.zeros((len(batch.scenes), len(history)), real)
         step_counts = np.zeros(len(batch.scenes), np.int32)
-        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in motion_adjoints]
-        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in motion_adjoints]
-        faces = [np.zeros(batch.faces.shape) for _ in motion_adjoints]
-        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in motion_adjoints]
-        cuts = [self.cuts(per_scene).astype(real) for per_scene in motion_adjoints]
-        walk = adjoint_kernel(self.layout)
+        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in flow_bars]
+        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in flow_bars]
+        faces = [np.zeros(batch.faces.shape) for _ in flow_bars]
+        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in flow_bars]
+        impulses = [np.zeros(len(batch.impulse), real) for _ in flow_bars]
+        cuts = [self.cuts(per_scene).astype(real) for per_scene in flow_bars]
+        forced = any(bars.impulses is not None for per_scene in flow_bars for bars in per_scene)
+        walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
         arguments = batch.arguments
         shared = [arguments[name] for name in ARGUMENTS]
 
@@ -286,6 +305,7 @@ class Tape:
                 history.reshape(-1),
                 faces[number],
                 node_contacts[number],
+                impulses[number],
                 cuts[number],
                 sums[number],
                 step_times,
@@ -301,16 +321,18 @@ class Tape:
             self.restore(self.checkpoints[segment])
             batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
             call(0, first + 1, last + 1, Pass.REPLAY)
-            for number, per_scene in enumerate(motion_adjoints):
+            for number, per_scene in enumerate(flow_bars):
                 if last in self.frames:
-                    self.add_motion_adjoints(adjoints[number], per_scene, self.frames.index(last))
+                    slot = self.frames.index(last)
+                    self.add_motion_bars(adjoints[number], per_scene, slot)
+                    self.add_impulse_bars(impulses[number], per_scene, slot)
                 call(number, first + 1, last + 1, Pass.REVERSE)
         batch.retained[:, Retained.OPENED] = opened
         for number in range(len(adjoints)):
             call(number, 0, 0, Pass.START)
         if 0 in self.frames:
-            for number, per_scene in enumerate(motion_adjoints):
-                self.add_motion_adjoints(adjoints[number], per_scene, 0)
+            for number, per_scene in enumerate(flow_bars):
+                self.add_motion_bars(adjoints[number], per_scene, 0)
         steps = self.steps.sum(axis=0) * self.batch.offsets[:, Offset.PARTICLES]
         shares = [cut[:, 1] / steps for cut in cuts]
         for index, share in enumerate(np.max(shares, axis=0)):
@@ -318,12 +340,15 @@ class Tape:
                 raise WorkFailed(self.unbounded(index, share))
         return [Adjoints(*each) for each in zip(adjoints, sums, faces, node_contacts, shares, strict=True)]
 
-    def cuts(self, per_scene: Sequence[tuple[Array, Array]]) -> Array:
+    def cuts(self, per_scene: Sequence[FlowBars]) -> Array:
         """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
         found = np.zeros((len(per_scene), 2))
-        for index, (positions, velocities) in enumerate(per_scene):
+        for index, bars in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
-            usual = np.abs(positions).max() * time + np.abs(velocities).max()
+            usual = np.abs(bars.positions).max() * time + np.abs(bars.velocities).max()
+            if bars.impulses is not None:
+                particles = self.batch.particles[index]
+                usual += float((particles.density * particles.volume).max()) * np.abs(bars.impulses).sum()
             found[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
         return found
 
@@ -337,41 +362,19 @@ class Tape:
             f"the scene has {scene.step_fraction:g}"
         )
 
-    def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[tuple[Array, Array]], slot: int) -> None:
+    def add_impulse_bars(self, impulses: Array, per_scene: Sequence[FlowBars], slot: int) -> None:
+        """Add to the bars of the impulses of all scenes those at the observed frame number `slot`."""
+        for index, bars in enumerate(per_scene):
+            if bars.impulses is not None:
+                first = int(self.batch.workers[index, Worker.IMPULSE])
+                impulses[first : first + bars.impulses[slot].size] += bars.impulses[slot].ravel()
+
+    def add_motion_bars(self, adjoints: Array, per_scene: Sequence[FlowBars], slot: int) -> None:
         """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
-        for index, (positions, velocities) in enumerate(per_scene):
+        for index, bars in enumerate(per_scene):
             here = self.particles(index)
-            for first, values in ((0, positions), (self.features.velocity, velocities)):
+            for first, values in ((0, bars.positions), (self.features.velocity, bars.velocities)):
                 flat = self.vectors(adjoints, first)
                 flat[here] += values[slot]
                 columns = flat.reshape(len(adjoints), self.features.lanes, -1)
                 adjoints[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
-
-
-def lone_particle_step(material: Material, dimension: int) -> float:
-    """The largest stable `step_fraction` of a particle that has its nodes to itself, compressed alike along all axes.
-
-    Its C and stress swing as dC/dt = -4 p / (rho dx^2), dp/dt = (D lambda + 2 mu) C per axis, whatever its place in the
-    cell, and explicit steps follow that up to 2 / omega; waves in a body are slower than this.
-    """
-    swinging = dimension * material.lame + 2.0 * material.shear_modulus
-    return math.sqrt((material.lame + 2.0 * material.shear_modulus) / swinging)
-
-
-def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
-    """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
-    shortest = min(scene.frames for scene in scenes)
-    found = sorted(set(frames))
-    if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
-        raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
-    return found
-
-
-def check(features: Features) -> None:
-    """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    unknown = {
-        "volume_correction": "volume_correction",
-    }
-    for name, key in unknown.items():
-        if getattr(features, name):
-            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {key} yet", key="scene")

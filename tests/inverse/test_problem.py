@@ -159,15 +159,6 @@ def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "none.safetensors" in capfd.readouterr().err
 
 
-def test_a_force_has_no_derivative_by_the_adjoint(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    unknowns = GOOD.split("[observation]")[0].replace("column-tall-42", "baffles-2")
-    parts = '[[observations]]\nkind = "front"\nvalue = 1.0\n[[observations]]\nkind = "impulse"\nsolid = 0\nvalue = 1.0\n'
-    path = written(tmp_path, unknowns + parts)
-    status = run(main, "inverse", [path, "--out", str(tmp_path), "--forward", "mpm", "--gradient", "ad"])
-    assert status == 2
-    assert "--gradient ad: expected fd, forces" in capfd.readouterr().err
-
-
 def small(kind: str, folder: Path, target: TargetSettings) -> Problem:
     problem = read_problem("friction-tall-42")
     return dataclasses.replace(problem, observation=ObservationSettings(kind=kind), folder=folder, target=target)

@@ -113,7 +113,7 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
     observation = target.observation
     if without := [each.name for each in problem.parameters if not each.kind.differentiable]:
         return None, f"{', '.join(without)} is no input of it"
-    if not observation.differentiable:
+    if not observation.of_positions:
         return None, f"it does not predict {observation.label}"
     weights = model_path(model or shipped(problem.scene.dimension))
     simulator = checkpoint.load(weights).simulator

@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.forward.adjoint import AdjointForward, ParticleRun, Run
 from inverse.jacobian import automatic, by_ad
 from inverse.observations import build
+from inverse.observations.impulse import Impulse, PeakForce
 from inverse.parameters import with_parameters
 from inverse.problem import Parameter, Problem
 from inverse.settings import ObservationSettings, TargetSettings
@@ -108,6 +109,21 @@ def test_the_jacobian_of_a_few_numbers(problem: Problem) -> None:
     change = np.array([0.0, step])
     ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
     np.testing.assert_allclose(rows[:, 1], (ahead - behind) / (2.0 * step), rtol=1e-4)
+
+
+def test_the_force_on_a_baffle(problem: Problem) -> None:
+    """Its largest value and the impulse at two times, as a function of the friction angle and of a velocity."""
+    scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.05)
+    walled = dataclasses.replace(problem, scene=scene)
+    for observation in (Impulse(0, 0, np.array([0.021, 0.05])), PeakForce(0, 0, 0.01)):
+        forward = AdjointForward(walled, observation, simulate_many, precision="f64", threads=1)
+        rows = by_ad(forward, VALUES[:2])
+        exact = observation.observe(simulate(scene, precision="f64", threads=1))
+        np.testing.assert_allclose(forward.observe([VALUES[:2]])[0], exact, rtol=1e-6)
+        for index, step in enumerate(STEPS[:2]):
+            change = np.where(np.arange(2) == index, step, 0.0)
+            ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
+            np.testing.assert_allclose(rows[:, index], (ahead - behind) / (2.0 * step), rtol=1e-4)
 
 
 def test_initial_stress_is_an_unknown() -> None:

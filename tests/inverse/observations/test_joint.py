@@ -1,5 +1,6 @@
 """Multiple observations in one problem: each with its own numbers, positions, times and noise."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
     expected = np.hypot([0.01, 0.012, 0.021, 0.005, 0.005, 0.0], [*[chance] * 5, 0.005])
     np.testing.assert_allclose(observation.scale, expected)
     assert observation.over_time
-    assert observation.differentiable
+    assert observation.of_positions
 
 
 def test_the_misfit_is_weighted_by_one_over_the_noise(tmp_path: Path) -> None:
@@ -201,7 +202,10 @@ def test_impulse_and_peak_force_are_those_of_the_solid() -> None:
     np.testing.assert_allclose(Impulse(0, 0, np.array([0.5])).observe(run), [0.5])
     # I = 2 t^2: the force grows to 4 N; its mean over the last 0.1 s is that at 0.95 s.
     np.testing.assert_allclose(PeakForce(0, 0, 0.1).observe(run), [3.8], rtol=1e-6)
-    assert not Impulse(0, 0).differentiable
+    for force in (Impulse(0, 0), Impulse(0, 0, np.array([0.5, 0.123])), PeakForce(0, 0, 0.1)):
+        assert not force.of_positions
+        predicted = force.predict(dataclasses.replace(rolled(run), impulses=torch.from_numpy(run.solid_impulse)))
+        np.testing.assert_allclose(predicted.numpy(), force.observe(run))
     with pytest.raises(InputError, match="solid 1"):
         Impulse(1, 0).observe(run)
 

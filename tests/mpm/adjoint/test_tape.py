@@ -11,10 +11,11 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Mass, Scene
 from mpm import simulate
+from mpm.adjoint.checks import lone_particle_step
 from mpm.adjoint.gradient import gradient, pull_back, pull_back_all
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
-from mpm.adjoint.tape import Tape, lone_particle_step
+from mpm.adjoint.tape import FlowBars, Tape
 from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
 
 
@@ -42,7 +43,7 @@ def test_the_replay_is_the_run_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> No
             replayed.append(tape.batch.state[:, tape.changing].copy())
 
     monkeypatch.setattr("mpm.adjoint.tape.adjoint_kernel", lambda layout: spy)
-    tape.reverse([[(np.ones_like(tape.positions()), np.zeros_like(tape.positions()))]])
+    tape.reverse([[FlowBars(np.ones_like(tape.positions()), np.zeros_like(tape.positions()))]])
     assert len(replayed) == len(ends) > 3
     for found, expected in zip(replayed, reversed(ends), strict=True):
         np.testing.assert_array_equal(found, expected)
@@ -113,7 +114,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
     first, second = plane(), plane(seed=3, gravity=40.0)
     tape = Tape([first, second], [8], threads=2)
     objectives = [Weighted(first), Weighted(second)]
-    together = pull_back_all(tape, [[(each.positions, each.velocities) for each in objectives]])[0]
+    together = pull_back_all(tape, [[FlowBars(each.positions, each.velocities) for each in objectives]])[0]
     for scene, objective, ours in zip((first, second), objectives, together, strict=True):
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)
