@@ -13,6 +13,9 @@ from mpm.process import processors
 Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
 
+PARTICLES_PER_WORKER = 10_000
+"""The fewest particles for which another thread pays off."""
+
 _running: tuple[Precision, int, Arch] | None = None
 
 
@@ -48,3 +51,8 @@ def start(
     if arch != "cpu" and ti.cfg.arch != ARCHES[arch]:
         _running = None
         raise InputError(f"expected a GPU that Taichi can use with {arch}, found none", key="--arch")
+
+
+def workers_for(particles: int, threads: int | None = None) -> int:
+    """Threads that one scene of so many particles takes of `threads`, all processors by default."""
+    return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))

@@ -27,14 +27,11 @@ from mpm.kernel import Phase, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import failure, trajectory
 from mpm.output.request import ALL, Recording
-from mpm.process import processors
 from mpm.runtime import Arch
 
 FRAMES_PER_CALL = 20
 """Frames of one call of the kernel; after each the progress bar moves and a run can be stopped."""
-PARTICLES_PER_WORKER = 10_000
-"""The fewest particles for which another thread pays off."""
-LARGE = 2 * PARTICLES_PER_WORKER
+LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
 """Particles from which they are sorted by cell at every call of the kernel."""
@@ -171,8 +168,8 @@ def run_one(
     precision = options.get("precision") or (resume.features.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
     particles = particles_of([scene])
-    threads = options.get("threads") or processors()
-    workers = max(1, min(threads, len(particles[0].positions) // PARTICLES_PER_WORKER)) if arch == "cpu" else 1
+    threads = options.get("threads")
+    workers = runtime.workers_for(len(particles[0].positions), threads) if arch == "cpu" else 1
     runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
         [scene],

@@ -147,8 +147,8 @@ class _Flow(torch.autograd.Function):
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
         positions, velocities, impulses = (each.detach().numpy().astype(np.float64) for each in adjoints)
         # Most objectives depend on no force, and pay for none.
-        taken = [impulses] if impulses.any() else None
-        (gradient,) = pull_back(ctx.tape, [positions], [velocities], taken)
+        forces = [impulses] if impulses.any() else None
+        (gradient,) = pull_back(ctx.tape, [positions], [velocities], forces)
         found = ctx.slopes(gradient)
         return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
 

@@ -64,13 +64,13 @@ def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
         normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
         if v.dot(normal) < 0.0:
             friction = arrays.node_contacts[line, features.dimension]
-            taken_bar = 0.0 * bar
+            momentum_bar = 0.0 * bar
             if ti.static(arrays.layout.impulses):
                 solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
-                taken_bar = impulse_bar(solid, worker, arrays)
-                mass_bar = taken_bar.dot(v - after_contact(v, normal, friction))
-            v_bar, normal_bar, friction_bar = after_contact_reverse(bar - mass * taken_bar, v, normal, friction)
-            bar = v_bar + mass * taken_bar
+                momentum_bar = impulse_bar(solid, worker, arrays)
+                mass_bar = momentum_bar.dot(v - after_contact(v, normal, friction))
+            v_bar, normal_bar, friction_bar = after_contact_reverse(bar - mass * momentum_bar, v, normal, friction)
+            bar = v_bar + mass * momentum_bar
             for k in ti.static(range(features.dimension)):
                 arrays.node_contact_adjoints[line, k] += ti.cast(normal_bar[k], ti.f64)
             arrays.node_contact_adjoints[line, features.dimension] += ti.cast(friction_bar, ti.f64)
@@ -100,7 +100,7 @@ def push_reverse(worker, scene, block, scratch, volume, unit, dt, arrays: ti.tem
         delta_bar, distance_bar, pull_bar = 0.0 * delta, 0.0 * delta, 0.0 * delta
         n_bar = [0.0 * delta for _ in ti.static(range(size))]
         if ti.static(layout.impulses):
-            gather_impulse_bars(block, scratch, worker, arrays)
+            gather_impulse_adjoints(block, scratch, worker, arrays)
         for i in ti.static(range(size)):
             push = arrays.scratch[scratch + features.push + i]
             push_bar = each * arrays.scratch[sums + force + i]
@@ -140,7 +140,7 @@ def impulse_bar(solid, worker, arrays: ti.template()):
 
 
 @ti.func
-def gather_impulse_bars(block, scratch, worker, arrays: ti.template()):
+def gather_impulse_adjoints(block, scratch, worker, arrays: ti.template()):
     """Leave in the scratch from `layout.before` the bar of the impulse of the solid next to each particle."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     face = contact_of(block, Contact.FACE, arrays)

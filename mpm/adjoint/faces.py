@@ -73,7 +73,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                 back = distance < PUT_BACK * dx
                 if back:
                     if before.dot(n) < 0.0:
-                        taken_bar = 0.0 * v_bar
+                        momentum_bar = 0.0 * v_bar
                         if ti.static(layout.impulses):
                             mass = arrays.lanes[
                                 (block * features.block + features.contacts + Contact.IMPULSE) * lanes + lane
@@ -81,10 +81,10 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                             first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
                             stopped = history_vector(then + features.velocity * lanes, arrays)
                             for k in ti.static(range(size)):
-                                taken_bar[k] = mass * arrays.impulse_adjoints[first + k]
+                                momentum_bar[k] = mass * arrays.impulse_adjoints[first + k]
                                 mass_bar += arrays.impulse_adjoints[first + k] * (before[k] - stopped[k])
-                        turned, normal_bar, slid = after_contact_reverse(v_bar - taken_bar, before, n, friction)
-                        v_bar = turned + taken_bar
+                        turned, normal_bar, slid = after_contact_reverse(v_bar - momentum_bar, before, n, friction)
+                        v_bar = turned + momentum_bar
                         n_bar = n_bar + normal_bar
                         friction_bar += slid
                     # What was lost of the displacement is the depth along n.

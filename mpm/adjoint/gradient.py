@@ -24,7 +24,7 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
-from mpm.adjoint.tape import FlowBars, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
 from mpm.solids.obstacles import obstacles_in
@@ -205,16 +205,16 @@ def pull_back(
     of the tape.
     """
     still = [np.zeros(tape.positions(index).shape)] * len(positions) if velocities is None else velocities
-    taken = [None] * len(positions) if impulses is None else impulses
+    momenta = [None] * len(positions) if impulses is None else impulses
     nothing = [np.zeros(tape.positions(other).shape) for other in range(len(tape.batch.scenes))]
     adjoints = [
-        [FlowBars(*bars) if other == index else FlowBars(zeros, zeros) for other, zeros in enumerate(nothing)]
-        for bars in zip(positions, still, taken, strict=True)
+        [FlowAdjoints(*given) if other == index else FlowAdjoints(zeros, zeros) for other, zeros in enumerate(nothing)]
+        for given in zip(positions, still, momenta, strict=True)
     ]
     return [gradients[index] for gradients in pull_back_all(tape, adjoints)]
 
 
-def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowBars]]) -> list[list[Gradient]]:
+def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
     """For each objective and each scene of the tape its gradient, from the bars of each flow."""
     features, layout = tape.features, tape.layout
     found = []

@@ -28,15 +28,33 @@ from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.grid import SLOW, TINY, store_node_velocity, velocity_after, velocity_before
+from mpm.physics.grid import (
+    SLOW,
+    TINY,
+    covers,
+    shared_box,
+    store_node_velocity,
+    summed_node,
+    velocity_after,
+    velocity_before,
+)
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
 
 
 @ti.func
+def update_kept_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """As `mpm.physics.grid.update_grid`, but momentum, mass and force are kept in `arrays.kept`; bars become 0."""
+    if ti.static(arrays.features.shared):
+        update_kept_shared_nodes(worker, scene, dt, kappa, strides, arrays)
+    else:
+        update_kept_nodes(worker, scene, dt, kappa, strides, arrays)
+
+
+@ti.func
 def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """As `mpm.physics.grid.update_own_nodes`, but momentum, mass and force are kept in `arrays.kept`; bars become 0."""
+    """As `mpm.physics.grid.update_own_nodes`."""
     features = arrays.features
     zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
@@ -50,6 +68,32 @@ def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
                     old = velocity_before(node, arrays)
                     new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
                     store_node_velocity(first + k, new, old, kappa, arrays)
+
+
+@ti.func
+def update_kept_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """As `mpm.physics.grid.update_shared_nodes`; what is kept lies where the first worker's grid does."""
+    features = arrays.features
+    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    count = arrays.workers.shape[0]
+    low, high = shared_box(arrays)
+    for i in range(low[0], high[0]):
+        if i % count == worker:
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    n = i * strides[0] + j * strides[1] + k
+                    node = summed_node(arrays.grid, n, i, j, k, arrays)
+                    arrays.kept[arrays.workers[0, Worker.NODE] + n] = node
+                    for other in range(count):
+                        if covers(other, i, j, k, arrays):
+                            arrays.grid_adjoints[arrays.workers[other, Worker.NODE] + n] = zero
+                    if node[features.dimension] > 0.0:
+                        old = velocity_before(node, arrays)
+                        new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
+                        for other in range(count):
+                            if covers(other, i, j, k, arrays):
+                                own = arrays.workers[other, Worker.NODE] + n
+                                store_node_velocity(own, new, old, kappa, arrays)
 
 
 @ti.func
@@ -131,7 +175,23 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
 
 @ti.func
 def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Bars of the nodes of a worker in place; add what they share to `arrays.sums`."""
+    """Bars of the nodes of a worker, or of its share of all, in place; add what they share to `arrays.sums`."""
+    total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
+    if ti.static(arrays.features.shared):
+        total = shared_nodes_reverse(worker, scene, dt, kappa, strides, arrays)
+    else:
+        total = own_nodes_reverse(worker, scene, dt, kappa, strides, arrays)
+    columns = ti.static(
+        (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
+    )
+    for number in ti.static(range(SUMS - 1)):
+        arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
+    add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
+
+
+@ti.func
+def own_nodes_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """Bars of the nodes of a worker that has the scene to itself; the sum of the SUMS."""
     features = arrays.features
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
@@ -146,12 +206,31 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
                     arrays.grid_adjoints[first + k] = bar
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)
-    columns = ti.static(
-        (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
-    )
-    for number in ti.static(range(SUMS - 1)):
-        arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
-    add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
+    return total
+
+
+@ti.func
+def shared_nodes_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """Sum the bars of nodes over the grids of all workers and give each what they become; a share of the rows each."""
+    features = arrays.features
+    total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
+    count = arrays.workers.shape[0]
+    low, high = shared_box(arrays)
+    for i in range(low[0], high[0]):
+        if i % count == worker:
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    n = i * strides[0] + j * strides[1] + k
+                    node = arrays.kept[arrays.workers[0, Worker.NODE] + n]
+                    if node[features.dimension] > 0.0:
+                        together = summed_node(arrays.grid_adjoints, n, i, j, k, arrays)
+                        bar, shared = node_reverse(node, together, i, j, k, worker, scene, dt, kappa, arrays)
+                        for number in ti.static(range(SUMS)):
+                            total[number] += ti.cast(shared[number], ti.f64)
+                        for other in range(count):
+                            if covers(other, i, j, k, arrays):
+                                arrays.grid_adjoints[arrays.workers[other, Worker.NODE] + n] = bar
+    return total
 
 
 @ti.func

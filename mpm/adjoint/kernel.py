@@ -4,8 +4,9 @@
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
 A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
-velocities of the nodes (`mpm.adjoint.grid.update_kept_nodes`), then bars of particles to bars of nodes, of nodes before
-their forces, and of particles (`mpm.adjoint.particles`). A scene is on one thread, several scenes side by side.
+velocities of the nodes (`mpm.adjoint.grid.update_kept_grid`), then bars of particles to bars of nodes, of nodes before
+their forces, and of particles (`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`: many scenes on a
+thread each, or one large scene on all threads.
 """
 
 from collections.abc import Callable
@@ -15,12 +16,12 @@ from functools import cache
 import taichi as ti
 
 from mpm.adjoint.faces import found_reverse
-from mpm.adjoint.grid import update_grid_reverse, update_kept_nodes
+from mpm.adjoint.grid import update_grid_reverse, update_kept_grid
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
 from mpm.arrays.access import maximum, minimum, node_strides
 from mpm.arrays.layout import Setting, Worker
-from mpm.kernel import ITERATIONS, Arrays
+from mpm.kernel import ITERATIONS, Arrays, synchronise
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid
 from mpm.physics.particles import set_box, update_particles
@@ -91,12 +92,13 @@ def restore_state(worker, scene, step, arrays: ti.template()):
 
 @ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) of a worker's scene as `mpm.kernel.advance_worker`, and keep every state."""
+    """Compute the frames [first, last) of a worker as `mpm.kernel.advance_worker` does, and keep every state."""
     scene = arrays.workers[worker, Worker.SCENE]
     strides = node_strides(scene, arrays)
     step = 0
     for _frame in range(first, last):
         substeps = steps_of_frame(scene, arrays)
+        synchronise(arrays)
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _step in range(substeps):
@@ -104,9 +106,12 @@ def replay(worker, first, last, arrays: ti.template()):
             arrays.step_times[scene, step] = dt
             clear(worker, strides, arrays)
             particles_to_grid(worker, scene, dt, strides, arrays)
+            synchronise(arrays)
             update_grid(worker, scene, dt, kappa, strides, arrays)
+            synchronise(arrays)
             update_particles(worker, scene, dt, kappa, strides, arrays)
             step += 1
+        synchronise(arrays)
     keep_state(worker, scene, step, arrays)
     arrays.step_counts[scene] = step
 
@@ -125,11 +130,15 @@ def reverse(worker, arrays: ti.template()):
         restore_state(worker, scene, step, arrays)
         clear(worker, strides, arrays)
         particles_to_grid(worker, scene, dt, strides, arrays)
-        update_kept_nodes(worker, scene, dt, kappa, strides, arrays)
+        synchronise(arrays)
+        update_kept_grid(worker, scene, dt, kappa, strides, arrays)
+        synchronise(arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
             after = state_before(step + 1, block, arrays)
             update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
+        synchronise(arrays)
         update_grid_reverse(worker, scene, dt, kappa, strides, arrays)
+        synchronise(arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
             block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides, arrays)
 
@@ -177,6 +186,7 @@ def kernel(layout: Layout) -> Callable[..., None]:
         node_contacts: table,
         offsets: integer_table,
         workers: integer_table,
+        arrivals: integers,
         clamped: integers,
         barriers: integer_table,
         retained: integer_table,
@@ -219,6 +229,7 @@ def kernel(layout: Layout) -> Callable[..., None]:
                     node_contacts=node_contacts,
                     offsets=offsets,
                     workers=workers,
+                    arrivals=arrivals,
                     clamped=clamped,
                     barriers=barriers,
                     retained=retained,

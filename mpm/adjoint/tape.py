@@ -41,15 +41,15 @@ CUT = 20.0
 
 Single particles that fly apart and touch again swing on their own, and beyond `lone_particle_step` ever more so until
 they lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of
-their steps. What such a particle does has no derivative that says anything, and its bar is set to 0. In a flow against a
-baffle bars of its force grow tenfold, without such particles."""
+their steps. What such a particle does has no derivative that says anything, and its bar is set to 0. Bars of the force
+on a baffle grow beyond 5 without such particles."""
 MOST_CUT = 0.02
 """Share of all bars of particles and steps from which a gradient with cuts is none."""
 SPARE = 1.25
 """More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
 ARGUMENTS = (
     *("state", "lanes", "grid", "scratch", "scratch_lanes", "impulse", "impulse_lanes", "settings", "properties"),
-    *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "clamped"),
+    *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "arrivals", "clamped"),
     *("barriers", "retained", "settling"),
 )
 """The arrays of a batch that the adjoint's kernel takes, in its order."""
@@ -70,7 +70,7 @@ class Adjoints(NamedTuple):
     """Share of the bars of particles and steps that were cut, shape [scenes]."""
 
 
-class FlowBars(NamedTuple):
+class FlowAdjoints(NamedTuple):
     """Bars of what a run of a scene is observed by, at T frames."""
 
     positions: Array
@@ -82,7 +82,9 @@ class FlowBars(NamedTuple):
 
 
 class Tape:
-    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
+    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start; of one large
+
+    scene on all threads.
 
     frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
     beside the arrays of the run itself; outputs: objectives that are reversed together; exact: as
@@ -110,12 +112,15 @@ class Tape:
             if features_of([scene], [own], precision, record=LAST) != features:
                 raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
         check(features)
-        runtime.start(precision, threads, enough=min(len(scenes), threads or len(scenes)))
-        self.batch = Batch(scenes, precision=precision, record=LAST, particles=particles)
-        self.features, self.layout = features, Layout(features, exact)
+        workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
+        runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
+        self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)
+        self.features = self.batch.features
+        self.layout = Layout(self.features, exact)
         # The reverse has more scratch vectors than a step.
-        self.batch.scratch = aligned((len(scenes) * self.layout.scratch, features.lanes), self.batch.state.dtype)
-        self.batch.workers[:, Worker.SCRATCH] = np.arange(len(scenes)) * self.layout.scratch
+        count = len(self.batch.workers)
+        self.batch.scratch = aligned((count * self.layout.scratch, features.lanes), self.batch.state.dtype)
+        self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch
         self.start = self.checkpoint()
         self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
         self.released: set[int] = set()
@@ -263,15 +268,15 @@ class Tape:
         """Momentum that the solids of a scene have taken at the observed frames [N s], shape [T, solids, D]."""
         return self.batch.impulses(index)[self.frames]
 
-    def reverse(self, flow_bars: Sequence[Sequence[FlowBars]]) -> list[Adjoints]:
+    def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[Adjoints]:
         """Bars of what the run began with for each of any number of objectives, `outputs` of them at a time.
 
-        flow_bars: for each objective and scene. Raises WorkFailed where a gradient grows without bound.
+        flow_adjoints: for each objective and scene. Raises WorkFailed where a gradient grows without bound.
         """
-        groups = [flow_bars[at : at + self.outputs] for at in range(0, len(flow_bars), self.outputs)]
+        groups = [flow_adjoints[at : at + self.outputs] for at in range(0, len(flow_adjoints), self.outputs)]
         return [each for group in groups for each in self.reverse_together(group)]
 
-    def reverse_together(self, flow_bars: Sequence[Sequence[FlowBars]]) -> list[Adjoints]:
+    def reverse_together(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[Adjoints]:
         """As `reverse`, in one pass: segments are replayed once for all."""
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -283,18 +288,19 @@ class Tape:
         kept, grid_adjoints = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
         step_times = np.zeros((len(batch.scenes), len(history)), real)
         step_counts = np.zeros(len(batch.scenes), np.int32)
-        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in flow_bars]
-        sums = [np.zeros((len(batch.scenes), len(Setting))) for _ in flow_bars]
-        faces = [np.zeros(batch.faces.shape) for _ in flow_bars]
-        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in flow_bars]
-        impulses = [np.zeros(len(batch.impulse), real) for _ in flow_bars]
-        cuts = [self.cuts(per_scene).astype(real) for per_scene in flow_bars]
-        forced = any(bars.impulses is not None for per_scene in flow_bars for bars in per_scene)
+        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in flow_adjoints]
+        sums = [np.zeros((len(batch.workers), len(Setting))) for _ in flow_adjoints]
+        faces = [np.zeros(batch.faces.shape) for _ in flow_adjoints]
+        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in flow_adjoints]
+        impulses = [np.zeros(len(batch.impulse), real) for _ in flow_adjoints]
+        cuts = [self.cuts(per_scene).astype(real) for per_scene in flow_adjoints]
+        forced = any(each.impulses is not None for per_scene in flow_adjoints for each in per_scene)
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
         arguments = batch.arguments
         shared = [arguments[name] for name in ARGUMENTS]
 
         def call(number: int, first: int, last: int, direction: Pass) -> None:
+            batch.arrivals[:] = 0
             walk(
                 *shared,
                 kept,
@@ -321,34 +327,41 @@ class Tape:
             self.restore(self.checkpoints[segment])
             batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
             call(0, first + 1, last + 1, Pass.REPLAY)
-            for number, per_scene in enumerate(flow_bars):
+            for number, per_scene in enumerate(flow_adjoints):
                 if last in self.frames:
                     slot = self.frames.index(last)
-                    self.add_motion_bars(adjoints[number], per_scene, slot)
-                    self.add_impulse_bars(impulses[number], per_scene, slot)
+                    self.add_motion_adjoints(adjoints[number], per_scene, slot)
+                    self.add_impulse_adjoints(impulses[number], per_scene, slot)
                 call(number, first + 1, last + 1, Pass.REVERSE)
         batch.retained[:, Retained.OPENED] = opened
         for number in range(len(adjoints)):
             call(number, 0, 0, Pass.START)
         if 0 in self.frames:
-            for number, per_scene in enumerate(flow_bars):
-                self.add_motion_bars(adjoints[number], per_scene, 0)
+            for number, per_scene in enumerate(flow_adjoints):
+                self.add_motion_adjoints(adjoints[number], per_scene, 0)
         steps = self.steps.sum(axis=0) * self.batch.offsets[:, Offset.PARTICLES]
         shares = [cut[:, 1] / steps for cut in cuts]
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
                 raise WorkFailed(self.unbounded(index, share))
-        return [Adjoints(*each) for each in zip(adjoints, sums, faces, node_contacts, shares, strict=True)]
+        settings = [self.of_scenes(each) for each in sums]
+        return [Adjoints(*each) for each in zip(adjoints, settings, faces, node_contacts, shares, strict=True)]
 
-    def cuts(self, per_scene: Sequence[FlowBars]) -> Array:
+    def of_scenes(self, sums: Array) -> Array:
+        """What each worker has summed, shape [workers, ...], of all workers of each scene, shape [scenes, ...]."""
+        found = np.zeros((len(self.batch.scenes), *sums.shape[1:]))
+        np.add.at(found, self.batch.workers[:, Worker.SCENE], sums)
+        return found
+
+    def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
         """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
         found = np.zeros((len(per_scene), 2))
-        for index, bars in enumerate(per_scene):
+        for index, own in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
-            usual = np.abs(bars.positions).max() * time + np.abs(bars.velocities).max()
-            if bars.impulses is not None:
+            usual = np.abs(own.positions).max() * time + np.abs(own.velocities).max()
+            if own.impulses is not None:
                 particles = self.batch.particles[index]
-                usual += float((particles.density * particles.volume).max()) * np.abs(bars.impulses).sum()
+                usual += float((particles.density * particles.volume).max()) * np.abs(own.impulses).sum()
             found[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
         return found
 
@@ -362,18 +375,19 @@ class Tape:
             f"the scene has {scene.step_fraction:g}"
         )
 
-    def add_impulse_bars(self, impulses: Array, per_scene: Sequence[FlowBars], slot: int) -> None:
+    def add_impulse_adjoints(self, impulses: Array, per_scene: Sequence[FlowAdjoints], slot: int) -> None:
         """Add to the bars of the impulses of all scenes those at the observed frame number `slot`."""
-        for index, bars in enumerate(per_scene):
-            if bars.impulses is not None:
-                first = int(self.batch.workers[index, Worker.IMPULSE])
-                impulses[first : first + bars.impulses[slot].size] += bars.impulses[slot].ravel()
+        for index, own in enumerate(per_scene):
+            if own.impulses is not None:
+                for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
+                    first = int(worker[Worker.IMPULSE])
+                    impulses[first : first + own.impulses[slot].size] += own.impulses[slot].ravel()
 
-    def add_motion_bars(self, adjoints: Array, per_scene: Sequence[FlowBars], slot: int) -> None:
+    def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[FlowAdjoints], slot: int) -> None:
         """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
-        for index, bars in enumerate(per_scene):
+        for index, own in enumerate(per_scene):
             here = self.particles(index)
-            for first, values in ((0, bars.positions), (self.features.velocity, bars.velocities)):
+            for first, values in ((0, own.positions), (self.features.velocity, own.velocities)):
                 flat = self.vectors(adjoints, first)
                 flat[here] += values[slot]
                 columns = flat.reshape(len(adjoints), self.features.lanes, -1)

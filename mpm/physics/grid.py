@@ -66,22 +66,13 @@ def update_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()
     """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
     features = arrays.features
     count = arrays.workers.shape[0]
-    low = ti.Vector([arrays.workers[0, Worker.LOW_X + k] for k in ti.static(range(3))])
-    high = ti.Vector([arrays.workers[0, Worker.HIGH_X + k] for k in ti.static(range(3))])
-    for other in range(1, count):
-        for k in ti.static(range(3)):
-            low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
-            high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
-    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    low, high = shared_box(arrays)
     for i in range(low[0], high[0]):
         if i % count == worker:
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
                     n = i * strides[0] + j * strides[1] + k
-                    node = zero
-                    for other in range(count):
-                        if covers(other, i, j, k, arrays):
-                            node += arrays.grid[arrays.workers[other, Worker.NODE] + n]
+                    node = summed_node(arrays.grid, n, i, j, k, arrays)
                     if node[features.dimension] > 0.0:
                         old = velocity_before(node, arrays)
                         new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
@@ -91,6 +82,28 @@ def update_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()
                                 store_node_velocity(own, new, old, kappa, arrays)
                                 if ti.static(features.volume_correction):
                                     arrays.grid[own][features.dimension] = node[features.dimension]
+
+
+@ti.func
+def shared_box(arrays: ti.template()):
+    """The nodes in the support of the particles of all workers of a scene, [low, high), shape [3] each."""
+    low = ti.Vector([arrays.workers[0, Worker.LOW_X + k] for k in ti.static(range(3))])
+    high = ti.Vector([arrays.workers[0, Worker.HIGH_X + k] for k in ti.static(range(3))])
+    for other in range(1, arrays.workers.shape[0]):
+        for k in ti.static(range(3)):
+            low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
+            high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
+    return low, high
+
+
+@ti.func
+def summed_node(grid: ti.template(), n, i, j, k, arrays: ti.template()):
+    """Sum of node (i, j, k), the n-th of each worker's part of `grid`, over the workers in whose support it is."""
+    node = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
+    for other in range(arrays.workers.shape[0]):
+        if covers(other, i, j, k, arrays):
+            node += grid[arrays.workers[other, Worker.NODE] + n]
+    return node
 
 
 @ti.func

@@ -11,7 +11,6 @@ from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import AT_REST, WITH_FIELDS, simulate, simulate_many
-from mpm import simulation as runs
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING
 from mpm.initial.barriers import barriers, inside
@@ -149,7 +148,7 @@ def test_rest_waits_for_the_release() -> None:
 def test_on_two_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
     alone = simulate(scene, precision="f64", threads=1)
-    monkeypatch.setattr(runs, "PARTICLES_PER_WORKER", 300)
+    monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 300)
     both = simulate(scene, precision="f64", threads=2)
     np.testing.assert_allclose(both.positions, alone.positions, atol=1e-6)
     assert both.summary["release_time"] == alone.summary["release_time"]

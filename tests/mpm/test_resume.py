@@ -44,7 +44,7 @@ def test_a_resumed_run_is_the_unbroken_one(
 ) -> None:
     """Broken off twice, in the middle of a launch and at its end; a large scene is sorted at every launch."""
     if shared:
-        monkeypatch.setattr(solver, "PARTICLES_PER_WORKER", 100)
+        monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr(solver, "SORTED", 0)
     options: Options = {"precision": precision, "record": RECORD, "threads": 2 if shared else 1}
     whole = simulate(FLOW, **options)

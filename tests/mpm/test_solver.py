@@ -298,9 +298,9 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
     flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), baffles=(baffle,), damping=0.1, duration=0.1)
     deep = room(Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.3, 0.4)), duration=0.1)
     for scene in (flat, deep):
-        monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 10**9)
+        monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 10**9)
         alone = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
-        monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 100)
+        monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulation.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
         # Where principal stresses coincide, half of the digits are lost (`mpm.physics.principal`): another order shows.

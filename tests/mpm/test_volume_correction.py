@@ -44,7 +44,7 @@ def test_a_bed_dropped_in_3d_is_as_dense_as_before() -> None:
 
 def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two grids holds a part of the mass: what is compared with the density is their sum."""
-    monkeypatch.setattr("mpm.simulation.PARTICLES_PER_WORKER", 100)
+    monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
     flat = dataclasses.replace(
         DROPPED,
         domain=Domain(size=(0.25, 0.5), cell=0.025),

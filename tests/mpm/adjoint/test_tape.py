@@ -15,8 +15,9 @@ from mpm.adjoint.checks import lone_particle_step
 from mpm.adjoint.gradient import gradient, pull_back, pull_back_all
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
-from mpm.adjoint.tape import FlowBars, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape
 from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
+from tests.mpm.adjoint.test_contact import SCENES
 
 
 @pytest.mark.parametrize("scene", [plane(), room(damping=0.05)], ids=["2D", "3D"])
@@ -43,7 +44,7 @@ def test_the_replay_is_the_run_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> No
             replayed.append(tape.batch.state[:, tape.changing].copy())
 
     monkeypatch.setattr("mpm.adjoint.tape.adjoint_kernel", lambda layout: spy)
-    tape.reverse([[FlowBars(np.ones_like(tape.positions()), np.zeros_like(tape.positions()))]])
+    tape.reverse([[FlowAdjoints(np.ones_like(tape.positions()), np.zeros_like(tape.positions()))]])
     assert len(replayed) == len(ends) > 3
     for found, expected in zip(replayed, reversed(ends), strict=True):
         np.testing.assert_array_equal(found, expected)
@@ -114,7 +115,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
     first, second = plane(), plane(seed=3, gravity=40.0)
     tape = Tape([first, second], [8], threads=2)
     objectives = [Weighted(first), Weighted(second)]
-    together = pull_back_all(tape, [[FlowBars(each.positions, each.velocities) for each in objectives]])[0]
+    together = pull_back_all(tape, [[FlowAdjoints(each.positions, each.velocities) for each in objectives]])[0]
     for scene, objective, ours in zip((first, second), objectives, together, strict=True):
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)
@@ -188,3 +189,16 @@ def test_lone_particles_that_swing_are_cut() -> None:
     assert found[0.8, False].cut == 0.0
     speeds = [found[fraction, False].of_mass(found[fraction, False].velocities)[:, 0] for fraction in (0.9, 0.8)]
     assert speeds[0].sum() == pytest.approx(speeds[1].sum(), rel=0.05)
+
+
+@pytest.mark.parametrize("scene", [plane(damping=0.05), room(), SCENES["2D"]], ids=["2D", "3D", "baffle"])
+def test_one_scene_on_two_threads(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run and its gradient are those of one thread but for rounding, and repeat to the bit without solids."""
+    alone = gradient(scene, Weighted(scene), threads=1)[1]
+    monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
+    runs = [gradient(scene, Weighted(scene), threads=2)[1] for _ in range(2)]
+    for name in ("positions", "velocities", "stress", "properties", "settings", "faces", "node_contacts"):
+        expected, found, again = (getattr(each, name) for each in (alone, *runs))
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max(initial=1e-300))
+        if not scene.baffles:
+            np.testing.assert_array_equal(found, again)
