@@ -11,12 +11,12 @@ lanes:
     grid, boundary      gravity, damping, AFLIP's change of velocity; barriers; walls with Coulomb friction, open sides
     stress, principal, mohr_coulomb     elastic trial, axes, the plastic return on each of its pieces, softening
     contact, faces      traction, friction and position of baffles, ground and obstacles
-    particles, kernel   a block of particles; replay and reverse of a segment of steps
+    volume_correction   the gap that follows the grid's density, and the stress of cracks
+    particles, properties, kernel       a block of particles, bars of materials; replay and reverse of a segment
     tape, gradient      checkpoints within a budget of memory; what a user calls
 
-A scene is on one thread, several scenes are side by side; a large scene is not shared between threads and its particles
-are not sorted, so that sums of a run on several threads differ in their last bits. Volume correction has no reverse yet
-and is refused.
+Scenes and threads are the solver's: several scenes side by side, or one large scene on all threads. The particles of a
+very large scene are not sorted as the solver does, so that sums differ in their last bits.
 
 Taichi 1.7.4 differentiates a kernel that reads one array and writes another, vectors of lanes included. Where a loop
 overwrites what it has read, as each of our steps does, it silently takes the last value for all; hence the reverse by

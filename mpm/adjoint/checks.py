@@ -30,9 +30,6 @@ def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
 
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    unknown = {
-        "volume_correction": "volume_correction",
-    }
-    for name, key in unknown.items():
-        if getattr(features, name):
-            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {key} yet", key="scene")
+    if features.volume_correction and features.softens and features.cohesive:
+        what = "volume_correction of a cohesive material that softens"
+        raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")

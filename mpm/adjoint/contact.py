@@ -14,7 +14,7 @@ is that of all later frames together. It joins the bars of the force on the node
 import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
-from mpm.adjoint.faces import found_reverse
+from mpm.adjoint.faces import depends, found_reverse
 from mpm.arrays.access import maximum, minimum
 from mpm.arrays.layout import Contact, Property, Setting, Worker, component
 from mpm.physics.boundary import after_contact
@@ -40,14 +40,13 @@ def shear_bar(block, k: ti.template(), arrays: ti.template()):
 
 
 @ti.func
-def touched(block, after, arrays: ti.template()):
-    """1 where a particle of a block touches a solid before a step or after it, else 0."""
+def touched(block, after, scene, arrays: ti.template()):
+    """1 where a particle of a block depends on a solid before a step or after it, else 0."""
     result = 0
     if touches(block, arrays):
         result = 1
-    delta = arrays.history[after + ti.static(arrays.layout.history_contacts + Contact.DELTA)]
     for lane in ti.static(range(arrays.features.lanes)):
-        if delta[lane] > 0.0:
+        if depends(after * arrays.features.lanes + lane, scene, arrays):
             result = 1
     return result
 

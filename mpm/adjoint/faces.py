@@ -10,14 +10,16 @@ A particle that a step has put back onto a face lost d n of its displacement, x'
 `after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
 alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
 in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the bar is that of one
-side. Friction that differs along a face is taken as it is at the particle, without its slope; a particle that is put
-back beyond the end of the face that it crossed, over a ridge, is taken as not put back.
+side. Friction that differs along a face, mu = sum_k w_k mu_k, has a slope grad mu in it, by which x moves along and
+corner k by -w_k against it. A particle that is put back beyond the end of the face that it crossed, over a ridge, is
+taken as not put back.
 """
 
 import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.arrays.layout import Contact, Setting, Worker
+from mpm.arrays.properties import GAP_CUTOFF
 from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle, solid_of
 
 PUT_BACK = 1.0e-6
@@ -51,7 +53,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         shear_to = (Contact.NORMAL + size) * lanes
         q_bar = bar_vector(at + shear_to, arrays)
         mass_bar = 0.0 * present
-        if delta > 0.0 and present > 0.0:
+        if depends(then, scene, arrays) and present > 0.0:
             x = history_vector(then, arrays)
             n = history_vector(contact + Contact.NORMAL * lanes, arrays)
             distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
@@ -68,6 +70,8 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             if ti.static(put_back):
                 before = scratch_vector((scratch + layout.before) * lanes + lane, arrays)
                 q = scratch_vector((scratch + layout.before + size) * lanes + lane, arrays)
+                if delta == 0.0:
+                    q_bar = 0.0 * q_bar
                 n_bar = n_bar - q.dot(n) * q_bar - n.dot(q_bar) * q
                 q_bar = q_bar - q_bar.dot(n) * n
                 back = distance < PUT_BACK * dx
@@ -99,6 +103,22 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
         if ti.static(layout.impulses and put_back):
             arrays.adjoint_lanes[at + Contact.IMPULSE * lanes] = mass_bar
+
+
+@ti.func
+def depends(then, scene, arrays: ti.template()):
+    """Whether a lane, whose first number in the history is `then`, depends on its solid: within the width of contact;
+
+    with volume correction out to where a solid hides mass.
+    """
+    layout, lanes = arrays.layout, arrays.features.lanes
+    contact = then + layout.history_contacts * lanes
+    if ti.static(arrays.features.volume_correction):
+        return (
+            arrays.history_lanes[contact + Contact.DISTANCE * lanes] < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
+        )
+    else:
+        return arrays.history_lanes[contact + Contact.DELTA * lanes] > 0.0
 
 
 @ti.func
@@ -148,7 +168,50 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.templa
                 for i in ti.static(range(size)):
                     add_face(face, second * size + i, 0.0 - turn * n[i], arrays)
                     add_face(face, first * size + i, turn * n[i], arrays)
-    return result
+    return result + friction_reverse(x, n, w, face, part, friction_bar, arrays)
+
+
+@ti.func
+def friction_reverse(x, n, w, face, part, bar, arrays: ti.template()):
+    """Bar of the position `x` [m] from that of the friction between the corners of its face, shape [D].
+
+    w, part: as `foot_on_triangle` has them. Adds the bars of the corners: along the face the foot moves by -w_k of what
+    corner k does, and where a corner moves by h along n the face turns, by which the foot moves by d h grad w_k.
+    """
+    features = arrays.features
+    size = ti.static(features.dimension)
+    slope, distance = 0.0 * x, x.dot(n)
+    for k in ti.static(range(size)):
+        slope += arrays.faces[face, features.face_friction + k] * weight_slope(face, part, k, arrays)
+        distance -= w[k] * face_vector(face, k * size, arrays).dot(n)
+    for k in ti.static(range(size)):
+        turned = distance * slope.dot(weight_slope(face, part, k, arrays))
+        for i in ti.static(range(size)):
+            add_face(face, k * size + i, bar * (turned * n[i] - w[k] * slope[i]), arrays)
+    return bar * slope
+
+
+@ti.func
+def weight_slope(face, part, k: ti.template(), arrays: ti.template()):
+    """grad w_k [1/m] of corner k of a face along it, at its inside or on an edge; 0 at a corner; shape [D]."""
+    size = ti.static(arrays.features.dimension)
+    this = face_vector(face, k * size, arrays)
+    after = face_vector(face, ti.static((k + 1) % size) * size, arrays)
+    slope = 0.0 * this
+    if ti.static(size == 2):
+        if part == 0:
+            slope = (this - after) / (this - after).norm_sqr()
+    else:
+        last = face_vector(face, ti.static((k + 2) % size) * size, arrays)
+        if part == 0:
+            n = face_vector(face, arrays.features.face_normal, arrays)
+            slope = n.cross(last - after) / (after - this).cross(last - this).dot(n)
+        # The edge from this corner to the one after it, then that from the one before it.
+        if part == 4 + k:
+            slope = (this - after) / (this - after).norm_sqr()
+        if part == 4 + (k + 2) % 3:
+            slope = (this - last) / (this - last).norm_sqr()
+    return slope
 
 
 @ti.func

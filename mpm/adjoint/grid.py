@@ -94,6 +94,8 @@ def update_kept_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.templ
                             if covers(other, i, j, k, arrays):
                                 own = arrays.workers[other, Worker.NODE] + n
                                 store_node_velocity(own, new, old, kappa, arrays)
+                                if ti.static(features.volume_correction):
+                                    arrays.grid[own][features.dimension] = node[features.dimension]
 
 
 @ti.func
@@ -163,7 +165,8 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
         # v_s^2 grows with gravity.
         gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * ti.math.sign(gravity[1])
     result = 0.0 * node
-    result[dimension] = mass_bar
+    # With volume correction particles see the mass of nodes itself.
+    result[dimension] = mass_bar + bar[dimension]
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass

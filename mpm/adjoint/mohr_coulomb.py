@@ -258,6 +258,41 @@ def return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, la
 
 
 @ti.func
+def opening_reverse(bar, opened, d1, d2, d3, sin_psi, lame, shear, dilates: ti.template()):
+    """Bars of the changes d = s - t of the principal stresses and of (sin psi, lambda, mu) from that of what opened.
+
+    opened: as `mpm.physics.mohr_coulomb.return_principal` gives it; at 0 it depends on nothing.
+    """
+    zero = 0.0 * bar
+    live = ti.select(opened > 0.0, bar, zero)
+    third = live / 3.0
+    if ti.static(dilates):
+        bulk3 = 3.0 * lame + 2.0 * shear
+        total = d1 + d2 + d3
+        share = lame / bulk3 * total
+        shorter = maximum(share - d1, 0.0) + maximum(share - d2, 0.0) + maximum(share - d3, 0.0)
+        per_cone = 1.0 / (shear * (1.0 - sin_psi))
+        each = 0.0 - live * bulk3 * sin_psi * per_cone / 3.0
+        m1 = ti.select(share > d1, each, zero)
+        m2 = ti.select(share > d2, each, zero)
+        m3 = ti.select(share > d3, each, zero)
+        share_bar = m1 + m2 + m3
+        common = third + share_bar * lame / bulk3
+        turning = 2.0 * total * share_bar / (bulk3 * bulk3)
+        factor = live * shorter * per_cone
+        return (
+            common - m1,
+            common - m2,
+            common - m3,
+            0.0 - factor * bulk3 / (3.0 * (1.0 - sin_psi)),
+            shear * turning - factor * sin_psi,
+            factor * sin_psi * lame / shear - lame * turning,
+        )
+    else:
+        return third, third, third, zero, zero, zero
+
+
+@ti.func
 def softened_reverse(
     bar: ti.template(), strain, per_strain, peak: ti.template(), residual: ti.template(), features: ti.template()
 ):

@@ -19,16 +19,25 @@ from mpm.adjoint.contact import (
     touched,
 )
 from mpm.adjoint.grid import add_kappa_bar
-from mpm.adjoint.mohr_coulomb import softened_reverse
+from mpm.adjoint.properties import add_property_bar, strength_reverse
 from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
-from mpm.adjoint.transfer import gather_motion, gather_reverse, prepare_weights, scatter_reverse
+from mpm.adjoint.transfer import (
+    affine_reverse,
+    gather_moments,
+    gather_motion,
+    gather_reverse,
+    prepare_weights,
+    scatter_reverse,
+)
+from mpm.adjoint.volume_correction import cracks_reverse, gap_reverse
 from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, component
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import normal_stress
 from mpm.physics.particles import strength_of
-from mpm.physics.stress import midpoint_increment, trial_stress
+from mpm.physics.stress import midpoint_increment, trial_stress, with_cracks
 from mpm.physics.transfer import prepare_contributions, property_of, spline, volume_of
+from mpm.physics.volume_correction import updated_gap
 
 
 @ti.func
@@ -59,8 +68,16 @@ def update_block_reverse(
         w = spline(f[k])
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
+    prepare_weights(scene, block, scratch, arrays)
+    if ti.static(features.volume_correction):
+        gather_moments(grid, block, scratch, strides, arrays)
+        arrays.scratch[scratch + features.density] = arrays.scratch[scratch + layout.sums + size]
+        for k in ti.static(range(size)):
+            moment = arrays.scratch[scratch + layout.sums + (1 + k) * features.node + size]
+            arrays.scratch[scratch + features.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
-    kappa_bar = 0.0 * f[0]
+    c_bar = affine_reverse(block, scratch, per_dx, kappa, arrays)
+    kappa_bar = c_bar[ti.static(3 * size * size)]
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx
@@ -86,19 +103,37 @@ def update_block_reverse(
             value = value + v_bar
             arrays.adjoints[own + features.velocity + i] = 0.0 * v_bar
         for j in ti.static(range(size)):
-            slope = 4.0 * per_dx * arrays.adjoints[own + features.affine + i * size + j]
+            slope = 4.0 * per_dx * c_bar[i * size + j]
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + i] = slope
             if ti.static(features.forces):
-                arrays.scratch[values + (1 + j) * features.node + features.force + i] = 0.0 * slope
+                slope = 4.0 * per_dx * c_bar[ti.static(size * size + i * size + j)]
+                arrays.scratch[values + (1 + j) * features.node + features.force + i] = slope
+                if ti.static(features.volume_correction):
+                    at = values + features.force + i
+                    arrays.scratch[at] = arrays.scratch[at] - slope * f[j]
         arrays.scratch[values + i] = value
-    prepare_weights(scene, block, scratch, arrays)
+    if ti.static(features.volume_correction):
+        value = arrays.scratch[scratch + features.density]
+        for j in ti.static(range(size)):
+            slope = 4.0 * per_dx * arrays.scratch[scratch + features.density + 1 + j]
+            value = value - slope * f[j]
+            arrays.scratch[values + (1 + j) * features.node + size] = slope
+        arrays.scratch[values + size] = value
     scatter_reverse(grid, block, scratch, strides, arrays)
+    square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
         moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
+        if ti.static(features.volume_correction):
+            mass_bar = arrays.scratch[scratch + features.density + 1 + j]
+            moved = moved - square * mass_bar * arrays.scratch[scratch + layout.sums + size]
         for i in ti.static(range(size)):
-            affine_bar = arrays.adjoints[own + features.affine + i * size + j]
-            moved = moved - (4.0 * per_dx * per_dx) * affine_bar * arrays.scratch[scratch + layout.sums + i]
+            moved = moved - square * c_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
+            if ti.static(features.volume_correction and features.relaxed):
+                change_bar = c_bar[ti.static(size * size + i * size + j)]
+                moved = moved - square * change_bar * arrays.scratch[scratch + layout.sums + features.change + i]
+            if ti.static(features.volume_correction):
+                arrays.adjoints[own + features.affine + i * size + j] = c_bar[ti.static(2 * size * size + i * size + j)]
         arrays.adjoints[own + j] = moved
     if ti.static(features.relaxed):
         add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
@@ -119,7 +154,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     jump, opening, opening_bar, shear_bar = zero, zero, zero, zero
     n, n_bar = [zero for _ in ti.static(range(size))], [zero for _ in ti.static(range(size))]
     if ti.static(features.contact):
-        touching = touched(block, after, arrays)
+        touching = touched(block, after, scene, arrays)
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.foot + k] = zero
         if touching == 1:
@@ -137,16 +172,49 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         inside[k] + jump * n[k // size] * n[k % size] if ti.static(features.contact) else inside[k]
         for k in ti.static(range(size * size))
     ]
-    trial = trial_stress(stress, increment, lame, shear, size)
+    opened, remembered, bulk = zero, zero, lame + shear * (2.0 / 3.0) + zero
+    x = [arrays.history[after + k] for k in ti.static(range(size))]
+    if ti.static(features.volume_correction):
+        remembered = arrays.state[first + features.gap]
+        opened = updated_gap(remembered, limit, bulk, x, scene, block, scratch, dt, arrays)
+    cracked = with_cracks(stress, opened, limit, lame, shear, features)
+    trial = trial_stress(cracked, increment, lame, shear, size)
     bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
-    strain_bar = zero
+    strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
         strain_bar = arrays.adjoints[own + features.plastic_strain]
-    returned = plastic_return_reverse(bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, strain_bar, features)
+    if ti.static(features.volume_correction):
+        opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
+    returned = plastic_return_reverse(
+        bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, strain_bar, opened_bar, features
+    )
     trial_bar = [returned[k] for k in ti.static(range(features.stresses))]
-    elastic = trial_stress_reverse(trial_bar, stress, increment, lame, shear, size)
+    elastic = trial_stress_reverse(trial_bar, cracked, increment, lame, shear, size)
+    stress_bar = [elastic[k] for k in ti.static(range(features.stresses))]
+    limit_bar, lame_bar = returned[ti.static(features.stresses + 3)], zero
+    if ti.static(features.volume_correction):
+        cracks = cracks_reverse(stress_bar, stress, opened, limit, lame, shear, features)
+        remembered_bar, bulk_bar = gap_reverse(
+            cracks[ti.static(features.stresses)],
+            remembered,
+            limit,
+            bulk,
+            x,
+            worker,
+            scene,
+            block,
+            scratch,
+            dt,
+            arrays,
+        )
+        arrays.adjoints[own + features.gap] = remembered_bar
+        limit_bar = limit_bar + cracks[ti.static(features.stresses + 1)]
+        lame_bar = cracks[ti.static(features.stresses + 2)] + bulk_bar
+        shear_bar = shear_bar + cracks[ti.static(features.stresses + 3)] + bulk_bar * (2.0 / 3.0)
+        for k in ti.static(range(features.stresses)):
+            stress_bar[k] = cracks[k]
     for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = elastic[k]
+        arrays.adjoints[own + features.stress + k] = stress_bar[k]
     increment_bar = [elastic[ti.static(features.stresses + k)] for k in ti.static(range(size * size))]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if touching == 1:
@@ -159,61 +227,10 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         returned[ti.static(features.stresses + 4 + k)] + elastic[ti.static(features.stresses + size * size + k)]
         for k in ti.static(range(2))
     ]
-    add_property_bar(block, Property.LAME, moduli[0], arrays)
+    add_property_bar(block, Property.LAME, moduli[0] + lame_bar, arrays)
     add_property_bar(block, Property.SHEAR, moduli[1] + shear_bar, arrays)
-    strengths = [returned[ti.static(features.stresses + k)] for k in ti.static(range(4))]
-    strength_reverse(scene, block, strengths, arrays)
-
-
-@ti.func
-def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
-    """Bars of the strength of a block's material, and of its plastic strain, from those of `strength_of`."""
-    features, layout = arrays.features, arrays.layout
-    if ti.static(features.softens):
-        zero = 0.0 * bar[0]
-        peak = [zero + property_of(scene, block, Property.SIN_PHI, arrays), zero, zero, zero]
-        if ti.static(features.dilates):
-            peak[1] = zero + property_of(scene, block, Property.SIN_PSI, arrays)
-        if ti.static(features.cohesive):
-            peak[2] = zero + property_of(scene, block, Property.STRENGTH, arrays)
-            peak[3] = zero + property_of(scene, block, Property.LIMIT, arrays)
-        residual = (
-            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
-            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
-            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
-        )
-        cell = arrays.settings[scene, Setting.CELL]
-        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * cell
-        strain = arrays.state[block * features.block + features.plastic_strain]
-        back = softened_reverse(bar, strain, per_strain, peak, residual, features)
-        at = block * layout.width + features.plastic_strain
-        arrays.adjoints[at] = arrays.adjoints[at] + back[0]
-        add_property_bar(block, Property.SOFTENING, cell * back[1], arrays)
-        columns = ti.static(
-            (
-                Property.SIN_PHI,
-                Property.SIN_PSI,
-                Property.STRENGTH,
-                Property.LIMIT,
-                Property.RESIDUAL_SIN_PHI,
-                Property.RESIDUAL_STRENGTH,
-                Property.RESIDUAL_LIMIT,
-            )
-        )
-        for k in ti.static(range(7)):
-            add_property_bar(block, columns[k], back[ti.static(2 + k)], arrays)
-    else:
-        columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
-        for k in ti.static(range(4)):
-            add_property_bar(block, columns[k], bar[k], arrays)
-
-
-@ti.func
-def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
-    """Add to the bars of a property of the particles of a block."""
-    at = block * arrays.layout.width + arrays.layout.properties + ti.static(int(column))
-    present = arrays.state[block * arrays.features.block + arrays.features.present]
-    arrays.adjoints[at] = arrays.adjoints[at] + present * value
+    strengths = [returned[ti.static(features.stresses + k)] for k in ti.static(range(3))]
+    strength_reverse(scene, block, [strengths[0], strengths[1], strengths[2], limit_bar], arrays)
 
 
 @ti.func
@@ -247,7 +264,11 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         for j in ti.static(range(size)):
             affine = arrays.scratch[sums + (1 + j) * features.node + i]
             mass_bar = mass_bar + arrays.state[first + features.affine + i * size + j] * affine
-            arrays.adjoints[own + features.affine + i * size + j] = mass * affine
+            at = own + features.affine + i * size + j
+            if ti.static(features.volume_correction):
+                arrays.adjoints[at] = arrays.adjoints[at] + mass * affine
+            else:
+                arrays.adjoints[at] = mass * affine
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):

@@ -21,7 +21,7 @@ G = A - A A / 2: A' = G' - (G' A^T + A^T G') / 2. A bar of xy is that of the num
 
 import taichi as ti
 
-from mpm.adjoint.mohr_coulomb import return_reverse
+from mpm.adjoint.mohr_coulomb import opening_reverse, return_reverse
 from mpm.adjoint.principal import principal_axes
 from mpm.arrays.access import maximum, minimum
 from mpm.physics.mohr_coulomb import return_principal
@@ -54,6 +54,19 @@ def strain_reverse(bar, g1, g2, g3, shear, features: ti.template()):
 
 
 @ti.func
+def changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features: ti.template()):
+    """Bars of the changes g = t - s and of (sin psi, lambda, mu) from those of plastic strain and of what opened."""
+    e = strain_reverse(strain_bar, g1, g2, g3, shear, features)
+    if ti.static(features.volume_correction):
+        d1, d2, d3 = 0.0 - g1, 0.0 - g2, 0.0 - g3
+        q = opening_reverse(opened_bar, opened, d1, d2, d3, sin_psi, lame, shear, features.dilates)
+        return e[0] - q[0], e[1] - q[1], e[2] - q[2], q[3], q[4], e[3] + q[5]
+    else:
+        zero = 0.0 * g1
+        return e[0], e[1], e[2], zero, zero, e[3]
+
+
+@ti.func
 def plastic_return_reverse(
     bar: ti.template(),
     stress: ti.template(),
@@ -64,12 +77,13 @@ def plastic_return_reverse(
     lame,
     shear,
     strain_bar,
+    opened_bar,
     features: ti.template(),
 ):
     """Bars of the trial stress's components, then of (sin phi, sin psi, 2 c cos phi, T, lambda, mu).
 
     bar: of the returned components; stress: the trial's [Pa]; strain_bar: of the plastic strain after the step, read
-    where the material softens.
+    where the material softens; opened_bar: of what opened, read where `features.volume_correction`.
     """
     if ti.static(features.dimension == 2):
         xx, yy, z, xy = stress
@@ -82,7 +96,7 @@ def plastic_return_reverse(
         a, b = centre + radius, centre - radius
         above, below = z > a, z < b
         s1, s2, s3 = maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)
-        t1, t2, t3, _ = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         top = ti.select(above, t2, t1)
         bottom = ti.select(below, t2, t3)
         difference = bar[0] - bar[1]
@@ -91,10 +105,11 @@ def plastic_return_reverse(
         b1 = ti.select(above, bar[2], top_bar)
         b2 = ti.select(above, top_bar, ti.select(below, bottom_bar, bar[2]))
         b3 = ti.select(below, bar[2], bottom_bar)
-        e = strain_reverse(strain_bar, t1 - s1, t2 - s2, t3 - s3, shear, features)
+        g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
+        e = changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features)
         b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
         r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4], r[5], r[6], r[7], r[8] + e[3], r[9], r[10]
+        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4] + e[3], r[5], r[6], r[7] + e[4], r[8] + e[5], r[9], r[10]
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
@@ -111,7 +126,7 @@ def plastic_return_reverse(
             xx - p, yy - p, zz - p, xy, yz, zx, features.precision
         )
         s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3, _ = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
         hxy, hyz, hzx = 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]
         # The bar times each axis, then in the axes.
         bux, buy, buz = (
@@ -132,10 +147,11 @@ def plastic_return_reverse(
         b1, b2, b3 = ux * bux + uy * buy + uz * buz, vx * bvx + vy * bvy + vz * bvz, wx * bwx + wy * bwy + wz * bwz
         b12, b23 = ux * bvx + uy * bvy + uz * bvz, vx * bwx + vy * bwy + vz * bwz
         b13 = ux * bwx + uy * bwy + uz * bwz
-        e = strain_reverse(strain_bar, t1 - s1, t2 - s2, t3 - s3, shear, features)
+        g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
+        e = changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features)
         b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
         r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4], r[5], r[6], r[7], r[8] + e[3], r[9], r[10]
+        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4] + e[3], r[5], r[6], r[7] + e[4], r[8] + e[5], r[9], r[10]
         zero = 0.0 * b1
         k12 = divided(t1 - t2, a1 - a2, g[9], zero) * b12
         k23 = divided(t2 - t3, a2 - a3, g[9], g[10]) * b23

@@ -17,8 +17,9 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 
 import taichi as ti
 
-from mpm.arrays.access import add, no_overflow
+from mpm.arrays.access import add, magnitude, maximum, no_overflow
 from mpm.arrays.layout import PADDING, Setting
+from mpm.physics.principal import TINY
 from mpm.physics.transfer import lowest_node, node_vector, three_vectors, zero_node
 
 
@@ -53,8 +54,8 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
         slope = weight + layout.slopes * lanes
         wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
         dx, dy = three_vectors(arrays, slope), three_vectors(arrays, slope + 3 * lanes)
-        value = node_vector(arrays, scratch, 0, lane)
-        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
+        value = node_adjoint(arrays, scratch, 0, lane)
+        slope_x, slope_y = node_adjoint(arrays, scratch, 1, lane), node_adjoint(arrays, scratch, 2, lane)
         around, x_force, y_force = zero_node(arrays), zero_node(arrays), zero_node(arrays)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
@@ -75,7 +76,7 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
                 value = value + slope_x
             store_forces((x_force, y_force), scratch, lane, arrays)
         else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_adjoint(arrays, scratch, 3, lane)
             dz = three_vectors(arrays, slope + 6 * lanes)
             z_force = zero_node(arrays)
             for a in ti.static(range(3)):
@@ -103,6 +104,25 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
 
 
 @ti.func
+def node_adjoint(arrays: ti.template(), scratch, group: ti.template(), lane):
+    """As `mpm.physics.transfer.node_vector` of what is added to the bars of nodes.
+
+    With volume correction that of the mass differs from node to node.
+    """
+    features = arrays.features
+    if ti.static(features.volume_correction):
+        first = scratch + features.values + group * features.node
+        return ti.Vector(
+            [
+                arrays.scratch_lanes[(first + k) * features.lanes + lane] if k < features.used else 0.0
+                for k in ti.static(range(features.node))
+            ]
+        )
+    else:
+        return node_vector(arrays, scratch, group, lane)
+
+
+@ti.func
 def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Leave sum_i w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
     features, lanes = arrays.features, arrays.features.lanes
@@ -120,6 +140,36 @@ def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.templ
                 for c in ti.static(range(3)):
                     around = around + (w * arrays.scratch_lanes[weight + (6 + c) * lanes]) * arrays.grid[at + c]
         store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
+def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+    """Leave sum_i w_ip n_i and sum_i w_ip x_ip n_i of what lies at the nodes, for each particle of a block."""
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
+    size = ti.static(features.dimension)
+    for lane in range(lanes):
+        n = lowest_node(arrays, scratch, lane, grid, strides)
+        weight = no_overflow(scratch * lanes + lane)
+        lever = weight + layout.levers * lanes
+        around, x_sum, y_sum, z_sum = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        for a, b in ti.static(ti.ndrange(3, 3)):
+            wx, wy = arrays.scratch_lanes[weight + a * lanes], arrays.scratch_lanes[weight + (3 + b) * lanes]
+            lx, ly = arrays.scratch_lanes[lever + a * lanes], arrays.scratch_lanes[lever + (3 + b) * lanes]
+            at = n + a * strides[0] + b * strides[1]
+            column, z_column = zero_node(arrays), zero_node(arrays)
+            if ti.static(size == 2):
+                column = arrays.grid[at]
+            else:
+                for c in ti.static(range(3)):
+                    column = column + arrays.scratch_lanes[weight + (6 + c) * lanes] * arrays.grid[at + c]
+                    z_column = z_column + arrays.scratch_lanes[lever + (6 + c) * lanes] * arrays.grid[at + c]
+            around, x_sum, y_sum = around + wx * wy * column, x_sum + lx * wy * column, y_sum + wx * ly * column
+            z_sum = z_sum + wx * wy * z_column
+        store_sum(around, 0, scratch, lane, arrays)
+        store_sum(x_sum, 1, scratch, lane, arrays)
+        store_sum(y_sum, 2, scratch, lane, arrays)
+        if ti.static(size == 3):
+            store_sum(z_sum, 3, scratch, lane, arrays)
 
 
 @ti.func
@@ -213,3 +263,50 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
         for number in ti.static(range(1, features.used)):
             total = total + products[k][number]
         arrays.scratch_lanes[at + k * lanes] = total
+
+
+@ti.func
+def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
+    """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
+
+    From that of C after it. Only where volume correction holds a loose particle back, C is not the slope of u alone
+    (`mpm.physics.transfer`): with N = C' of the velocity kept, B = kappa C before and e = (1 - |B| / |N|)_+
+
+        C = slope(u) - e N,    e' = -N : C',    N' = -e C' + e' (|B| / |N|^3) N,    B' = -e' B / (|B| |N|)
+    """
+    features, layout = arrays.features, arrays.layout
+    size = ti.static(features.dimension)
+    own, first = block * layout.width, no_overflow(block * features.block)
+    bar = [arrays.adjoints[own + features.affine + k] for k in ti.static(range(size * size))]
+    zero = 0.0 * bar[0]
+    if ti.static(features.volume_correction and features.relaxed):
+        square = 4.0 * per_dx * per_dx
+        kept, before = [zero for _ in ti.static(range(size * size))], [zero for _ in ti.static(range(size * size))]
+        before_squared, now_squared, excess_bar = zero, zero, zero
+        for i, j in ti.static(ti.ndrange(size, size)):
+            at = scratch + layout.sums + (1 + j) * features.node + i
+            n = square * (arrays.scratch[at] - arrays.scratch[at + features.change])
+            b = kappa * arrays.state[first + features.affine + i * size + j]
+            kept[i * size + j], before[i * size + j] = n, b
+            before_squared, now_squared = before_squared + b * b, now_squared + n * n
+            excess_bar = excess_bar - n * bar[i * size + j]
+        bears = zero
+        for k in ti.static(range(3)):
+            bears = bears + magnitude(arrays.state[first + features.stress + k])
+        loose = (arrays.state[first + features.gap] > 0.0) | (bears == 0.0)
+        held = loose & (now_squared > before_squared)
+        ratio = ti.sqrt(before_squared / maximum(now_squared, TINY))
+        excess = ti.select(held, 1.0 - ratio, zero)
+        excess_bar = ti.select(held, excess_bar, zero)
+        per_now = excess_bar * ratio / maximum(now_squared, TINY)
+        per_before = excess_bar / maximum(ti.sqrt(before_squared * now_squared), TINY)
+        n_bar = [per_now * kept[k] - excess * bar[k] for k in ti.static(range(size * size))]
+        kappa_bar = zero
+        for k in ti.static(range(size * size)):
+            kappa_bar = kappa_bar - per_before * before[k] * arrays.state[first + features.affine + k]
+        u_bar = [bar[k] + n_bar[k] for k in ti.static(range(size * size))]
+        change_bar = [0.0 - n_bar[k] for k in ti.static(range(size * size))]
+        old_bar = [0.0 - kappa * per_before * before[k] for k in ti.static(range(size * size))]
+        return u_bar + change_bar + old_bar + [kappa_bar]
+    else:
+        return bar + [zero for _ in ti.static(range(2 * size * size + 1))]

@@ -130,8 +130,9 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     increment = strain_increment(block, scratch, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):
-        remembered = arrays.state[first + features.gap]
-        opened = updated_gap(remembered, limit, lame + shear * (2.0 / 3.0), scene, block, scratch, dt, arrays)
+        remembered, bulk = arrays.state[first + features.gap], lame + shear * (2.0 / 3.0)
+        x = [arrays.state[first + k] for k in ti.static(range(features.dimension))]
+        opened = updated_gap(remembered, limit, bulk, x, scene, block, scratch, dt, arrays)
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]

@@ -36,8 +36,8 @@ TINY = 1.0e-30
 
 
 @ti.func
-def grid_gap(scene, block, scratch, arrays: ti.template()):
-    """e_s [-] of the particles of a block: the volume strain that follows from the grid's density."""
+def grid_gap(x: ti.template(), scene, block, scratch, arrays: ti.template()):
+    """e_s [-] of a block at `x` [m], D vectors: the volume strain that follows from the grid's density."""
     features = arrays.features
     dx = arrays.settings[scene, Setting.CELL]
     mass = maximum(arrays.scratch[scratch + features.density], TINY)
@@ -57,7 +57,7 @@ def grid_gap(scene, block, scratch, arrays: ti.template()):
         if ti.static(features.contact):
             normal = arrays.state[block * features.block + features.contacts + Contact.NORMAL + k]
             slope = slope - across * normal
-        x_cells = arrays.state[block * features.block + k] / (GAP_CUTOFF * dx)
+        x_cells = x[k] / (GAP_CUTOFF * dx)
         length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_CUTOFF
         low, high = maximum(1.0 - x_cells, 0.0), maximum(1.0 - length + x_cells, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
@@ -69,8 +69,8 @@ def grid_gap(scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def updated_gap(opened, limit, bulk, scene, block, scratch, dt, arrays: ti.template()):
-    """K e [Pa] of a block at the start of a step: as remembered or, where open without tension, after relaxation."""
+def updated_gap(opened, limit, bulk, x: ti.template(), scene, block, scratch, dt, arrays: ti.template()):
+    """K e [Pa] of a block that has moved to `x` [m]: as remembered or, where open without tension, after relaxation."""
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
-    followed = (opened + rate * bulk * grid_gap(scene, block, scratch, arrays)) / (1.0 + rate)
+    followed = (opened + rate * bulk * grid_gap(x, scene, block, scratch, arrays)) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)

@@ -54,7 +54,9 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             old = [x[at + k] for k in ti.static(range(stresses))]
             trial = trial_stress(old, increment, p[4], p[5], dimension)
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
-            returned = plastic_return_reverse(bar, trial, p[0], p[1], p[2], p[3], p[4], p[5], 0.0 * p[0], features)
+            returned = plastic_return_reverse(
+                bar, trial, p[0], p[1], p[2], p[3], p[4], p[5], 0.0 * p[0], 0.0 * p[0], features
+            )
             trial_bar = [returned[k] for k in ti.static(range(stresses))]
             elastic = trial_stress_reverse(trial_bar, old, increment, p[4], p[5], dimension)
             a_bar = midpoint_increment_reverse(

@@ -1,10 +1,11 @@
 """Small flows for the tests of the adjoint, what is observed of them, and central differences."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from datasets.material import Material
@@ -33,6 +34,11 @@ def room(material: Material = SOIL, **changes: Any) -> Scene:
     masses = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(1.0, 0.0, 0.2)),)
     settings: dict[str, Any] = {"masses": masses, "duration": 0.01, "floor_friction": 0.3, "wall_friction": 0.2}
     return Scene(domain=Domain(size=(0.8, 0.8, 0.8), cell=0.04), material=material, **(settings | changes))
+
+
+def parameters(scenes: Iterable[str], slow: Iterable[str]) -> list[Any]:
+    """Names of scenes as parameters of a test; those whose kernels take long to compile are slow."""
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in scenes]
 
 
 class Weighted:

@@ -10,7 +10,7 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.scene import Baffle, Mass, Scene
 from mpm.adjoint.gradient import Gradient, gradient
-from tests.mpm.adjoint.flows import Weighted, central, moved, plane, room, value_of
+from tests.mpm.adjoint.flows import Weighted, central, moved, parameters, plane, room, value_of
 
 pytestmark = pytest.mark.double
 
@@ -24,17 +24,28 @@ ABOVE = (
     Mass(lower=(0.1, 0.033), size=(0.2, 0.12), velocity=(1.0, -0.3)),
     Mass(lower=(0.3, 0.04), size=(0.1, 0.1), velocity=(0.5, -0.5)),
 )
+MAPPED = dataclasses.replace(GROUND, friction=(0.1, 0.7, 0.3))
+HILL = Solid(
+    kind="terrain",
+    origin=(0.0, 0.0),
+    spacing=(0.4, 0.4),
+    heights=((0.05, 0.07, 0.05), (0.06, 0.05, 0.05), (0.05, 0.05, 0.06)),
+    friction=((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3)),
+)
+RAISED = (Mass(lower=(0.2, 0.08, 0.2), size=(0.24, 0.16, 0.16), velocity=(1.0, -1.0, 0.3)),)
 CUBE = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(2.0, 0.0, 0.2)),)
 PILLAR = Baffle(lower=(0.225, 0.0, 0.1), size=(0.1, 0.127, 0.1), turned_deg=20.0)
 SCENES = {
     "2D": plane(masses=NEAR, baffles=(UPRIGHT,), baffle_friction=0.3, duration=0.04),
     "2D APIC, damped": plane(masses=NEAR, baffles=(UPRIGHT,), baffle_friction=0.3, relaxation_time=0.0, damping=0.05),
     "ground": plane(masses=ABOVE, solids=(GROUND,), volume_correction=False, duration=0.03),
+    "ground of two soils": plane(masses=ABOVE, solids=(MAPPED,), volume_correction=False, duration=0.03),
+    "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
     "3D": room(masses=CUBE, baffles=(PILLAR,), baffle_friction=0.3, duration=0.015),
 }
 
 
-@pytest.fixture(params=SCENES, scope="module")
+@pytest.fixture(params=parameters(SCENES, ("3D ground",)), scope="module")
 def flow(request: pytest.FixtureRequest) -> tuple[Scene, Weighted, Gradient]:
     """A scene, an objective of its end, and the gradient."""
     scene: Scene = SCENES[request.param]
@@ -113,6 +124,24 @@ def test_the_height_and_the_friction_of_the_ground(flow: tuple[Scene, Weighted, 
         return dataclasses.replace(scene, solids=(dataclasses.replace(GROUND, friction=0.4 + h),))
 
     for path, step in ((raised, 1e-6), (slippery, 1e-3)):
+        found = central(lambda h, path=path: value_of(path(h), objective), step)  # type: ignore[misc]
+        assert found != 0.0
+        assert slope.along(path, 0.0, 1e-7) == pytest.approx(found, rel=2e-5)
+
+
+@pytest.mark.parametrize("flow", ["ground of two soils"], indirect=True)
+def test_friction_along_the_ground(flow: tuple[Scene, Weighted, Gradient]) -> None:
+    """One coefficient of a map, and the position of its point: between points it is linear."""
+    scene, objective, slope = flow
+
+    def rougher_there(h: float) -> Scene:
+        return dataclasses.replace(scene, solids=(dataclasses.replace(MAPPED, friction=(0.1, 0.7 + h, 0.3)),))
+
+    def further(h: float) -> Scene:
+        points = ((0.0, 0.02), (0.25 + h, 0.03), (1.0, 0.013))
+        return dataclasses.replace(scene, solids=(dataclasses.replace(MAPPED, points=points),))
+
+    for path, step in ((rougher_there, 1e-3), (further, 1e-6)):
         found = central(lambda h, path=path: value_of(path(h), objective), step)  # type: ignore[misc]
         assert found != 0.0
         assert slope.along(path, 0.0, 1e-7) == pytest.approx(found, rel=2e-5)

@@ -11,7 +11,7 @@ from datasets.particles import Particles, initial_particles
 from datasets.scene import Baffle, Mass, Scene
 from mpm.adjoint.gradient import Gradient, pull_back
 from mpm.adjoint.tape import Tape
-from tests.mpm.adjoint.flows import Floats, central, moved
+from tests.mpm.adjoint.flows import Floats, central, moved, parameters
 from tests.mpm.adjoint.test_contact import SCENES, rougher, shifted, taller
 
 pytestmark = pytest.mark.double
@@ -25,6 +25,8 @@ FLOWS = {
     "baffle on ground": dataclasses.replace(SCENES["ground"], baffles=(BEHIND,)),
     "thrown": dataclasses.replace(SCENES["ground"], masses=THROWN, solids=(SLOPE,)),
 }
+
+SLOW = ("2D APIC, damped", "3D")
 
 
 def impulse_tape(scene: Scene, change: Callable[[Particles], Particles] | None = None) -> Tape:
@@ -43,7 +45,7 @@ def weighted(scene: Scene, change: Callable[[Particles], Particles] | None = Non
     return float((weights_of(tape) * tape.impulses()).sum())
 
 
-@pytest.fixture(params=FLOWS, scope="module")
+@pytest.fixture(params=parameters(FLOWS, SLOW), scope="module")
 def flow(request: pytest.FixtureRequest) -> tuple[Scene, Gradient]:
     scene = FLOWS[request.param]
     tape = impulse_tape(scene)
@@ -77,7 +79,7 @@ def test_constants_of_the_material(flow: tuple[Scene, Gradient], name: str, step
 @pytest.mark.parametrize(
     ("change", "step"), [(shifted, 1e-5), (taller, 1e-5), (rougher, 1e-3)], ids=["x", "height", "friction"]
 )
-@pytest.mark.parametrize("flow", ["2D", "2D APIC, damped", "3D"], indirect=True)
+@pytest.mark.parametrize("flow", parameters(("2D", *SLOW), SLOW), indirect=True)
 def test_a_baffle(flow: tuple[Scene, Gradient], change: Callable[[Scene, float], Scene], step: float) -> None:
     scene, slope = flow
     found = central(lambda h: weighted(change(scene, h)), step)
