@@ -19,8 +19,9 @@ from inverse.fields.problem import FieldProblem
 from inverse.observations import Observation, Rollout
 from inverse.observations.sampling import brackets
 from mpm import simulate_many
+from mpm.adjoint.checks import check
 from mpm.adjoint.gradient import pull_back_all
-from mpm.adjoint.tape import Tape, check
+from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.batch import particles_of
 from mpm.arrays.features import features_of
 from mpm.process import processors
@@ -89,7 +90,7 @@ class Flow:
             adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
             still = [np.zeros_like(each[0]) for each in adjoints]
             together = [
-                [(own[number], rest) for own, rest in zip(adjoints, still, strict=True)]
+                [FlowAdjoints(own[number], rest) for own, rest in zip(adjoints, still, strict=True)]
                 for number in range(len(combinations))
             ]
             for row, gradients in enumerate(pull_back_all(tape, together)):

@@ -95,8 +95,8 @@ class FieldProblem:
             for bound in ("lower", "upper"):
                 self.check_bound(index, each, bound)
         for index, (settings, read) in enumerate(zip(self.observations, read_joined(self), strict=True)):
-            if not read.observation.differentiable:
-                message = f"expected an observation that the adjoint differentiates, got {settings.kind}"
+            if not read.observation.of_positions:
+                message = f"expected an observation of positions, got {settings.kind}"
                 raise InputError(message, key=f"observations[{index}].kind")
         for index, mass in enumerate(self.scene.masses):
             if mass.k0 is not None and any(each.quantity == FRICTION for each in self.fields):
