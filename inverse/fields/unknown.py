@@ -99,11 +99,8 @@ class Unknown:
     @property
     def name(self) -> str:
         """In files and reports."""
-        return (
-            self.settings.quantity
-            if self.settings.mass is None
-            else f"masses[{self.settings.mass}].{self.settings.quantity}"
-        )
+        settings = self.settings
+        return settings.quantity if settings.mass is None else f"masses[{settings.mass}].{settings.quantity}"
 
     @property
     def unit(self) -> str:
@@ -113,9 +110,8 @@ class Unknown:
     def support(self, scene: Scene) -> Floats:
         """Particles of the initial body that each node stands for, shape [K]."""
         particles = initial_particles(scene)
-        here = (
-            np.full(len(particles.mass), True) if self.settings.mass is None else particles.mass == self.settings.mass
-        )
+        every, own = np.full(len(particles.mass), True), self.settings.mass
+        here = every if own is None else particles.mass == own
         return np.asarray(self.grid.weights(particles.positions).T @ here.astype(np.float64))
 
     def values(self, latent: Floats) -> Floats:
