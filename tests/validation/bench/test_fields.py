@@ -72,8 +72,11 @@ def test_a_field_that_is_not_identified_is_said_to_be_so() -> None:
     errors = {"prior": 0.1, "posterior": 0.2, "prior_identified": None, "identified": None}
     text = identified(row("slide-velocity", "velocity_y", None, identified=0, box=None, error=errors))
     assert "not identified" in text
-    worse = {"prior": 3.0, "posterior": 4.0, "prior_identified": 5.0, "identified": 2.0}
-    assert "above the 3 of" in identified(row("slope-friction", "friction_deg", None, error=worse))
+    worse = {"prior": 5.0, "posterior": 4.0, "prior_identified": 8.0, "identified": 1.0}
+    # Of 200 squares 50 are identified.
+    assert "elsewhere it is 4.58, above the 3.46 of" in identified(
+        row("slope-friction", "friction_deg", None, error=worse)
+    )
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

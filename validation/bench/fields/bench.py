@@ -6,6 +6,7 @@ from the prior, for which 95 % of the bands have to hold the true value.
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from inverse.fields import pictures
 from inverse.fields.inversion import invert
 from inverse.fields.problem import FieldProblem, FieldTarget, read_problem
 from inverse.fields.result import IDENTIFIED, FieldResult
-from validation.report.page import Format, Page, percent
+from inverse.observations.profile import REPRESENTATION
+from validation.report.page import Format, Page
 
 PROBLEMS = ("slope-friction", "slide-velocity")
 TITLES = {"slope-friction": "Friction of a slope", "slide-velocity": "Velocities of a slide"}
@@ -91,10 +93,16 @@ def bench(out: Path, *, quick: bool = False, keep: Path, draws: int = 3) -> str:
     return page.write(out / "fields.md")
 
 
+def percent(fraction: float) -> str:
+    """0.213 as 21 %."""
+    return f"{100.0 * fraction:.0f} %"
+
+
 FORMATS: dict[str, Format] = {
     "error of the prior": ".3g",
     "error": ".3g",
     "error, identified": ".3g",
+    "error, elsewhere": ".3g",
     "width": ".3g",
     "identified": percent,
     "within 95 %": percent,
@@ -170,6 +178,14 @@ def rows_of(result: FieldResult, draw: int | None) -> list[Row]:
     return found
 
 
+def elsewhere(row: Row, name: str) -> float:
+    """Root mean square error at the values that are not identified: `posterior`, or `prior` of the prior's mean."""
+    inside = "identified" if name == "posterior" else "prior_identified"
+    known, others = row["identified"], row["values"] - row["identified"]
+    squares = row["values"] * row["error"][name] ** 2 - known * (row["error"][inside] or 0.0) ** 2
+    return math.sqrt(max(squares, 0.0) / others) if others else math.nan
+
+
 def shown(row: Row) -> Row:
     """A row of a table."""
     return {
@@ -178,6 +194,7 @@ def shown(row: Row) -> Row:
         "error of the prior": row["error"]["prior"],
         "error": row["error"]["posterior"],
         "error, identified": row["error"]["identified"],
+        "error, elsewhere": elsewhere(row, "posterior"),
         "width": row["deviation"]["posterior"],
         "identified": row["identified"] / row["values"],
         "within 95 %": row["covered"],
@@ -190,11 +207,12 @@ def sentence(name: str, rows: list[Row]) -> str:
     """Of the conclusion, of one problem with its own truth."""
     parts = []
     for row in rows:
-        error, share = row["error"], percent(row["identified"] / row["values"])
-        text = f"{row['name']} is identified at {share} of its values"
+        error, unit = row["error"], row["unit"]
+        text = f"{row['name']} is identified at {percent(row['identified'] / row['values'])} of its values"
         if row["identified"]:
-            text += f", there off by {error['identified']:.2g} {row['unit']} (prior {error['prior_identified']:.2g})"
-        parts.append(text + f", {percent(row['covered'])} of all true values within 95 %")
+            text += f", there off by {error['identified']:.2g} {unit} (prior {error['prior_identified']:.2g})"
+        text += f", elsewhere by {elsewhere(row, 'posterior'):.2g} {unit} ({elsewhere(row, 'prior'):.2g})"
+        parts.append(f"{text}; {percent(row['covered'])} of the true values lie within 95 %")
     first = rows[0]
     return (
         f"{TITLES[name]}, {sum(row['values'] for row in rows)} values from {first['numbers']} numbers: "
@@ -228,11 +246,11 @@ def identified(row: Row) -> str:
         f"{axis} {low:.2f} to {high:.2f} m" for axis, (low, high) in zip("xyz", row["box"], strict=False)
     )
     text += f"; more than {percent(IDENTIFIED)} at {row['identified']} of {row['values']} values, within {between}."
-    change = "below" if error["posterior"] < error["prior"] else "above"
+    before, after = elsewhere(row, "prior"), elsewhere(row, "posterior")
+    change = "below" if after < before else "above"
     return (
         f"{text} There the error is {error['identified']:.3g} {row['unit']} ({error['prior_identified']:.3g} of the "
-        f"prior's mean); over all values it is {error['posterior']:.3g}, {change} the {error['prior']:.3g} of the "
-        "prior's mean."
+        f"prior's mean); elsewhere it is {after:.3g}, {change} the {before:.3g} of the prior's mean."
     )
 
 
@@ -247,7 +265,10 @@ def described(problem: FieldProblem) -> str:
         problem.observations[0].noise,
         [f"{each.times[0]:g} s" if each.times else "the end" for each in problem.observations],
     )
-    return f"{unknown}; observed: profiles at {', '.join(times)}, each height with a noise of {noise} m."
+    return (
+        f"{unknown}; observed: profiles at {', '.join(times)}, each height with a noise of {noise} m and of "
+        f"{REPRESENTATION:g} cells for what a height at one x misses."
+    )
 
 
 def picture(problem: str, field: str) -> str:
