@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.field import check_fields
 from datasets.geometry.solid import check_solid
 from datasets.scene import DOMAIN_SIDES, TOLERANCE, Baffle, Mass, Scene, has_shapes, overlaps
 
@@ -94,6 +95,7 @@ def check(scene: Scene) -> None:
                 list(parts),
             )
         check_start(scene, mass, f"masses[{index}]")
+    check_fields(scene)
     names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
     shared = overlaps((*scene.masses, *scene.baffles))
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one

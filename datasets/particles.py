@@ -1,5 +1,6 @@
 """Scene -> particles: a jittered lattice in each mass, whose particles have exactly its volume."""
 
+import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.field import FRICTION
 from datasets.material import Material
 from datasets.scene import TOLERANCE, Mass, Scene
 
@@ -41,6 +43,8 @@ class Particles:
     """Initial volume of each particle [m^D], shape [N]."""
     depth: NDArray[np.float64]
     """Of each particle below the top of its mass [m], shape [N]."""
+    friction_deg: NDArray[np.float64] | None = None
+    """Angle of friction of each particle [deg], shape [N], in place of its material's; None where all have that."""
 
     @cached_property
     def common_volume(self) -> float | None:
@@ -56,6 +60,8 @@ class Particles:
     @property
     def friction(self) -> NDArray[np.float32]:
         """tan(phi) of each particle [-], shape [N]."""
+        if self.friction_deg is not None:
+            return np.tan(np.radians(self.friction_deg)).astype(np.float32)
         return np.array([material.friction for material in self.materials], np.float32)[self.material]
 
     @property
@@ -102,7 +108,7 @@ def initial_particles(scene: Scene) -> Particles:
             materials.append(material)
         indices.append(np.full(len(offset), materials.index(material), np.int32))
     counts = mass_counts(scene)
-    return Particles(
+    particles = Particles(
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
         mass=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
@@ -112,6 +118,22 @@ def initial_particles(scene: Scene) -> Particles:
         volume=initial_volumes(scene),
         depth=np.concatenate(depths),
     )
+    return with_fields(scene, particles) if scene.fields else particles
+
+
+def with_fields(scene: Scene, particles: Particles) -> Particles:
+    """`particles` with what the fields of `scene` give them at their positions."""
+    velocities, friction_deg = particles.velocities.copy(), particles.friction_deg
+    for field in scene.fields:
+        here = field.mass is None or particles.mass == field.mass
+        values = field.at(particles.positions)
+        if field.quantity != FRICTION:
+            velocities[:, field.axis] = np.where(here, values, velocities[:, field.axis])
+            continue
+        if friction_deg is None:
+            friction_deg = np.array([each.friction_deg for each in particles.materials])[particles.material]
+        friction_deg = np.where(here, values, friction_deg)
+    return dataclasses.replace(particles, velocities=velocities, friction_deg=friction_deg)
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.field import Field
 from datasets.geometry.solid import Rows, Solid, Triangles
 from datasets.material import Material
 from datasets.records import Record, from_mapping
@@ -128,6 +129,8 @@ class Scene(Record):
     material: Material
     """The material of every mass that brings none of its own."""
     masses: tuple[Mass, ...]
+    fields: tuple[Field, ...] = ()
+    """What varies over the particles at the start: friction, velocities (`datasets.field`)."""
     baffles: tuple[Baffle, ...] = ()
     solids: tuple[Solid, ...] = ()
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes (`datasets.geometry.solid`)."""
@@ -197,6 +200,9 @@ class Scene(Record):
         if self.volume_correction is not None:
             return self.volume_correction
         upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in self.masses]
+        upwards += [
+            max(0.0, sum(each.values) / len(each.values)) for each in self.fields if each.quantity == "velocity_y"
+        ]
         return self.gravity > 0.0 and (
             max(upwards) ** 2 >= 2.0 * self.gravity * self.domain.cell
             or bool((heights_above_ground(self) >= self.domain.cell - TOLERANCE).any())

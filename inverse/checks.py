@@ -100,11 +100,7 @@ def check_observation(scene: Scene, settings: ObservationSettings) -> None:
 
 def check_observations(settings: Sequence[ObservationSettings], target: TargetSettings) -> None:
     """Raise InputError for observations that cannot be joined, or a target beside them that is no simulated flow."""
-    for index, each in enumerate(settings):
-        check_options(each, f"observations[{index}]")
-        if not KINDS[each.kind].jointly:
-            joined = ", ".join(name for name, kind in KINDS.items() if kind.jointly)
-            raise InputError(f"expected one of {joined}, got {each.kind!r}", key=f"observations[{index}].kind")
+    check_joined(settings)
     allowed = ("twin", "seed", "truth", "trajectory")
     for field in dataclasses.fields(target):
         usual = field.default if field.default is not dataclasses.MISSING else {}
@@ -113,6 +109,15 @@ def check_observations(settings: Sequence[ObservationSettings], target: TargetSe
             raise InputError(message, key=f"target.{field.name}")
     if target.twin and target.trajectory is not None:
         raise InputError("expected twin = true or a trajectory, got both", key="target")
+
+
+def check_joined(settings: Sequence[ObservationSettings]) -> None:
+    """Raise InputError for observations that cannot be joined."""
+    for index, each in enumerate(settings):
+        check_options(each, f"observations[{index}]")
+        if not KINDS[each.kind].jointly:
+            joined = ", ".join(name for name, kind in KINDS.items() if kind.jointly)
+            raise InputError(f"expected one of {joined}, got {each.kind!r}", key=f"observations[{index}].kind")
 
 
 def check_target(scene: Scene, observation: ObservationSettings, target: TargetSettings) -> None:

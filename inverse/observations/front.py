@@ -66,6 +66,7 @@ class FrontOverTime(Observation):
     options = ("times", "unit")
     alone = False
     over_time = True
+    times: Values
 
     def __init__(self, times: Values) -> None:
         """times: [s] after the start, shape [M]."""

@@ -117,6 +117,8 @@ class Observation(ABC):
     """How many of the numbers are the components of one point: their squared differences add up in the misfit."""
     over_time: bool = False
     """Whether it needs more of a trajectory than its last frame."""
+    times: Values | None = None
+    """When it looks at the flow [s], where it does so at times."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
     distance_unit: ClassVar[tuple[float, str]] = (100.0, "%")
@@ -153,8 +155,8 @@ class Observation(ABC):
     def check_run(self, run: Trajectory, scene: Scene) -> None:  # noqa: B027
         """Raise InputError for an observed run that cannot be compared with runs of `scene`."""
 
-    def profile_of(self, positions: NDArray[np.floating]) -> "MeasuredProfile | None":
-        """Of a simulated deposit [m], shape [N, D], the profile whose heights have errors; None where there is none."""
+    def profile_of(self, run: Trajectory) -> "MeasuredProfile | None":
+        """Of a simulated flow the profile whose heights have errors; None where there is none."""
         return None
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The height profile of a deposit along x; of a measured one, at its own rows before the two are compared.
+"""The height profile along x of the deposit, or of the flow at a time; a measured one at its own rows.
 
     h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
@@ -27,7 +27,16 @@ from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
-from inverse.observations.observation import Context, DepositObservation, Errors, Matrix, Measurement, Values
+from inverse.observations.observation import (
+    Context,
+    DepositObservation,
+    Errors,
+    Matrix,
+    Measurement,
+    Rollout,
+    Values,
+)
+from inverse.observations.sampling import brackets, predicted_at_times, require_times
 from inverse.observations.target import Target
 from inverse.settings import Heights, LoopSettings, ObservationSettings
 
@@ -53,11 +62,13 @@ class Profile(DepositObservation):
     label = "the height profile of the deposit"
     sources = ("csv",)
     source = "csv"
-    options = ("spacing", "unit", "datum", "heights")
+    options = ("spacing", "unit", "datum", "heights", "times")
     along_flow = True
     distance_unit = (100.0, "% of the profile's mean x")
 
-    def __init__(self, scene: Scene, spacing: float) -> None:
+    def __init__(self, scene: Scene, spacing: float, times: Values | None = None) -> None:
+        """times: the one at which the flow is seen [s], shape [1]; the end where absent."""
+        self.times, self.over_time = times, times is not None
         self.stations = measures.profile_stations(scene, spacing)
         self.scene, self.volume = scene, released_volume(scene)
         self.width = math.prod(scene.domain.size[2:])
@@ -67,7 +78,11 @@ class Profile(DepositObservation):
         length = scene.domain.size[0]
         if not 0.0 < settings.spacing <= length / 2:
             raise InputError(f"expected a length in (0, {length / 2:g}] m, got {settings.spacing}", key="spacing")
-        return cls(scene, settings.spacing)
+        if settings.times is None:
+            return cls(scene, settings.spacing)
+        if len(settings.times) != 1:
+            raise InputError(f"expected one time for each profile, got {len(settings.times)}", key="times")
+        return cls(scene, settings.spacing, require_times(np.array(settings.times), scene))
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
@@ -76,7 +91,8 @@ class Profile(DepositObservation):
         sampled = SampledProfile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
         if settings.csv is None:
             # Compared with others its noise is that of its heights.
-            operator = sampled(scene, settings.spacing, simulated.stations) if context.joint else simulated
+            rows = simulated.stations
+            operator = sampled(scene, settings.spacing, rows, simulated.times) if context.joint else simulated
             return Measurement(observation=operator, values=None)
         profile = profile_of(
             context.folder / settings.csv,
@@ -87,8 +103,25 @@ class Profile(DepositObservation):
             released=context.released,
             ground=lambda x: ground(scene, x),
         )
-        rows = sampled(scene, settings.spacing, profile.x)
-        return Measurement(observation=rows, values=rows.of_heights(profile.at(rows.stations)), profile=profile)
+        operator = sampled(scene, settings.spacing, profile.x, simulated.times)
+        values = operator.of_heights(profile.at(operator.stations))
+        return Measurement(observation=operator, values=values, profile=profile)
+
+    def seen(self, run: Trajectory) -> NDArray[np.floating]:
+        """Positions of the particles of `run` when it is seen [m], shape [N, D]."""
+        if self.times is None:
+            return np.asarray(run.positions[-1])
+        (before,), (share,) = brackets(run.time, self.times)
+        after = min(before + 1, len(run.time) - 1)
+        return np.asarray((1.0 - share) * run.positions[before] + share * run.positions[after])
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        return self.exact(self.seen(trajectory))
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        if self.times is None:
+            return super().predict(rollout)
+        return self.smooth(predicted_at_times(lambda positions: positions, rollout, self.times)[0], rollout.volumes)
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
@@ -161,9 +194,9 @@ class Profile(DepositObservation):
 class SampledProfile(Profile):
     """`Profile`, of which the heights at given rows alone are known."""
 
-    def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64]) -> None:
+    def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64], times: Values | None = None) -> None:
         """rows: [m], ascending, shape [R]; beyond their ends they go on to the walls, as far apart as the last two."""
-        super().__init__(scene, spacing)
+        super().__init__(scene, spacing, times)
         self.fine, self.stations = self.stations, to_the_wall(rows, scene.domain.size[0])
         units = np.eye(len(self.fine))
         self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
@@ -188,8 +221,8 @@ class SampledProfile(Profile):
         # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
         return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
 
-    def profile_of(self, positions: NDArray[np.floating]) -> MeasuredProfile:
-        return MeasuredProfile(x=self.stations, height=self.heights(positions))
+    def profile_of(self, run: Trajectory) -> MeasuredProfile:
+        return MeasuredProfile(x=self.stations, height=self.heights(self.seen(run)))
 
     def errors(
         self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
@@ -221,7 +254,7 @@ class SampledProfile(Profile):
         if target.profile is None or target.deviation is None:
             return super().residuals(target, found, ensemble)
         rows, measured = target.profile
-        shown, spread = (np.stack([self.heights(run.positions[-1]) for run in runs]) for runs in (found, ensemble))
+        shown, spread = (np.stack([self.heights(self.seen(run)) for run in runs]) for runs in (found, ensemble))
         mean = shown.mean(axis=0)
         covered = (target.deviation > 0.0) | (mean > 0.0)
         residual = (mean - np.trapezoid(mean, rows) / np.trapezoid(measured, rows) * measured)[covered]

@@ -3,6 +3,8 @@
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,6 +19,42 @@ from inverse.observations.observation import Context, Matrix, Measurement, Value
 from inverse.observations.target import Target
 from inverse.problem import Problem
 from inverse.settings import MEASURED, ObservationSettings, noise_of
+
+
+class Source(Protocol):
+    """Where observed numbers come from, of a target."""
+
+    @property
+    def trajectory(self) -> str | None:
+        """A trajectory that was observed."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the observations bring their own numbers."""
+
+
+class Observed(Protocol):
+    """What a problem tells of its observations."""
+
+    @property
+    def scene(self) -> Scene:
+        """The flow."""
+
+    @property
+    def folder(self) -> Path:
+        """Relative paths start here."""
+
+    @property
+    def released(self) -> float | None:
+        """Volume of the masses over the width [m^2]."""
+
+    @property
+    def observations(self) -> tuple[ObservationSettings, ...]:
+        """Those that are compared together, if any."""
+
+    @property
+    def target(self) -> Source:
+        """What came out."""
 
 
 def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Target:
@@ -39,13 +77,18 @@ def read_each(problem: Problem) -> list[Measurement]:
         merged = {key: getattr(problem.target, key) for key in MEASURED}
         settings = dataclasses.replace(problem.observation, **merged)
         return [_read(problem, settings, lambda key: f"{'target' if key in MEASURED else 'observation'}.{key}")]
+    return read_joined(problem)
+
+
+def read_joined(problem: Observed) -> list[Measurement]:
+    """Every one of its `[[observations]]` with its numbers. Raises InputError, which names the key or the file."""
     return [
         _read(problem, settings, lambda key, index=index: f"observations[{index}].{key}".removesuffix("."))  # type: ignore[misc]
         for index, settings in enumerate(problem.observations)
     ]
 
 
-def _read(problem: Problem, settings: ObservationSettings, path: Callable[[str], str]) -> Measurement:
+def _read(problem: Observed, settings: ObservationSettings, path: Callable[[str], str]) -> Measurement:
     context = Context(
         scene=problem.scene,
         folder=problem.folder,
@@ -66,7 +109,7 @@ def _read(problem: Problem, settings: ObservationSettings, path: Callable[[str],
     return found
 
 
-def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajectory:
+def read_run(problem: Observed, measurements: Sequence[Measurement]) -> Trajectory:
     """The observed trajectory of a file. Raises InputError, which names it."""
     path = problem.folder / str(problem.target.trajectory)
     run = Trajectory.load(path)
@@ -119,7 +162,10 @@ def single(
 
 
 def joint(
-    problem: Problem, measurements: Sequence[Measurement], run: Trajectory | None, truth: dict[str, float] | None
+    problem: Observed,
+    measurements: Sequence[Measurement],
+    run: Trajectory | None,
+    truth: dict[str, float] | None = None,
 ) -> Target:
     """The target of multiple observations: each number over its standard deviation (`inverse.observations.joint`)."""
     cell = problem.scene.domain.cell
@@ -133,7 +179,7 @@ def joint(
         if own is None:
             assert run is not None, "what was measured has been read"
             own = each.observation.observe(run)
-            each = dataclasses.replace(each, profile=each.observation.profile_of(run.positions[-1]))
+            each = dataclasses.replace(each, profile=each.observation.profile_of(run))
         share, noise = noise_of(settings.noise)
         errors = each.observation.errors(own, each.profile, share=share, noise=noise, cell=cell)
         first = sum(len(before) for before in values)

@@ -71,16 +71,26 @@ class Gradient:
         return found
 
     def material(self, name: str) -> Floats:
-        """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N]."""
+        """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N].
+
+        `friction_deg` at the angle of each particle, where a field of the scene gives it.
+        """
         found = np.zeros(len(self.positions))
         for index, material in enumerate(self.particles.materials):
             here = self.particles.material == index
-            depth = self.particles.depth[here]
+            depth, angle = self.particles.depth[here], self.particles.friction_deg
+            angle = None if angle is None else angle[here]
+            varies = name == "friction_deg" and angle is not None
 
-            def rows_at(value: float, own: Material = material, depth: Floats = depth) -> Floats:
-                return properties_at(with_constant(own, name, value), depth)
+            def rows_at(
+                value: float, own: Material = material, depth: Floats = depth, angle: Any = angle, varies: bool = varies
+            ) -> Floats:
+                if varies:
+                    return properties_at(own, depth, angle + value)
+                return properties_at(with_constant(own, name, value), depth, angle)
 
-            rows = differences(rows_at, getattr(material, name), name)
+            at = 0.0 if varies else getattr(material, name)
+            rows = differences(rows_at, at, name, STEP * material.friction_deg if varies else None)
             rows = rows[:, : self.properties.shape[1]]
             # The volume goes with the particle's initial position, not with its material.
             rows[:, Property.VOLUME] = 0.0

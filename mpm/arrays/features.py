@@ -27,7 +27,7 @@ class Features:
     volume_correction: bool = False
     """A particle carries the gap to its neighbours."""
     heterogeneous: bool = False
-    """A scene has several materials, or particles of several volumes."""
+    """A scene has several materials, or particles of several volumes or frictions."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
     outflow: bool = False
@@ -265,6 +265,7 @@ def features_of(
         heterogeneous=any(
             len(each.materials) > 1
             or each.common_volume is None
+            or each.friction_deg is not None
             or any(material.strength_gradient > 0.0 for material in each.materials)
             for each in particles
         ),

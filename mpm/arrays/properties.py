@@ -95,18 +95,35 @@ def properties_of(particles: Particles) -> Array:
     rows = np.empty((len(particles.material), len(Property)))
     for index, material in enumerate(particles.materials):
         here = particles.material == index
-        rows[here] = properties_at(material, particles.depth[here])
+        own = None if particles.friction_deg is None else particles.friction_deg[here]
+        rows[here] = properties_at(material, particles.depth[here], own)
     rows[:, Property.VOLUME] = particles.volume
     return rows
 
 
-def properties_at(material: Material, depth: Array) -> Array:
-    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)]."""
+def properties_at(material: Material, depth: Array, friction_deg: Array | None = None) -> Array:
+    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)].
+
+    friction_deg: of each of them, shape [N], in place of the material's; its residual one stays where it has one.
+    """
     rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
     for state, strength in ((material, Property.STRENGTH), (material.residual, Property.RESIDUAL_STRENGTH)):
         rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.friction_deg))
     rows[:, Property.LIMIT] = material.tension_limit_at(depth)
     rows[:, Property.RESIDUAL_LIMIT] = material.residual_tension_limit_at(depth)
+    if friction_deg is None:
+        return rows
+    angle, residual = np.radians(friction_deg), material.residual
+    cutoff = material.cutoff_at(depth)
+    states = [(material, cutoff, Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)]
+    if material.residual_friction_deg is None:
+        given = material.residual_tension_cutoff
+        columns = (Property.RESIDUAL_SIN_PHI, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT)
+        states.append((residual, cutoff if given is None else np.full(len(depth), given), *columns))
+    for state, tension, sine, strength, limit in states:
+        rows[:, sine] = np.sin(angle)
+        rows[:, strength] = 2.0 * state.cohesion_at(depth) * np.cos(angle)
+        rows[:, limit] = np.minimum(tension, state.cohesion_at(depth) / np.tan(angle))
     return rows
 
 

@@ -14,6 +14,7 @@ from datasets.command_line import run
 from datasets.definitions import DEFINITIONS
 from datasets.definitions.definition import Definition, Split
 from datasets.definitions.flow2d import FLOW2D
+from datasets.field import Field
 from datasets.forces import write_forces
 from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
@@ -42,7 +43,7 @@ def rows_of(title: str) -> list[list[str]]:
     return [line.split("|") for line in section(title).splitlines() if line.startswith("|")]
 
 
-@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Baffle, Solid])
+@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Field, Baffle, Solid])
 def test_every_key_of_a_scene(kind: type) -> None:
     rows = rows_of("Scene (TOML)")
     if kind is Mass:
@@ -50,7 +51,7 @@ def test_every_key_of_a_scene(kind: type) -> None:
     if kind is Solid:
         rows = rows_of("Solids and bodies (TOML)")
     for field in dataclasses.fields(kind):
-        if field.name in ("domain", "masses", "baffles", "solids"):
+        if field.name in ("domain", "masses", "fields", "baffles", "solids"):
             assert f"[{field.name}]" in PAGE
             continue
         (row, *_) = [row for row in rows if f"`{field.name}`" in row[1]]

@@ -95,6 +95,10 @@ BENCHES = {
         module="validation.bench.adjoint.bench",
         summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
     ),
+    "fields": Bench(
+        module="validation.bench.fields.bench",
+        summary="unknown fields of friction and velocity from profiles, by the MPM's adjoint, in twin experiments",
+    ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
 }
 

@@ -1,0 +1,145 @@
+"""A number that varies over a body: given at the nodes of a regular grid, linear along each axis between them.
+
+    f(x) = sum_k w_k(x) f_k,    w_k(x) = prod_a max(0, 1 - |x_a - x_ka| / h_a)
+
+with h the spacing of the grid, and x outside of the grid moved to its edge.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.records import Record
+
+if TYPE_CHECKING:
+    from datasets.scene import Scene
+
+Floats = NDArray[np.float64]
+
+VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
+FRICTION = "friction_deg"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid of nodes, the last axis fastest; K nodes in all."""
+
+    origin: tuple[float, ...]
+    """The node with the smallest coordinates [m]."""
+    spacing: tuple[float, ...]
+    """Distance between neighbours along each axis [m]."""
+    nodes: tuple[int, ...]
+    """How many along each axis."""
+
+    @property
+    def count(self) -> int:
+        """K."""
+        return math.prod(self.nodes)
+
+    @cached_property
+    def axes(self) -> list[Floats]:
+        """Coordinates of the nodes along each axis [m]."""
+        return [
+            np.asarray(first + step * np.arange(count), np.float64)
+            for first, step, count in zip(self.origin, self.spacing, self.nodes, strict=True)
+        ]
+
+    @cached_property
+    def positions(self) -> Floats:
+        """Of the nodes [m], shape [K, D]."""
+        return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, len(self.nodes))
+
+    def weights(self, positions: Floats) -> Any:
+        """Sparse matrix of w_k at `positions` [m], shape [N, D]; [N, K]. Its transpose takes derivatives to nodes."""
+        # Scenes without fields have no use for it.
+        from scipy.sparse import csr_array
+
+        last = np.array(self.nodes) - 1
+        scaled = np.clip((positions - np.array(self.origin)) / np.array(self.spacing), 0.0, last)
+        low = np.minimum(scaled.astype(np.int64), np.maximum(last - 1, 0))
+        share = scaled - low
+        columns, values = np.zeros((len(positions), 1), np.int64), np.ones((len(positions), 1))
+        for axis, count in enumerate(self.nodes):
+            neighbours = np.stack([low[:, axis], np.minimum(low[:, axis] + 1, last[axis])], axis=1)
+            parts = np.stack([1.0 - share[:, axis], share[:, axis]], axis=1)
+            columns = (columns[:, :, None] * count + neighbours[:, None]).reshape(len(positions), -1)
+            values = (values[:, :, None] * parts[:, None]).reshape(len(positions), -1)
+        rows = np.repeat(np.arange(len(positions)), columns.shape[1])
+        return csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(positions), self.count))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field(Record):
+    """What varies over the particles of a scene at the start, in place of what their mass or its material has.
+
+    For example:
+
+        Field(
+            quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 0.2), nodes=(1, 2), values=(30.0, 20.0)
+        )
+    """
+
+    quantity: str
+    """`friction_deg`, `velocity_x`, `velocity_y` or `velocity_z`."""
+    origin: tuple[float, ...]
+    """The node with the smallest coordinates [m]."""
+    spacing: tuple[float, ...]
+    """Distance between nodes along each axis [m]."""
+    nodes: tuple[int, ...]
+    """How many along each axis."""
+    values: tuple[float, ...]
+    """At the nodes, y (in 3D z) fastest: angles in degrees, velocities in m/s."""
+    mass: int | None = None
+    """Index of the mass whose particles have it; all where absent."""
+
+    @property
+    def grid(self) -> Grid:
+        """Of its nodes."""
+        return Grid(self.origin, self.spacing, self.nodes)
+
+    @property
+    def axis(self) -> int:
+        """Of a velocity."""
+        return VELOCITIES.index(self.quantity)
+
+    def at(self, positions: Floats) -> Floats:
+        """Its values at `positions` [m], shape [N, D]; shape [N]."""
+        return np.asarray(self.grid.weights(positions) @ np.array(self.values))
+
+
+def check_fields(scene: "Scene") -> None:
+    """Raise InputError for fields that the particles of `scene` cannot have."""
+    dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
+
+    def require(ok: bool, key: str, expected: str, got: object) -> None:
+        if not ok:
+            raise InputError(f"expected {expected}, got {got}", key=key)
+
+    for index, field in enumerate(scene.fields):
+        key = f"fields[{index}]"
+        require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
+        for name in ("origin", "spacing", "nodes"):
+            require(len(getattr(field, name)) == dimension, f"{key}.{name}", f"{dimension} numbers", len(field.origin))
+        require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
+        require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
+        count = field.grid.count
+        require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
+        masses = range(len(scene.masses))
+        require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
+        others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
+        alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
+        require(alone, key, f"one field of {field.quantity} for each mass", "another one")
+        if field.quantity != FRICTION:
+            continue
+        lowest, highest = min(field.values), max(field.values)
+        require(lowest > 0.0 and highest < 90.0, f"{key}.values", "angles in (0, 90) degrees", (lowest, highest))
+        for number in masses if field.mass is None else (field.mass,):
+            material = scene.material_of(scene.masses[number])
+            smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
+            message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
+            require(lowest >= smallest, f"{key}.values", message, lowest)
