@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from inverse.bounds import Bounds
 from inverse.jacobian import automatic, by_differences, central
-from inverse.optimise import Bounds, best, explore, minimise
+from inverse.optimise import best, explore, minimise
 from inverse.problem import Problem, read_problem
 from inverse.settings import Method, OptimiserSettings
 
