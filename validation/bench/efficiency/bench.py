@@ -18,11 +18,11 @@ from validation.bench.efficiency.records import Origin, OverParticles, OverUnkno
 from validation.bench.efficiency.search import CHECKS, Models, search_all
 
 LIMITS = {
-    "friction-tall-42": 25.0,
+    "friction-tall-42": 15.0,
     "velocity-layers-10": 45.0,
-    gradients.HUNDRED: 60.0,
-    "baffles-2": 45.0,
-    "cohesion-friction": 25.0,
+    gradients.HUNDRED: 50.0,
+    "baffles-2": 30.0,
+    "cohesion-friction": 15.0,
 }
 """Seconds for each method, by problem."""
 QUICK_LIMIT, QUICK_FLOW_S = 5.0, 0.25

@@ -144,6 +144,7 @@ def best_of(result: ProblemResult) -> str:
     ends = [
         (method, lowest(result, lambda each, method=method: each.method.startswith(method)))  # type: ignore[misc]
         for method in (AD, ADJOINT)
+        if any(each.method.startswith(method) for each in result.methods)
     ]
     floor = "" if result.floor is None else f" (at the truth {result.floor:.1e})"
     texts = [
