@@ -110,7 +110,7 @@ def flows(seeds: int, shares: int, *, quick: bool) -> list[Flow]:
             names=("baffles[0].z", "baffles[1].z"),
             unit="m",
             step=0.02,
-            seeds=seeds,
+            seeds=max(1, seeds // 2),
         ),
     ]
 

@@ -32,7 +32,10 @@ PRICED: tuple[tuple[str, Precision], ...] = (("layers-10", "f32"), ("layers-10",
 
 
 def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares: int = 10, repeats: int = 3) -> str:
-    """seeds: jitters over which both Jacobians are averaged; shares: of the deposit; repeats: of each timing."""
+    """seeds: jitters over which both Jacobians are averaged, in 3D half as many; shares: of the deposit; repeats: of
+
+    each timing; keep: folder of what is done.
+    """
     if quick:
         seeds, shares, repeats = 2, 4, 1
     prices = kept(keep / "price.json", partial(price_rows, repeats, quick=quick))
