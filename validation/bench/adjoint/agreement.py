@@ -24,7 +24,7 @@ from inverse.observations.observation import Observation, Rollout
 from inverse.parameters import kind, with_kinds
 from inverse.settings import ObservationSettings
 from mpm.adjoint.gradient import pull_back_all
-from mpm.adjoint.tape import FlowBars, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.output.request import LAST
 from mpm.process import processors
 from mpm.simulation import simulate_many
@@ -156,7 +156,7 @@ def by_adjoint(scenes: Sequence[Scene], names: Sequence[str], observe: Observe) 
     count = len(observe(torch.from_numpy(initial_particles(scenes[0]).positions)))
     tape = Tape(scenes, [scenes[0].frames - 1], precision="f32", memory_mib=TAPE_MIB, outputs=count)
     bars = [slopes(tape.positions(index)[-1], observe) for index in range(len(scenes))]
-    adjoints = [[FlowBars(own[row][None], np.zeros_like(own[row])[None]) for own in bars] for row in range(count)]
+    adjoints = [[FlowAdjoints(own[row][None], np.zeros_like(own[row])[None]) for own in bars] for row in range(count)]
     rows = pull_back_all(tape, adjoints)
     found = []
     for index, scene in enumerate(scenes):

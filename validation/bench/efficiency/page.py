@@ -41,7 +41,7 @@ PARTICLES_TEXT = f"""
     The paper's tall column on the same cells, longer and higher with its box, and `{SOLID}` as it ships; a second of
     flow. Each case is a process of its own; its memory is the greatest resident size above what it held before. "≈" is
     multiplied from what was run: two rollouts for each unknown and one more; runs of the MPM side by side, with their
-    memory. The passes of AD and of the adjoint are the same for any number of unknowns, the adjoint's on one thread. Of
+    memory. The passes of AD and of the adjoint are the same for any number of unknowns. Of
     AD a step leaves its state, its activations are computed again in the backward pass, except for the last steps that
     half a GiB holds. "{LONG_STEPS} steps": AD through a longer flow, no activations kept, beside the paper's stated
     limit. Cases that a folder of `--keep` holds are not measured again.
