@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datasets.field import FRICTION
 from datasets.material import Material
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.scene import TOLERANCE, Mass, Scene, corners
 
 if TYPE_CHECKING:
     from datasets.geometry.masses import Filling
@@ -238,14 +238,14 @@ def warn_if_unresolved(scene: Scene) -> None:
     A mass that continues in another one of its material across its thin side is no thinner than the two together, and
     a mass of a single particle is meant to be one.
     """
-    cell = scene.domain.cell
+    cell, boxes = scene.domain.cell, corners(scene.masses)
     thin = [
         index
         for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
         if count > 1
         and mass.kind != "particles"
         and thinnest(scene, mass) < cell - TOLERANCE
-        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
+        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size)), boxes))
     ]
     if thin:
         names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
@@ -267,14 +267,10 @@ def thinnest(scene: Scene, mass: Mass) -> float:
     return min(thickness, *(length for axis, length in enumerate(mass.size) if axis != 1))
 
 
-def continues(scene: Scene, mass: Mass, axis: int) -> bool:
-    """Whether a mass of the same material shares a face with `mass` across `axis`."""
-    for other in scene.masses:
-        gaps = [
-            max(low_b - (low_a + size_a), low_a - (low_b + size_b))
-            for low_a, size_a, low_b, size_b in zip(mass.lower, mass.size, other.lower, other.size, strict=True)
-        ]
-        beside = all(gap < -TOLERANCE for number, gap in enumerate(gaps) if number != axis)
-        if beside and abs(gaps[axis]) <= TOLERANCE and scene.material_of(other) == scene.material_of(mass):
-            return True
-    return False
+def continues(scene: Scene, mass: Mass, axis: int, boxes: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
+    """Whether a mass of the same material shares a face with `mass` across `axis`; boxes: `corners` of the masses."""
+    lower, upper = boxes
+    gaps = np.maximum(lower - np.add(mass.lower, mass.size), mass.lower - upper)
+    beside = (np.delete(gaps, axis, axis=1) < -TOLERANCE).all(axis=1) & (np.abs(gaps[:, axis]) <= TOLERANCE)
+    others = (scene.masses[index] for index in np.flatnonzero(beside))
+    return any(scene.material_of(other) == scene.material_of(mass) for other in others)

@@ -281,10 +281,13 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
 
         height = np.minimum(height, heights_above_solids(scene))
     in_contact = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
-    body = np.asarray(in_contact & in_contact.T, dtype=bool)
-    for _ in range(count.bit_length()):
-        body = np.matmul(body, body)
-    return np.asarray(np.where(body, height, np.inf).min(axis=1))
+    # Imported here: most commands of this package need no graphs.
+    from scipy.sparse.csgraph import connected_components
+
+    bodies, body = connected_components(in_contact & in_contact.T)
+    lowest = np.full(bodies, np.inf)
+    np.minimum.at(lowest, body, height)
+    return np.asarray(lowest[body])
 
 
 def corners(boxes: Sequence[Mass | Baffle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

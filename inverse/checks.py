@@ -48,7 +48,18 @@ def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
             require(value is None or value > 0.0, f"{key}.{name}", "a positive number", value)
     initial = [each.initial for each in parameters]
     _check_scene(scene, parameters, initial, "unknowns")
-    for index, each in enumerate(parameters):
+    apart = [index for index, each in enumerate(parameters) if not each.kind.independent]
+    # A thousand velocities would be a thousand scenes: those that no other parameter bears on are tried together.
+    for bound in ("lower", "upper"):
+        together = [
+            value if index in apart else getattr(parameters[index], bound) for index, value in enumerate(initial)
+        ]
+        try:
+            _check_scene(scene, parameters, together, "unknowns")
+        except InputError:
+            apart = list(range(len(parameters)))
+    for index in apart:
+        each = parameters[index]
         for bound in ("lower", "upper"):
             values = [*initial[:index], getattr(each, bound), *initial[index + 1 :]]
             _check_scene(scene, parameters, values, f"unknowns[{index}].{bound}")

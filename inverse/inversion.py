@@ -11,16 +11,18 @@ from datasets.errors import InputError
 from gns import card
 from gns.inference import model_path, shipped
 from gns.model import checkpoint
+from inverse.bounds import Bounds
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Differentiable, Evaluation
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import automatic, central
+from inverse.jacobian import automatic, central, without_gradient
 from inverse.observations import Target
 from inverse.observations.reading import read_target
-from inverse.optimise import Bounds, best, explore, minimise
+from inverse.optimise import best, explore, minimise
 from inverse.problem import Problem
 from inverse.report import markdown as report
 from inverse.result import Result, Verdict
+from inverse.secants import sample
 from inverse.settings import Method, Surrogate
 from mpm import simulate, simulate_many
 
@@ -112,13 +114,18 @@ def search(
         # The MPM runs a scene per core, and as many are proposed at a time.
         at_once = 1 if isinstance(forward, GnsForward) else os.cpu_count() or 1
         return explore(forward, values, problem, components=components, at_once=at_once)
-    jacobian = problem.optimiser.method is Method.GAUSS_NEWTON
-    if gradient is Gradient.AD and isinstance(forward, Differentiable):
+    settings, bounds = problem.optimiser, Bounds.from_problem(problem)
+    jacobian = settings.method is Method.GAUSS_NEWTON
+    spread: list[Evaluation] = []
+    if settings.method is Method.SECANTS:
+        spread = sample(forward, values, problem.initial, bounds, components=components)
+        evaluate = without_gradient(forward, values, components=components)
+    elif gradient is Gradient.AD and isinstance(forward, Differentiable):
         evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)
     else:
         evaluate = central(forward, values, problem.steps, components=components, with_jacobian=jacobian)
     rates = [each.learning_rate for each in problem.parameters]
-    return minimise(evaluate, problem.initial, Bounds.from_problem(problem), problem.optimiser, rates=rates)
+    return spread + minimise(evaluate, problem.initial, bounds, settings, rates=rates, sample=spread)
 
 
 def unconfirmed(

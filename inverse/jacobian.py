@@ -10,7 +10,7 @@
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -68,6 +68,30 @@ def central(
         return _evaluation(values, observation, residual, components, gradient, kept, (start, middle))
 
     return evaluate
+
+
+def observed(forward: Forward, target: Values, points: Sequence[Vector], *, components: int = 1) -> list[Evaluation]:
+    """Misfit of `forward` from `target` [M] at each point [U], with its residual, without a gradient."""
+    start = time.perf_counter()
+    observations = forward.observe(points)
+    seconds = (time.perf_counter() - start) / len(points)
+    return [
+        Evaluation(
+            parameters=point.copy(),
+            observation=observation,
+            loss=components * float(np.mean((observation - target) ** 2)),
+            gradient=None,
+            forward_s=seconds,
+            backward_s=0.0,
+            residual=observation - target,
+        )
+        for point, observation in zip(points, observations, strict=True)
+    ]
+
+
+def without_gradient(forward: Forward, target: Values, *, components: int = 1) -> Evaluate:
+    """Misfit of `forward` from `target` [M], with its residual."""
+    return lambda values: observed(forward, target, [values], components=components)[0]
 
 
 def by_ad(forward: Differentiable, values: Vector) -> NDArray[np.float64]:

@@ -1,11 +1,10 @@
-"""Minimising the misfit inside bounds: the paper's gradient descent and Adam, L-BFGS-B, Gauss-Newton; and Optuna.
+"""Minimising the misfit inside bounds: the paper's gradient descent and Adam, L-BFGS-B, Gauss-Newton, secants; Optuna.
 
 Every evaluation is kept. A method is a function of `evaluate`, the start and the bounds, and reads like its equation.
 """
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
@@ -19,53 +18,25 @@ from optuna.trial import TrialState
 from tqdm import tqdm
 
 from datasets.errors import InputError
+from inverse.bounds import Bounds
 from inverse.forward.interface import Evaluation, Forward
 from inverse.jacobian import Evaluate
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.problem import Problem
+from inverse.secants import lowest, secants
 from inverse.settings import Method, OptimiserSettings, Sampler
 
 RESOLUTION = 5.0e-4
 """A step shorter than this fraction of every parameter's range ends the search."""
 LONGEST_FIRST_STEP = 0.5
 """Of L-BFGS-B, as a fraction of the range: one gradient at the start says little of the rest of the range."""
+STATIONARY = 0.25
+"""Where the gradient at the start promises less than this part of the loss in the whole box, it shows no way down."""
 DESCENT_RATE = 500.0
 """Learning rate of gradient descent where none is given: the paper's [deg^2/m^2]."""
 ADAM_SHARE = 0.02
 """Learning rate of Adam where none is given, as a fraction of a parameter's range."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """The box of the prior bounds."""
-
-    lower: Vector
-    upper: Vector
-
-    @classmethod
-    def from_problem(cls, problem: Problem) -> "Bounds":
-        """Those of `problem`."""
-        lower, upper = np.array(problem.bounds).T
-        return cls(lower=lower, upper=upper)
-
-    @property
-    def range(self) -> Vector:
-        """Width of the box, shape [U]."""
-        return self.upper - self.lower
-
-    @property
-    def middle(self) -> Vector:
-        """Centre of the box, shape [U]."""
-        return 0.5 * (self.lower + self.upper)
-
-    def clip(self, parameters: Vector) -> Vector:
-        """The nearest point of the box."""
-        return np.clip(parameters, self.lower, self.upper)
-
-    def around(self, centre: Vector, radius: Vector) -> "Bounds":
-        """The part of the box within the trust `radius` [U] of `centre`."""
-        return Bounds(lower=np.maximum(self.lower, centre - radius), upper=np.minimum(self.upper, centre + radius))
 
 
 class _Finished(Exception):
@@ -106,11 +77,13 @@ def minimise(
     settings: OptimiserSettings,
     progress: str = "inversion",
     rates: Sequence[float | None] | None = None,
+    sample: Sequence[Evaluation] = (),
 ) -> list[Evaluation]:
     """Every evaluation from `start` to the end, in order; the answer is the one of minimum loss (`best`).
 
     It ends below `stop_below`, after `max_iterations` evaluations, or when the method itself finds a minimum.
-    rates: learning rate of each parameter that has its own. Gauss-Newton requires evaluations with their Jacobian.
+    rates: learning rate of each parameter that has its own; sample: of the secants (`inverse.secants.sample`), which
+    start at its best. Gauss-Newton requires evaluations with their Jacobian.
     """
     recorder = _Recorder(evaluate, settings, bounds, progress)
     start = bounds.clip(start)
@@ -124,6 +97,8 @@ def minimise(
                 _lbfgsb(recorder, start, bounds)
             case Method.GAUSS_NEWTON:
                 _gauss_newton(recorder, start, bounds)
+            case Method.SECANTS:
+                secants(recorder, sample, bounds)
     except _Finished:
         pass
     finally:
@@ -133,7 +108,7 @@ def minimise(
 
 def best(records: Sequence[Evaluation]) -> Evaluation:
     """The evaluation of minimum loss."""
-    return min(records, key=lambda record: record.loss if np.isfinite(record.loss) else np.inf)
+    return lowest(records)
 
 
 def _rates(settings: OptimiserSettings, bounds: Bounds, own: Sequence[float | None] | None) -> Vector:
@@ -173,8 +148,14 @@ def _lbfgsb(evaluate: Evaluate, start: Vector, bounds: Bounds) -> None:
 
     Its first model has curvature one: the first trial goes as far as the gradient is long. Loss and parameters
     are scaled so that this is 2 f / |f'|, which for a single number that can be fitted is the Gauss-Newton step.
+    A start on a ridge or a plateau, such as sand at rest against a wall of which neither velocity is downhill, is left
+    for the middle of the box.
     """
     first = evaluate(start)
+    promised = np.maximum(first.slope * (start - bounds.lower), first.slope * (start - bounds.upper)).sum()
+    if promised < STATIONARY * first.loss:
+        start = bounds.middle
+        first = evaluate(start)
     # Steepest descent in fractions of the range, so that parameters of different units count alike.
     slope = first.slope * bounds.range
     steepness = float(np.linalg.norm(slope))

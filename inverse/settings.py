@@ -46,6 +46,8 @@ class Method(StrEnum):
     """Bounded quasi-Newton (SciPy)."""
     GAUSS_NEWTON = "gauss-newton"
     """Bounded least squares by the Jacobian (SciPy's trust region), for observations of few numbers."""
+    SECANTS = "secants"
+    """The same without derivatives, from a sample of the box (`inverse.secants`): for observations of many numbers."""
 
 
 class Sampler(StrEnum):
@@ -197,7 +199,7 @@ class OptimiserSettings(Record):
 
     method: Method = Method.LBFGSB
     max_iterations: int = 20
-    """Most evaluations of the loss and its gradient."""
+    """Most evaluations of the loss and its gradient; the sample of the secants is not counted."""
     stop_below: float = 1.0e-7
     """Loss [m^2] at which the surrogate has done its part: (0.3 mm)^2; the paper stops at 5e-4, (22 mm)^2."""
     learning_rate: float | None = None

@@ -64,7 +64,7 @@ class Evaluation:
     backward_s: float
     """Seconds for the gradient on top of it."""
     residual: Values | None = None
-    """Observation less target, shape [M], where the Jacobian was asked for."""
+    """Observation less target, shape [M], for methods of least squares."""
     jacobian: NDArray[np.float64] | None = None
     """d(observation)/d(parameters), shape [M, U], where it was asked for."""
 

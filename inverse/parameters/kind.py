@@ -68,6 +68,8 @@ class Kind(ABC):
     """Whether more or less material is released with it."""
     differentiable: bool = False
     """Whether it is an input of the surrogate, which is differentiable in it; else the MPM's alone."""
+    independent: bool = False
+    """Whether a scene that can be simulated with all such parameters at a bound can be with each there alone."""
     order: int = 2
     """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
 

@@ -40,6 +40,7 @@ class Velocity(MassKind):
     digits = 3
     step = 0.01
     differentiable = True
+    independent = True
 
     def check(self, scene: Scene) -> None:
         super().check(scene)

@@ -10,9 +10,9 @@ import numpy as np
 from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from inverse.bounds import Bounds
 from inverse.forward.interface import Simulate
 from inverse.observations import Observation, Target, Values
-from inverse.optimise import Bounds
 from inverse.parameters import Vector
 from inverse.posterior.emulator import Matrix
 from inverse.posterior.settings import CONSTANTS

@@ -16,6 +16,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 INK, BLUE, LIGHT_BLUE, ORANGE, GREEN, GREY = "#222222", "#1b6ca8", "#9ecae1", "#d9730d", "#3a8c55", "#8a8a8a"
+RED = "#b0305c"
 STYLE: Any = {
     "figure.constrained_layout.use": True,
     "axes.grid": True,

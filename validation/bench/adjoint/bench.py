@@ -1,80 +1,83 @@
 """`python -m validation.bench adjoint`: what a gradient of the MPM's adjoint costs, and how it agrees with differences.
 
-Price: seconds of a run and of a gradient, both on one thread, in turns; the median of the repetitions. Agreement: the
-Jacobian of the deposit's shares (mean x of equal parts of the particles, in the order of x) with respect to the ten
-layers' velocities, by the adjoint and by central differences, each averaged over jitter seeds:
-
-    cosine = A : B / (|A| |B|),    length = |A| / |B|        of the Jacobians A (adjoint) and B (differences)
+Price: seconds of a run and of a gradient, both on one thread, in turns; the median of the repetitions.
 """
 
 import dataclasses
+import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from tqdm import tqdm
 
+from datasets.files import write_json
 from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm.adjoint.gradient import pull_back
 from mpm.adjoint.tape import Tape
 from mpm.arrays.layout import Precision
 from mpm.output.request import LAST
-from mpm.simulation import simulate, simulate_many
+from mpm.simulation import simulate
+from validation.bench.adjoint.agreement import agreement, coarse, flows
+from validation.bench.adjoint.growth import CASES, QUICK, SCENE, Case, Usage, in_process
 from validation.report.page import Page
 
-Floats = NDArray[np.float64]
-
-STEP = 0.15
-"""Of the central differences [m/s]."""
+COSINE, LENGTH = 0.99, 0.05
+"""What is asked of a Jacobian: least cosine, greatest error of the length."""
 PRICED: tuple[tuple[str, Precision], ...] = (("layers-10", "f32"), ("layers-10", "f64"), ("baffles-2", "f32"))
 """Scenes, as they ship, and precisions of the table of prices."""
-COARSE = 0.02
-"""Cell [m] of the ten layers with `--quick`."""
 
 
-def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares: int = 20, repeats: int = 3) -> str:
-    """seeds: jitters over which both Jacobians are averaged; shares: of the deposit; repeats: of each timing."""
+def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares: int = 10, repeats: int = 3) -> str:
+    """seeds: jitters over which both Jacobians are averaged, in 3D half as many; shares: of the deposit; repeats: of
+
+    each timing; keep: folder of what is done.
+    """
     if quick:
         seeds, shares, repeats = 2, 4, 1
-    prices = [price(name, precision, repeats, quick=quick) for name, precision in PRICED[: 1 if quick else None]]
-    layers = scene_of("layers-10", quick=quick)
-    kinds = {"as shipped": layers, "without damping": dataclasses.replace(layers, damping=0.0)}
-    rows = [{"flow": kind, **agreement(scene, seeds, shares)} for kind, scene in kinds.items()]
-    ratios = [float(row["gradient / run"]) for row in prices]
+    prices = kept(keep / "price.json", partial(price_rows, repeats, quick=quick))
+    grown = [
+        kept(keep / f"growth-{number}.json", partial(growth, case))
+        for number, case in enumerate(QUICK if quick else CASES)
+    ]
+    rows = [
+        kept(keep / f"agreement-{number}.json", partial(agreement, flow))
+        for number, flow in enumerate(flows(seeds, shares, quick=quick))
+    ]
     page = Page(
         "The MPM's own adjoint",
         command=f"python -m validation.bench adjoint --seeds {seeds} --shares {shares} --repeats {repeats}",
-        conclusion=[
-            f"A gradient costs {min(ratios):.1f} to {max(ratios):.1f} times a run on the same thread, for any number "
-            "of unknowns.",
-            *(
-                f"Ten layers {row['flow']}: cosine {row['cosine']:.4f} to central differences, length "
-                f"{row['length']:.3f}; without an average over seeds {row['cosine, one seed']:.3f}."
-                for row in rows
-            ),
-        ],
+        conclusion=[price_text(prices), growth_text([Usage(**each) for each in grown]), *agreement_texts(rows)],
         quick=quick,
     )
     page.section("Price")
     page.text("""
         A run of the solver, and a run with checkpoints, its replay and its reverse; on one thread, in turns. Memory is
-        that of checkpoints, one segment's states and adjoints, beside the arrays of the run.
+        that of checkpoints, one segment's states and bars, beside the arrays of the run.
     """)
     page.table(
         prices,
         formats={"run [s]": ".2f", "gradient [s]": ".2f", "gradient / run": ".2f", "memory [MiB]": ".0f"},
     )
-    page.section("Agreement")
+    page.section("Particles and steps")
     page.text(f"""
-        The Jacobian of {shares} equal shares of the deposit with respect to ten velocities, averaged over {seeds}
-        jitter seeds, beside central differences of {STEP:g} m/s of the same seeds. Differences over a finite step see
-        the flow's corners blurred; the adjoint sees one side of each. The sign of local damping has a bounded slope
-        in the reverse (`mpm.adjoint.grid`), and adjoints of lone particles that swing on their own are cut
-        (`mpm.adjoint.tape.CUT`); "cut" is their share.
+        A gradient of the mean x of `{SCENE}` on its own cells, longer and higher and for longer, on one thread, each in
+        a process of its own. "Above the start" is the greatest resident size above that before, "whole" that of the
+        process with Python and the compiled kernels. Checkpoints grow with the root of the steps as long as the budget
+        allows (`mpm.adjoint.tape`).
+    """)
+    page.table([growth_row(Usage(**each)) for each in grown])
+    page.section("Agreement")
+    page.text("""
+        Jacobians by the adjoint and by central differences of the same jitter seeds, each averaged over them: mean x of
+        equal shares of the deposit in the order of x, or the toe. Differences over a finite step see the flow's corners
+        blurred; the adjoint sees one side of each. "Two halves" is the cosine between differences of every other seed
+        and of the rest: what can be expected. The sign of local damping has a bounded slope in the reverse
+        (`mpm.adjoint.grid`), and bars of lone particles that swing on their own are cut (`mpm.adjoint.tape.CUT`); "cut"
+        is their share.
     """)
     page.table(
         rows,
@@ -82,18 +85,86 @@ def bench(out: Path, *, quick: bool = False, keep: Path, seeds: int = 16, shares
             "cosine": ".4f",
             "length": ".3f",
             "cosine, one seed": ".3f",
-            "cosine, worst share": ".3f",
+            "differences, two halves of the seeds": ".4f",
             "cut": ".1e",
         },
     )
     return page.write(out / "adjoint.md")
 
 
+def kept(path: Path, work: Callable[[], Any]) -> Any:
+    """What `work` returns, or what it returned when it was done before, as JSON."""
+    if not path.exists():
+        write_json(path, work())
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def price_text(prices: list[dict[str, Any]]) -> str:
+    """The price of a gradient in runs."""
+    ratios = [float(row["gradient / run"]) for row in prices]
+    return (
+        f"A gradient costs {min(ratios):.1f} to {max(ratios):.1f} times a run on the same thread, for any number of "
+        "unknowns."
+    )
+
+
+def growth_text(grown: list[Usage]) -> str:
+    """The smallest and the largest case, and whether the time of a particle's step stays what it was."""
+    least, most = min(grown, key=work), max(grown, key=work)
+    each = [case.nanoseconds for case in grown]
+    texts = [
+        f"{case.particles:,} particles and {case.steps:,} steps take {case.extra / 2**20:,.0f} MiB (the whole process "
+        f"{case.whole / 2**20:,.0f}) and {case.seconds:.0f} s"
+        for case in (least, most)
+    ]
+    return f"{'; '.join(texts)}: {min(each):.0f} to {max(each):.0f} ns for each particle and step."
+
+
+def work(case: Usage) -> int:
+    """Particles times steps."""
+    return case.particles * case.steps
+
+
+def growth_row(case: Usage) -> dict[str, str]:
+    """A case as a line."""
+    return {
+        "particles": f"{case.particles:,}",
+        "steps": f"{case.steps:,}",
+        "gradient [s]": f"{case.seconds:.1f}",
+        "ns per particle and step": f"{case.nanoseconds:.0f}",
+        "tape [MiB]": f"{case.tape / 2**20:,.0f}",
+        "above the start [MiB]": f"{case.extra / 2**20:,.0f}",
+        "whole [MiB]": f"{case.whole / 2**20:,.0f}",
+        "bytes per particle and root of steps": f"{case.extra / (case.particles * case.steps**0.5):.0f}",
+    }
+
+
+def agreement_texts(rows: list[dict[str, Any]]) -> list[str]:
+    """How many Jacobians agree as asked, and the least of them."""
+    good = [row for row in rows if row["cosine"] >= COSINE and abs(row["length"] - 1.0) <= LENGTH]
+    worst = min(rows, key=lambda row: row["cosine"])
+    found = [
+        f"{len(good)} of {len(rows)} Jacobians have a cosine of at least {COSINE:g} to central differences and a length"
+        f" within {100.0 * LENGTH:g} %; the least cosine is {worst['cosine']:.4f}, {worst['Jacobian']}.",
+    ]
+    others = [f"{row['Jacobian']}: {row['cosine']:.4f}, {row['length']:.3f}" for row in rows if row not in good]
+    return found + ([f"Beyond that (cosine, length): {'; '.join(others)}."] if others else [])
+
+
 def scene_of(name: str, *, quick: bool) -> Scene:
     """A shipped scene, with `quick` in coarse cells."""
     scene = read_scene(name)
-    domain = dataclasses.replace(scene.domain, cell=COARSE) if quick else scene.domain
-    return dataclasses.replace(scene, domain=domain)
+    return coarse(scene) if quick else scene
+
+
+def price_rows(repeats: int, *, quick: bool) -> list[dict[str, Any]]:
+    """The table of prices."""
+    return [price(name, precision, repeats, quick=quick) for name, precision in PRICED[: 1 if quick else None]]
+
+
+def growth(case: Case) -> dict[str, Any]:
+    """A case, measured."""
+    return dataclasses.asdict(in_process(case))
 
 
 def price(name: str, precision: Precision, repeats: int, *, quick: bool) -> dict[str, Any]:
@@ -132,59 +203,3 @@ def timed(work: Callable[[], None]) -> float:
     began = time.perf_counter()
     work()
     return time.perf_counter() - began
-
-
-def agreement(scene: Scene, seeds: int, shares: int) -> dict[str, float]:
-    """A row of the table of agreements."""
-    ours, theirs, cut = [], [], []
-    for seed in tqdm(range(seeds), unit="seed"):
-        own = dataclasses.replace(scene, seed=seed)
-        jacobian, lost = by_adjoint(own, shares)
-        ours.append(jacobian)
-        theirs.append(by_differences(own, shares))
-        cut.append(lost)
-    mean, reference = np.mean(ours, axis=0), np.mean(theirs, axis=0)
-    return {
-        "cosine": cosine(mean, reference),
-        "length": float(np.linalg.norm(mean) / np.linalg.norm(reference)),
-        "cosine, worst share": min(cosine(row, other) for row, other in zip(mean, reference, strict=True)),
-        "cosine, one seed": float(np.mean([cosine(each, reference) for each in ours])),
-        "cut": float(np.mean(cut)),
-    }
-
-
-def cosine(a: Floats, b: Floats) -> float:
-    """Of two arrays as vectors."""
-    return float(np.sum(a * b) / (np.linalg.norm(a) * np.linalg.norm(b)))
-
-
-def by_adjoint(scene: Scene, shares: int) -> tuple[Floats, float]:
-    """Jacobian of the shares with respect to the masses' velocities along x [s], [shares, masses]; what was cut."""
-    tape = Tape([scene], [scene.frames - 1], precision="f32", threads=1, outputs=shares)
-    positions = tape.positions()
-    adjoints = np.zeros((shares, *positions.shape))
-    for share, members in enumerate(np.array_split(np.argsort(positions[-1, :, 0], kind="stable"), shares)):
-        adjoints[share, -1, members, 0] = 1.0 / len(members)
-    gradients = pull_back(tape, list(adjoints))
-    rows = [each.of_mass(each.velocities)[:, 0] for each in gradients]
-    return np.array(rows), max(each.cut for each in gradients)
-
-
-def by_differences(scene: Scene, shares: int) -> Floats:
-    """The same by central differences of STEP, the runs side by side."""
-    masses = range(len(scene.masses))
-    scenes = [pushed(scene, mass, sign * STEP) for sign in (1.0, -1.0) for mass in masses]
-    numbers = []
-    for run in simulate_many(scenes, record=LAST):
-        parts = np.array_split(np.sort(run.positions[-1, :, 0].astype(np.float64)), shares)
-        numbers.append([part.mean() for part in parts])
-    ahead, behind = np.split(np.array(numbers), 2)
-    return np.asarray((ahead - behind).T / (2.0 * STEP))
-
-
-def pushed(scene: Scene, mass: int, change: float) -> Scene:
-    """`scene` with one mass faster along x by `change` [m/s]."""
-    masses = list(scene.masses)
-    velocity = masses[mass].velocity or (0.0,) * scene.dimension
-    masses[mass] = dataclasses.replace(masses[mass], velocity=(velocity[0] + change, *velocity[1:]))
-    return dataclasses.replace(scene, masses=tuple(masses))

@@ -14,10 +14,16 @@ from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods
 from validation.bench.efficiency.page import write
-from validation.bench.efficiency.records import Origin, OverUnknowns, Part, ProblemResult
+from validation.bench.efficiency.records import Origin, OverParticles, OverUnknowns, Part, Parts, ProblemResult
 from validation.bench.efficiency.search import CHECKS, Models, search_all
 
-LIMITS = {"friction-tall-42": 25.0, "velocity-layers-10": 45.0, "baffles-2": 45.0, "cohesion-friction": 25.0}
+LIMITS = {
+    "friction-tall-42": 15.0,
+    "velocity-layers-10": 45.0,
+    gradients.HUNDRED: 50.0,
+    "baffles-2": 30.0,
+    "cohesion-friction": 15.0,
+}
 """Seconds for each method, by problem."""
 QUICK_LIMIT, QUICK_FLOW_S = 5.0, 0.25
 """Seconds for each method, and how long flows last [s], with `--quick`."""
@@ -41,8 +47,14 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     parts = records.read(keep)
     for name in parts_to_measure(quick):
         done = parts.get(name)
-        if done is None or done.origin.key != origin.key:
-            parts = parts.with_part(measure(name, origin))
+        done = None if done is None or done.origin.key != origin.key else done
+        if done is None or isinstance(done, OverParticles):
+            before = parts
+
+            def save(part: Part, before: Parts = before) -> None:
+                records.write(keep, before.with_part(part))
+
+            parts = parts.with_part(measure(name, origin, done, save))
             records.write(keep, parts)
     records.write(out, parts)
     return write(out, parts)
@@ -53,15 +65,14 @@ def parts_to_measure(quick: bool) -> Sequence[str]:
     return [*(list(LIMITS)[:1] if quick else LIMITS), "unknowns", "particles"]
 
 
-def measure(name: str, origin: Origin) -> Part:
-    """One part."""
-    others: dict[str, Callable[[Origin], Part]] = {
-        "unknowns": over_unknowns,
-        "particles": lambda origin: columns.over_particles(
-            origin, sizes=columns.QUICK if origin.quick else columns.SIZES
-        ),
-    }
-    return others[name](origin) if name in others else problem_result(read_problem(name), origin)
+def measure(name: str, origin: Origin, done: OverParticles | None, save: Callable[[Part], None]) -> Part:
+    """One part; of the sizes what is not `done`, saved after each of their cases."""
+    if name == "unknowns":
+        return over_unknowns(origin)
+    if name == "particles":
+        sizes = columns.QUICK if origin.quick else columns.SIZES
+        return columns.over_particles(origin, sizes=sizes, kept=done.costs if done else (), keep=save)
+    return problem_result(gradients.hundred_problem() if name == gradients.HUNDRED else read_problem(name), origin)
 
 
 def problem_result(problem: Problem, origin: Origin) -> ProblemResult:

@@ -7,9 +7,12 @@ from itertools import pairwise
 from validation.bench.efficiency.records import (
     AD,
     AD_LONG,
+    ADJOINT,
+    ADJOINT_MEAN,
     FD_GNS,
     FD_JITTER,
     FD_MPM,
+    JITTERS,
     Cost,
     Gradient,
     MethodResult,
@@ -19,6 +22,8 @@ from validation.bench.efficiency.records import (
     ProblemResult,
 )
 
+REVERSE = (AD, ADJOINT)
+"""Methods whose gradient costs the same for any number of unknowns."""
 SAME = 1.5
 """Losses whose ratio is less than this do not differ: a check run scatters too."""
 PAPER_NODES, PAPER_BYTES = 20_000, 16.0e9
@@ -65,30 +70,38 @@ def gradient_curve(over: OverUnknowns, method: str) -> Curve:
 
 
 def costs_of(over: OverParticles, method: str, unknowns: int) -> list[Cost]:
-    """Costs of a method over the particles."""
-    some = [each for each in over.costs if (each.method, each.unknowns) == (method, unknowns)]
+    """Costs of a method over the particles, in 2D."""
+    some = [each for each in over.costs if (each.method, each.unknowns, each.dimension) == (method, unknowns, 2)]
     return sorted(some, key=lambda each: each.particles)
 
 
 def unknowns_cost(over: OverUnknowns) -> str:
     """From how many unknowns on AD is cheaper."""
-    curves = {method: gradient_curve(over, method) for method in (AD, FD_GNS, FD_MPM)}
+    curves = {method: gradient_curve(over, method) for method in (AD, ADJOINT, FD_GNS, FD_MPM)}
     most = curves[AD][-1][0]
-    percent = 100.0 * dict(curves[AD])[most] / dict(curves[FD_MPM])[most]
-    texts = [cheaper(AD, other, curves, "unknowns") for other in (FD_GNS, FD_MPM)]
-    return f"{'; '.join(texts)}; at {most:.0f} it takes {percent:.3g} % of the seconds of {FD_MPM}."
+    parts = [f"{method} {100.0 * dict(curves[method])[most] / dict(curves[FD_MPM])[most]:.2g} %" for method in REVERSE]
+    texts = [cheaper(*pair, curves, "unknowns") for pair in ((ADJOINT, FD_MPM), (AD, FD_MPM), (AD, ADJOINT))]
+    return f"{'; '.join(texts)}; at {most:,.0f}, of the seconds of {FD_MPM}, {' and '.join(parts)}."
 
 
 def unknowns_cosine(over: OverUnknowns) -> str:
-    """How far the surrogate's gradient points the MPM's way, and how well the MPM's own is defined."""
+    """How far the gradients by reverse mode point the MPM's way, and how well the MPM's own is defined."""
 
     def cosines(method: str) -> dict[int, Gradient]:
         # One unknown has a sign and no direction.
         return {each.unknowns: each for each in over.gradients if each.method == method and each.unknowns > 1}
 
-    pairs = [(number, each.cosine, cosines(FD_JITTER)[number].cosine) for number, each in cosines(AD).items()]
-    texts = [f"{ad:.3f} at {number} unknowns (MPM with another jitter: {own:.3f})" for number, ad, own in pairs]
-    return f"The cosine between the gradients of {AD} and {FD_MPM} is {', '.join(texts)}." if texts else ""
+    numbers = sorted(cosines(AD))
+    if not numbers:
+        return ""
+    texts = [
+        f"{method} {' / '.join(f'{cosines(method)[number].cosine:.3f}' for number in numbers)}"
+        for method in (AD, ADJOINT, ADJOINT_MEAN, FD_JITTER)
+    ]
+    return (
+        f"Cosine to {FD_MPM}, mean of {JITTERS} jitters, at {' / '.join(f'{number:,}' for number in numbers)}"
+        f" unknowns: {'; '.join(texts)}."
+    )
 
 
 def particles_cost(over: OverParticles) -> str:
@@ -97,9 +110,10 @@ def particles_cost(over: OverParticles) -> str:
     for unknowns in sorted({each.unknowns for each in over.costs}):
         curves: dict[str, Curve] = {
             method: [(float(each.particles), each.seconds) for each in costs_of(over, method, unknowns)]
-            for method in (AD, FD_GNS, FD_MPM)
+            for method in (AD, ADJOINT, FD_MPM)
         }
-        found = "; ".join(cheaper(AD, other, curves, "particles") for other in (FD_GNS, FD_MPM))
+        pairs = ((ADJOINT, FD_MPM), (AD, FD_MPM), (AD, ADJOINT))
+        found = "; ".join(cheaper(*pair, curves, "particles") for pair in pairs)
         texts.append(f"with {unknowns} unknown{'s' if unknowns > 1 else ''} {found}")
     return f"Over the particles, {'; '.join(texts)}."
 
@@ -107,7 +121,7 @@ def particles_cost(over: OverParticles) -> str:
 def particles_memory(over: OverParticles) -> list[str]:
     """Memory of the largest scene, and of the gradient through many steps beside the paper's limit."""
     most = max(each.particles for each in over.costs)
-    largest = [each for each in over.costs if (each.particles, each.unknowns) == (most, 1)]
+    largest = [each for each in over.costs if (each.particles, each.unknowns, each.dimension) == (most, 1, 2)]
     texts = [f"{each.method} {each.memory / 1.0e9:.2g} GB" for each in largest if each.method != AD_LONG]
     return [f"Memory at {most:,} particles and one unknown: {', '.join(texts)}."] + [
         f"{AD_LONG}, of {each.nodes:,} nodes take {each.memory / 1.0e9:.2g} GB and {each.seconds / 60.0:.1f} minutes;"
@@ -125,37 +139,99 @@ def lowest(result: ProblemResult, is_one: Callable[[MethodResult], bool] = lambd
 def best_of(result: ProblemResult) -> str:
     """Which method ends lowest on a problem, and which gets there first."""
     best = lowest(result)
-    # Below the MPM's own scatter no answer is better than another.
-    enough = SAME * max(best.loss, result.floor or 0.0)
+    enough = level(result)
     first = min(result.methods, key=lambda each: each.seconds_to(enough))
-    ad = lowest(result, lambda each: each.method.startswith(AD))
+    ends = [
+        (method, lowest(result, lambda each, method=method: each.method.startswith(method)))  # type: ignore[misc]
+        for method in (AD, ADJOINT)
+        if any(each.method.startswith(method) for each in result.methods)
+    ]
     floor = "" if result.floor is None else f" (at the truth {result.floor:.1e})"
+    texts = [
+        f"; {method} ends at {each.loss:.1e}, {rounded(each.loss / best.loss)} times the least{arrival(each, enough)}"
+        for method, each in ends
+    ]
     return (
         f"Least MPM loss {best.loss:.1e}{floor} by {best.method}; first below {enough:.1e}: {first.method}, after"
-        f" {first.seconds_to(enough):.2g} s; {AD} ends at {ad.loss:.1e}, {rounded(ad.loss / best.loss)} times the"
-        " least."
+        f" {first.seconds_to(enough):.2g} s{''.join(texts)}."
     )
+
+
+def arrival(row: MethodResult, enough: float) -> str:
+    """When a search got to a loss; empty where it did not."""
+    seconds = row.seconds_to(enough)
+    return "" if math.isinf(seconds) else f", there after {seconds:.2g} s"
 
 
 def problems_best(results: Sequence[ProblemResult]) -> str:
-    """How often which model ends lowest, and how far the surrogate alone stays above it."""
-    mpm = sum("MPM" in lowest(each).method for each in results)
-    gns = [lowest(each, lambda row: "GNS" in row.method).loss / lowest(each).loss for each in results]
-    ad = [lowest(each, lambda row: row.method.startswith(AD)).loss / lowest(each).loss for each in results]
-    return (
-        f"On {mpm} of {len(results)} problems a search by the MPM ends at the least MPM loss; the best by the GNS alone"
-        f" ends at {rounded(min(gns))} to {rounded(max(gns))} times that loss, {AD} at {rounded(min(ad))} to"
-        f" {rounded(max(ad))} times."
-    )
+    """Which method is first at the least loss of each problem."""
+    firsts: dict[str, list[str]] = {}
+    for result in results:
+        enough = level(result)
+        first = min(result.methods, key=lambda each: each.seconds_to(enough))
+        firsts.setdefault(kind_of(first), []).append(f"{result.problem} {first.seconds_to(enough):.2g} s")
+    texts = [f"{method} ({', '.join(where)})" for method, where in firsts.items()]
+    return f"First within {SAME:g} times the least MPM loss: {'; '.join(texts)}."
+
+
+def kind_of(row: MethodResult) -> str:
+    """A method without the steps of its differences."""
+    return ", ".join(["differences", *row.method.split(", ")[1:]] if "differences of" in row.method else [row.method])
+
+
+def level(result: ProblemResult) -> float:
+    """The loss below which no answer is better than another, by the MPM's own scatter."""
+    return SAME * max(lowest(result).loss, result.floor or 0.0)
+
+
+def surrogate_use(parts: Parts) -> str:
+    """What the surrogate is for where the MPM has its own adjoint: how much cheaper its gradient is, and how good."""
+    texts = []
+    if parts.unknowns is not None:
+        ours, theirs = (dict(gradient_curve(parts.unknowns, method)) for method in (AD, ADJOINT))
+        ratios = [ours[number] / theirs[number] for number in ours]
+        texts.append(f"its gradient takes {spread(ratios)} of the seconds of {ADJOINT} over the unknowns")
+    if parts.particles is not None:
+        pairs = zip(costs_of(parts.particles, AD, 1), costs_of(parts.particles, ADJOINT, 1), strict=True)
+        texts.append(f"{spread([a.seconds / b.seconds for a, b in pairs])} over the particles")
+    results = list(parts.problems.values())
+    if results:
+        there = [any(math.isfinite(row.seconds_to(level(each))) for row in by_gns(each)) for each in results]
+        # A tenth of the way to the least loss, in digits, is a beginning for another search.
+        near = [first_within(each, 10.0) for each in results]
+        began = sum("GNS" in each.method for each in near)
+        texts.append(
+            f"by it alone {sum(there)} of {len(results)} problems end at the MPM's level, and on {began} it is first "
+            "within ten times the least loss"
+        )
+    said = "; ".join(texts)
+    return f"What the surrogate is for: {said}." if said else ""
+
+
+def first_within(result: ProblemResult, factor: float) -> MethodResult:
+    """The method that is first within `factor` of the least loss."""
+    enough = factor * level(result) / SAME
+    return min(result.methods, key=lambda each: each.seconds_to(enough))
+
+
+def by_gns(result: ProblemResult) -> list[MethodResult]:
+    """The searches by the surrogate alone."""
+    return [each for each in result.methods if "GNS" in each.method]
+
+
+def spread(values: Sequence[float]) -> str:
+    """The least and the greatest of `values`."""
+    least, most = rounded(min(values)), rounded(max(values))
+    return least if least == most else f"{least} to {most}"
 
 
 def conclusion(parts: Parts) -> list[str]:
     """What the page says first."""
     found = []
     if parts.unknowns is not None:
-        found += [unknowns_cost(parts.unknowns), unknowns_cosine(parts.unknowns)]
+        found.append(f"{unknowns_cost(parts.unknowns)} {unknowns_cosine(parts.unknowns)}".strip())
     if parts.particles is not None:
         found += [particles_cost(parts.particles), " ".join(particles_memory(parts.particles))]
     if parts.problems:
         found.append(problems_best(list(parts.problems.values())))
-    return [sentence for sentence in found if sentence]
+    return [sentence for sentence in [*found, surrogate_use(parts)] if sentence]

@@ -1,4 +1,8 @@
-"""The paper's column of ten layers cut into 1 to 100 blocks of unknown velocity: seconds and error of one gradient."""
+"""The paper's column of ten layers cut into 1 to 1,000 blocks of unknown velocity: seconds and error of one gradient.
+
+Other gradients are compared with the MPM's differences averaged over `JITTERS` seeds: along the path of one run the
+adjoint has its corners, which the mean over runs has not.
+"""
 
 import dataclasses
 import time
@@ -14,6 +18,7 @@ from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from gns.model.simulator import Simulator
+from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Differentiable, Forward
 from inverse.forward.mpm import MpmForward
@@ -22,13 +27,24 @@ from inverse.observations import Values
 from inverse.observations.reading import read_target
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
 from mpm.simulation import simulate, simulate_many
-from validation.bench.efficiency.records import AD, FD_GNS, FD_JITTER, FD_MPM, Gradient, Origin, OverUnknowns
+from validation.bench.efficiency.records import (
+    AD,
+    ADJOINT,
+    ADJOINT_MEAN,
+    FD_GNS,
+    FD_JITTER,
+    FD_MPM,
+    JITTERS,
+    Gradient,
+    Origin,
+    OverUnknowns,
+)
 from validation.bench.efficiency.search import WARM_UP_S
 
 SCENE = "layers-10"
-CUTS = ((1, 1), (1, 2), (1, 10), (10, 10))
+CUTS = ((1, 1), (1, 2), (1, 10), (10, 10), (25, 40))
 """Blocks along x and along y."""
 AT_FLOOR, AT_TOP = 1.5, 0.15
 """True velocities [m/s], about the paper's; a block has that of its middle."""
@@ -36,11 +52,15 @@ FRACTION = 0.5
 """Of the true velocities: where the gradient is evaluated."""
 BOUND = 3.0
 """Of a velocity; no gradient needs it [m/s]."""
-LAYER_STEP, BLOCK_STEP = 0.15, 0.5
-"""Step of the differences [m/s]; a hundredth of the sand moves the deposit less, so that its step is longer."""
+STEPS = ((10, 0.15), (100, 0.5), (1_000, 2.0))
+"""Up to so many unknowns the step of the differences [m/s]: a smaller part of the sand moves the deposit less."""
+HUNDRED, GUESS, LOWER, UPPER = "velocity-blocks-100", 0.75, -1.0, 3.0
+"""The problem of a hundred blocks: its name, the start of every unknown and the bounds of `velocity-layers-10`
+[m/s]."""
 MOST_COLUMNS = 10
 """Unknowns whose differences are run; the seconds of more are multiplied."""
-OTHER_SEED = 20_003
+OTHER_SEEDS = tuple(range(20_003, 20_002 + JITTERS))
+"""Jitters of the MPM besides the scene's own."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,9 +69,10 @@ class Models:
 
     gns: Differentiable
     gns_target: Values
-    mpm: Forward
-    other_jitter: Forward
-    """The MPM with another jitter: the difference of two such gradients is their scatter."""
+    mpm: Sequence[Forward]
+    """With the scene's jitter and with others: the difference of two such gradients is their scatter."""
+    adjoint: Sequence[Differentiable]
+    """With the same jitters."""
     target: Values
     components: int
 
@@ -61,15 +82,20 @@ class Models:
         made = read_target(problem, simulate)
         observation, target = made.observation, made.values
         gns = GnsSource(simulator, problem, observation).start(None)
-        other = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=OTHER_SEED))
+        seeded = [problem, *(with_seed(problem, seed) for seed in OTHER_SEEDS)]
         return Models(
             gns=gns,
             gns_target=gns.select(target),
-            mpm=MpmForward(problem, observation, simulate_many),
-            other_jitter=MpmForward(other, observation, simulate_many),
+            mpm=[MpmForward(each, observation, simulate_many) for each in seeded],
+            adjoint=[AdjointForward(each, observation, simulate_many) for each in seeded],
             target=target,
             components=observation.components,
         )
+
+
+def with_seed(problem: Problem, seed: int) -> Problem:
+    """`problem` with another jitter."""
+    return dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed))
 
 
 def blocks(columns: int, layers: int) -> Scene:
@@ -109,13 +135,23 @@ def blocks_problem(columns: int, layers: int, *, duration: float | None = None) 
                 initial=FRACTION * (mass.velocity or (0.0,))[0],
                 lower=-BOUND,
                 upper=BOUND,
-                step=BLOCK_STEP if columns > 1 else LAYER_STEP,
+                step=next(step for most, step in STEPS if len(scene.masses) <= most),
             )
             for index, mass in enumerate(scene.masses)
         ),
         observation=ObservationSettings(kind="deposit"),
         target=TargetSettings(twin=True),
     )
+
+
+def hundred_problem() -> Problem:
+    """As `velocity-layers-10`, of a hundred blocks."""
+    problem = blocks_problem(10, 10)
+    unknowns = [
+        dataclasses.replace(each, initial=GUESS, lower=LOWER, upper=UPPER, step=None) for each in problem.parameters
+    ]
+    settings = OptimiserSettings(max_iterations=40)
+    return dataclasses.replace(problem, name=HUNDRED, parameters=tuple(unknowns), optimiser=settings)
 
 
 def sampled(count: int, most: int = MOST_COLUMNS) -> NDArray[np.int64]:
@@ -133,24 +169,27 @@ def gradients(problem: Problem, models: Models, *, most: int = MOST_COLUMNS) -> 
     """One gradient by each method at the problem's start, timed and compared with the MPM's differences."""
     start, unknowns = problem.initial, len(problem.parameters)
     chosen = sampled(unknowns, most)
-    evaluated = automatic(models.gns, models.gns_target, components=models.components)(start)
-    found = {AD: (evaluated.forward_s + evaluated.backward_s, evaluated.slope[chosen])}
-    for name, forward, target in (
-        (FD_GNS, models.gns, models.gns_target),
-        (FD_MPM, models.mpm, models.target),
-        (FD_JITTER, models.other_jitter, models.target),
-    ):
-        found[name] = differences(forward, target, problem, chosen, models.components)
-    reference = found[FD_MPM][1]
+
+    def reverse(forward: Differentiable, target: Values) -> tuple[float, Vector]:
+        evaluated = automatic(forward, target, components=models.components)(start)
+        return evaluated.forward_s + evaluated.backward_s, evaluated.slope[chosen]
+
+    found = {AD: reverse(models.gns, models.gns_target)}
+    found[FD_GNS] = differences(models.gns, models.gns_target, problem, chosen, models.components)
+    ours = [reverse(each, models.target) for each in models.adjoint]
+    found[ADJOINT], found[ADJOINT_MEAN] = ours[0], (sum(s for s, _ in ours), np.mean([g for _, g in ours], axis=0))
+    others = [differences(each, models.target, problem, chosen, models.components) for each in models.mpm]
+    found[FD_MPM], found[FD_JITTER] = others[:2]
+    reference = np.mean([slope for _, slope in others], axis=0)
     norm = float(np.linalg.norm(reference))
     return [
         Gradient(
             method=name,
             unknowns=unknowns,
             seconds=seconds,
-            columns=unknowns if name == AD else len(chosen),
-            cosine=None if name == FD_MPM else float(slope @ reference / (np.linalg.norm(slope) * norm)),
-            error=None if name == FD_MPM else float(np.linalg.norm(slope - reference)) / norm,
+            columns=unknowns if name in (AD, ADJOINT, ADJOINT_MEAN) else len(chosen),
+            cosine=float(slope @ reference / (np.linalg.norm(slope) * norm)),
+            error=float(np.linalg.norm(slope - reference)) / norm,
         )
         for name, (seconds, slope) in found.items()
     ]

@@ -13,6 +13,8 @@ STEPS = {"deg": 2.0, "Pa": 100.0, "m/s": 0.15, "m": 0.02}
 """Steps whose differences exceed the MPM's scatter over its jitter, by the unit of the unknown."""
 PAPER_PROBLEM = "friction-tall-42"
 """The problem on which the paper compares gradients."""
+MOST_BY_DIFFERENCES = 20
+"""Unknowns beyond which no further search is made by differences or without gradients: none ends in time."""
 PAPER_DESCENT = OptimiserSettings(method=Method.GRADIENT_DESCENT, max_iterations=20, stop_below=5.0e-4)
 
 
@@ -27,7 +29,10 @@ class GradientBy(StrEnum):
     """How the gradient is computed."""
 
     AD = "AD"
+    ADJOINT = "adjoint"
     DIFFERENCES = "differences"
+    SECANTS = "secants"
+    """None; what changed from run to run stands for the Jacobian (`inverse.secants`)."""
     NONE = "Optuna"
 
 
@@ -60,8 +65,9 @@ class SearchMethod:
 def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     """All methods for `problem`: the same start, the same rule to stop by, the optimiser of its file.
 
-    Gauss-Newton needs the Jacobian, which differences have at no further cost and AD for a backward pass per observed
-    number: where the file names it, the others use L-BFGS-B, and the MPM's differences run both.
+    Gauss-Newton needs the Jacobian, which differences have at no further cost, AD and the adjoint for a backward pass
+    per observed number: where the file names it, the others use L-BFGS-B, and the MPM's differences run both. The
+    adjoint always uses L-BFGS-B.
     """
     if problem.optimiser.method is Method.GAUSS_NEWTON:
         settings = dataclasses.replace(problem.optimiser, method=Method.LBFGSB)
@@ -69,6 +75,7 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     is_paper = problem.name == PAPER_PROBLEM
     seconds = paper.seconds_per_iteration if is_paper else {}
     found = [_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns"))]
+    few = len(problem.parameters) <= MOST_BY_DIFFERENCES
     if is_paper:
         descent = dataclasses.replace(problem, optimiser=PAPER_DESCENT)
         found.append(_row(", the paper's descent", ForwardModel.GNS, GradientBy.AD, descent, seconds.get("ad_gns")))
@@ -79,10 +86,19 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
             found.append(_row("", model, GradientBy.DIFFERENCES, fine, seconds.get(key)))
         found.append(_row("", model, GradientBy.DIFFERENCES, wide, None))
     # With a single number and a single unknown L-BFGS-B's first step is Gauss-Newton's already.
-    if len(problem.parameters) > 1:
+    if len(problem.parameters) > 1 and few:
         newton = _row(", Gauss-Newton", ForwardModel.MPM, GradientBy.DIFFERENCES, wide, None)
         found.append(dataclasses.replace(newton, gauss_newton=True))
-    return found + [_row("", model, GradientBy.NONE, problem, None) for model in ForwardModel]
+    found.append(_row("", ForwardModel.MPM, GradientBy.ADJOINT, with_method(problem, Method.LBFGSB), None))
+    if len(problem.parameters) > 1:
+        found.append(_row("", ForwardModel.MPM, GradientBy.SECANTS, with_method(problem, Method.SECANTS), None))
+    models = list(ForwardModel) if few else [ForwardModel.MPM]
+    return found + [_row("", model, GradientBy.NONE, problem, None) for model in models]
+
+
+def with_method(problem: Problem, method: Method) -> Problem:
+    """`problem` with another method of its optimiser."""
+    return dataclasses.replace(problem, optimiser=dataclasses.replace(problem.optimiser, method=method))
 
 
 def _row(suffix: str, model: ForwardModel, gradient: GradientBy, problem: Problem, paper: float | None) -> SearchMethod:

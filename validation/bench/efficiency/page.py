@@ -6,12 +6,15 @@ from matplotlib.axes import Axes
 
 from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import gradients
+from validation.bench.efficiency.columns import SOLID
 from validation.bench.efficiency.findings import PAPER_BYTES, PAPER_NODES, best_of, conclusion, costs_of, gradient_curve
 from validation.bench.efficiency.records import (
     AD,
     AD_LONG,
+    ADJOINT,
     FD_GNS,
     FD_MPM,
+    JITTERS,
     LONG_STEPS,
     MethodResult,
     OverParticles,
@@ -20,25 +23,28 @@ from validation.bench.efficiency.records import (
     ProblemResult,
 )
 from validation.report.page import Page, Row
-from validation.report.plots import BLUE, GREEN, INK, ORANGE, figure, pane
+from validation.report.plots import BLUE, GREEN, INK, ORANGE, RED, figure, pane
 
 COMMAND = "python -m validation.bench efficiency"
-COLOURS = {AD: BLUE, FD_GNS: GREEN, FD_MPM: ORANGE}
+COLOURS = {AD: BLUE, ADJOINT: RED, FD_GNS: GREEN, FD_MPM: ORANGE}
 MARKERS = "os^Dv*PX"
 PICTURES = "pictures"
 PROBLEM_TEXT = """
     A method by differences has its bounds a step narrower, so that no difference leaves them. A surrogate's seconds
     include its start. The loss is that of an MPM run at the answer, with a jitter that neither target nor search used;
-    it is not among the MPM runs. A search by Optuna is one draw of its random numbers. "≈": seconds per iteration times
-    the iterations that the problem allows, where the search ran out of time before.
+    it is not among the MPM runs; nor are the adjoint's replays and reverses, which are in its seconds. A search by
+    Optuna is one draw of its random numbers. Secants take their first Jacobian from runs over the box, which are
+    counted before the "+" (`inverse.secants`). "≈": seconds per iteration times the iterations that the problem
+    allows, where the search ran out of time before.
 """
 PARTICLES_TEXT = f"""
-    The paper's tall column on the same cells, longer and higher with its box; a second of flow. Each case is a process
-    of its own; its memory is the greatest resident size above what it held before. "≈" is multiplied from what was run:
-    two rollouts for each unknown and one more; runs of the MPM side by side, with their memory. AD's pass is the same
-    for any number of unknowns; a step leaves its state, its activations are computed again in the backward pass, except
-    for the last steps that half a GiB holds. "{LONG_STEPS} steps": AD through a longer flow, no activations kept,
-    beside the paper's stated limit.
+    The paper's tall column on the same cells, longer and higher with its box, and `{SOLID}` as it ships; a second of
+    flow. Each case is a process of its own; its memory is the greatest resident size above what it held before. "≈" is
+    multiplied from what was run: two rollouts for each unknown and one more; runs of the MPM side by side, with their
+    memory. The passes of AD and of the adjoint are the same for any number of unknowns. Of
+    AD a step leaves its state, its activations are computed again in the backward pass, except for the last steps that
+    half a GiB holds. "{LONG_STEPS} steps": AD through a longer flow, no activations kept, beside the paper's stated
+    limit. Cases that a folder of `--keep` holds are not measured again.
 """
 
 
@@ -99,7 +105,7 @@ def problem_row(row: MethodResult) -> Row:
         "s per iteration": f"{row.per_iteration:.2f}",
         "forward, backward [s]": f"{row.forward:.2f}, " + (f"{row.backward:.2f}" if row.backward else "-"),
         "the paper's [s]": None if row.paper is None else f"{row.paper:g}",
-        "iterations": row.iterations,
+        "iterations": f"{row.sample} + {row.iterations}" if row.sample else row.iterations,
         "ended": row.ended,
         "all iterations": f"≈ {row.per_iteration * row.allowed:.0f} s for {row.allowed}" if cut else None,
         "MPM runs": row.mpm_runs,
@@ -119,8 +125,9 @@ def unknowns_section(found: Page, over: OverUnknowns) -> None:
         velocity of each along x is unknown. True ones fall from {gradients.AT_FLOOR:g} m/s at the floor to
         {gradients.AT_TOP:g} at the top; the gradient of the deposit's loss is evaluated at {gradients.FRACTION:g} of
         them. Step of the differences: {steps} unknowns. "≈": the differences of some unknowns were run and their
-        seconds multiplied; there, cosine and error are over those unknowns. The last row of each is the scatter of the
-        MPM's own gradient.
+        seconds multiplied; there, cosine and error are over those unknowns. Both are to the mean of the MPM's
+        differences over {JITTERS} jitters, beside which its own rows show their scatter. The adjoint is on one thread,
+        its seconds for {JITTERS} jitters those of one after the other.
     """)
     found.table(
         [
@@ -146,7 +153,7 @@ def particles_section(found: Page, over: OverParticles) -> None:
     found.table(
         [
             {
-                "particles": f"{each.particles:,}",
+                "particles": f"{each.particles:,}{' in 3D' if each.dimension == 3 else ''}",
                 "method": each.method,
                 "nodes or particles": f"{each.nodes:,}",
                 "unknowns": each.unknowns,

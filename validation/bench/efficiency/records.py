@@ -17,6 +17,10 @@ from validation.report.machine import GNS, MPM, machine
 
 FILE = "efficiency.json"
 AD, FD_GNS, FD_MPM, FD_JITTER = "AD, GNS", "differences, GNS", "differences, MPM", "differences, MPM, another jitter"
+ADJOINT = "adjoint, MPM"
+JITTERS = 4
+"""Jitter seeds of the MPM's differences that other gradients are compared with."""
+ADJOINT_MEAN = f"adjoint, MPM, mean of {JITTERS} jitters"
 """Methods of a gradient."""
 LONG_STEPS = 400
 """As many as the rollouts whose gradient does not fit into the memory of the paper's GPU."""
@@ -70,6 +74,7 @@ class MethodResult(Record):
     paper: float | None
     """The paper's seconds per iteration."""
     iterations: int
+    """Those of a sample not counted."""
     allowed: int
     """Most iterations by the problem's own rule."""
     ended: str
@@ -81,6 +86,8 @@ class MethodResult(Record):
     """Of the unknowns, root mean square by unit; empty where the truth is not known."""
     curve: tuple[CheckedLoss, ...]
     """From the first iterate to the last improvement."""
+    sample: int = 0
+    """Predictions over the box before the first iteration."""
 
     @property
     def loss(self) -> float:
@@ -125,9 +132,9 @@ class Gradient(Record):
     columns: int
     """Unknowns whose differences were run; the seconds of the others are taken to be the same."""
     cosine: float | None
-    """Of the angle between it and the MPM's differences, over those unknowns."""
+    """Of the angle between it and the mean of the MPM's differences of `JITTERS` seeds, over those unknowns."""
     error: float | None
-    """Its distance from the MPM's differences over their norm, over those unknowns."""
+    """Its distance from that mean over the mean's norm, over those unknowns."""
 
     @property
     def extrapolated(self) -> bool:
@@ -161,6 +168,8 @@ class Cost(Record):
     """Peak above what the process held before [bytes]."""
     measured: str
     """What was run for it, where that was not all; else empty."""
+    dimension: int = 2
+    """Of the scene."""
 
 
 @dataclass(frozen=True, kw_only=True)

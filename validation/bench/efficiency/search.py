@@ -9,15 +9,18 @@ import numpy as np
 from tqdm import tqdm
 
 from gns.model.simulator import Simulator
+from inverse.bounds import Bounds
+from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import Evaluate, automatic, central
+from inverse.jacobian import Evaluate, automatic, central, without_gradient
 from inverse.observations import Observation, Target, Values
 from inverse.observations.reading import read_target
-from inverse.optimise import Bounds, explore, minimise
+from inverse.optimise import explore, minimise
 from inverse.parameters import Vector
 from inverse.problem import Problem
+from inverse.secants import sample
 from inverse.settings import Method
 from mpm.process import processors
 from mpm.simulation import simulate, simulate_many
@@ -44,20 +47,24 @@ class Models:
     gns_target: Values
     """The part of the target that the surrogate predicts."""
     mpm: Forward
+    adjoint: Differentiable
+    """The MPM with its adjoint."""
     check: Forward
     """The MPM with a jitter of its own."""
 
     @staticmethod
     def build(problem: Problem, simulator: Simulator) -> "Models":
-        """Of a shipped problem; the surrogate is compiled on a short flow before."""
+        """Of a problem; the surrogate and the adjoint are compiled on a short flow before."""
         target = read_target(problem, simulate)
         observation = target.observation
         short = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=WARM_UP_S))
         for each in (short, problem):
             gns = GnsSource(simulator, each, observation).start(None)
             gns_target = gns.select(target.values)
+            adjoint = AdjointForward(each, observation, simulate_many)
             if each is short:
                 automatic(gns, gns_target, components=observation.components)(problem.initial)
+                automatic(adjoint, target.values, components=observation.components)(problem.initial)
         other = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=CHECK_SEED))
         return Models(
             target=target,
@@ -65,6 +72,7 @@ class Models:
             gns=gns,
             gns_target=gns_target,
             mpm=MpmForward(problem, observation, simulate_many),
+            adjoint=adjoint,
             check=MpmForward(other, observation, simulate_many),
         )
 
@@ -105,6 +113,8 @@ class Stopwatch:
     clock: Clock = time.perf_counter
     iterates: list[Iterate] = field(default_factory=list)
     longest: float = 0.0
+    sample: int = 0
+    """How many of the iterates are predictions over the box before the first iteration."""
 
     def __post_init__(self) -> None:
         self.began = self.clock()
@@ -133,6 +143,10 @@ class Stopwatch:
                     backward_s=backward_s,
                 )
             )
+
+    def end_sample(self) -> None:
+        """What was recorded so far was a sample, which says nothing of how long an iteration lasts."""
+        self.sample, self.longest = len(self.iterates), 0.0
 
     def timed(self, inner: Evaluate) -> Evaluate:
         """`inner`, timed."""
@@ -184,7 +198,8 @@ def search(
     gns, problem = method.model is ForwardModel.GNS, method.problem
     stopwatch = Stopwatch(limit=limit, clock=clock)
     ended = _minimise(method, models, stopwatch)
-    seconds, count = stopwatch.elapsed, len(stopwatch.iterates)
+    seconds, iterations = stopwatch.elapsed, stopwatch.iterates[stopwatch.sample :]
+    count = len(iterations)
     runs_each = 1 + 2 * len(problem.parameters) if method.gradient is GradientBy.DIFFERENCES else 1
     best = thinned(improvements(stopwatch.iterates), checks)
     losses = models.checked([iterate.unknowns for iterate in best])
@@ -192,13 +207,14 @@ def search(
     return MethodResult(
         method=method.name,
         optimiser=method.optimiser,
-        forward=sum(iterate.forward_s for iterate in stopwatch.iterates) / count,
-        backward=sum(iterate.backward_s for iterate in stopwatch.iterates) / count,
+        forward=float(np.mean([iterate.forward_s for iterate in iterations or stopwatch.iterates])),
+        backward=float(np.mean([iterate.backward_s for iterate in iterations or stopwatch.iterates])),
         paper=method.paper,
         iterations=count,
         allowed=settings.max_trials if method.gradient is GradientBy.NONE else settings.max_iterations,
         ended=ended,
-        mpm_runs=0 if gns else count * runs_each,
+        mpm_runs=0 if gns else stopwatch.sample + count * runs_each,
+        sample=stopwatch.sample,
         seconds=seconds,
         error=rms_errors(problem, models.target, best[-1].unknowns),
         curve=tuple(
@@ -213,29 +229,34 @@ def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str
     gns = method.model is ForwardModel.GNS
     forward, target = (models.gns, models.gns_target) if gns else (models.mpm, models.target.values)
     components = models.components
+    timed = TimedForward(inner=forward, stopwatch=stopwatch, target=target, observation=models.target.observation)
     try:
         if method.gradient is GradientBy.NONE:
             trials = dataclasses.replace(settings, max_trials=UNLIMITED)
-            timed = TimedForward(
-                inner=forward, stopwatch=stopwatch, target=target, observation=models.target.observation
-            )
             unlimited = dataclasses.replace(problem, optimiser=trials)
             explore(timed, target, unlimited, components=components, at_once=1 if gns else processors())
         else:
             with_jacobian = settings.method is Method.GAUSS_NEWTON
+            bounds = Bounds.from_problem(problem)
+            before: list[Evaluation] = []
+            if method.gradient is GradientBy.SECANTS:
+                before = sample(timed, target, problem.initial, bounds, components=components)
+                stopwatch.end_sample()
             if method.gradient is GradientBy.AD:
                 evaluate = automatic(models.gns, target, components=components, with_jacobian=with_jacobian)
+            elif method.gradient is GradientBy.ADJOINT:
+                evaluate = automatic(models.adjoint, target, components=components)
+            elif method.gradient is GradientBy.SECANTS:
+                evaluate = without_gradient(forward, target, components=components)
             else:
                 evaluate = central(forward, target, problem.steps, components=components, with_jacobian=with_jacobian)
-            lower, upper = np.array(problem.bounds).T
             rates = [each.learning_rate for each in problem.parameters]
-            bounds = Bounds(lower=lower, upper=upper)
-            minimise(stopwatch.timed(evaluate), problem.initial, bounds, settings, method.name, rates)
+            minimise(stopwatch.timed(evaluate), problem.initial, bounds, settings, method.name, rates, before)
     except OutOfTime:
         return "out of time"
     if min(iterate.loss for iterate in stopwatch.iterates) < settings.stop_below:
         return "target met"
-    if method.gradient is not GradientBy.NONE and len(stopwatch.iterates) >= settings.max_iterations:
+    if method.gradient is not GradientBy.NONE and len(stopwatch.iterates) - stopwatch.sample >= settings.max_iterations:
         return "all iterations"
     return "by itself"
 

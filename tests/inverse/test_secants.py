@@ -1,0 +1,80 @@
+"""Gauss-Newton by secants on forwards that are formulas."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from inverse.bounds import Bounds
+from inverse.jacobian import observed, without_gradient
+from inverse.optimise import best, minimise
+from inverse.secants import MORE, MOST, fitted, least_squares_step, lowest, residual, sample
+from inverse.settings import Method, OptimiserSettings
+
+Floats = NDArray[np.float64]
+SETTINGS = OptimiserSettings(method=Method.SECANTS, max_iterations=40, stop_below=1e-12)
+
+
+class Curved:
+    """Many numbers that are a matrix times the parameters, and some of their square."""
+
+    def __init__(self, parameters: int, numbers: int = 60, curvature: float = 0.2) -> None:
+        self.matrix = np.random.default_rng(0).normal(size=(numbers, parameters))
+        self.curvature, self.runs = curvature, 0
+
+    def observe(self, parameters: Sequence[Floats]) -> list[Floats]:
+        self.runs += len(parameters)
+        return [self.matrix @ (values + self.curvature * values**2) for values in parameters]
+
+
+def box(parameters: int) -> Bounds:
+    return Bounds(lower=np.full(parameters, -1.0), upper=np.full(parameters, 3.0))
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 10])
+def test_the_truth_is_found_in_few_runs(parameters: int) -> None:
+    forward, bounds = Curved(parameters), box(parameters)
+    truth = np.linspace(1.5, 0.15, parameters)
+    (target,) = forward.observe([truth])
+    spread = sample(forward, target, np.zeros(parameters), bounds)
+    assert len(spread) == parameters + MORE + 1
+    found = minimise(without_gradient(forward, target), np.zeros(parameters), bounds, SETTINGS, sample=spread)
+    np.testing.assert_allclose(best([*spread, *found]).parameters, truth, atol=0.01)
+    assert forward.runs == 1 + len(spread) + len(found) < 40
+
+
+def test_a_linear_forward_needs_its_sample_alone() -> None:
+    forward, bounds = Curved(4, curvature=0.0), box(4)
+    truth = np.array([1.5, 1.0, 0.5, 0.2])
+    (target,) = forward.observe([truth])
+    spread = sample(forward, target, np.zeros(4), bounds)
+    assert lowest(spread) is spread[-1]
+    # The fit is damped.
+    np.testing.assert_allclose(spread[-1].parameters, truth, atol=0.1)
+    np.testing.assert_allclose(fitted(spread, spread[0], bounds), 4.0 * forward.matrix, atol=0.5)
+
+
+def test_a_sample_is_no_larger_than_it_may_be_and_begins_at_the_start() -> None:
+    forward, start = Curved(50), np.full(50, 0.3)
+    spread = sample(forward, np.zeros(60), start, box(50))
+    assert len(spread) == MOST + 1
+    np.testing.assert_array_equal(spread[0].parameters, start)
+    assert all(np.all((each.parameters >= -1.0) & (each.parameters <= 3.0)) for each in spread)
+
+
+def test_a_step_stays_in_the_box_and_in_the_trust_region() -> None:
+    jacobian, target = np.eye(2), np.array([-10.0, 10.0])
+    near_the_bound = np.array([2.9, 1.0])
+    step = least_squares_step(target, jacobian, near_the_bound, box(2), 0.1)
+    np.testing.assert_allclose(step, [0.025, -0.1], atol=1e-6)
+
+
+def test_a_run_that_failed_is_left_out() -> None:
+    forward = Curved(2)
+    (target,) = forward.observe([np.array([1.0, 0.5])])
+    found = observed(forward, target, [np.zeros(2), np.ones(2), np.array([2.0, 0.0])])
+    broken = observed(forward, np.full(60, np.nan), [np.full(2, 0.4)])
+    assert np.isfinite(lowest([*broken, *found]).loss)
+    np.testing.assert_array_equal(fitted([*found, *broken], found[0], box(2)), fitted(found, found[0], box(2)))
+    np.testing.assert_allclose(residual(found[1]), found[1].observation - target)
