@@ -124,7 +124,7 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     with monkeypatch.context() as patch:
         broken(call, number, kind, patch)
-        assert run(dataset, tmp_path, *flags) == 130
+        assert run(dataset, tmp_path, *flags) == 128 + kind
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert read(tmp_path / "last.pt")["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
-from mpm.generate import command, generate, thinned
+from mpm.generate import Workers, command, generate, thinned
 
 ROOT = Path(__file__).parents[2]
 
@@ -169,7 +169,7 @@ def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None
 
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("mpm.generate.CONNECT", 0.5)
+    monkeypatch.setattr("mpm.cluster.CONNECT", 0.5)
     with pytest.raises(InputError, match="expected the address of a Dask scheduler"):
         generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler="tcp://127.0.0.1:1")
 
@@ -180,9 +180,9 @@ def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = {entry.scene: dataset / entry.split.value / f"{entry.name}.npz" for entry in TINY.entries(seed=7)}
 
     @contextmanager
-    def thread(jobs: int) -> Iterator[tuple[Executor, int]]:
+    def thread(jobs: int) -> Iterator[Workers]:
         with ThreadPoolExecutor(jobs) as executor:
-            yield executor, jobs
+            yield Workers(executor=executor, width=lambda: jobs)
 
     monkeypatch.setattr("mpm.generate.pool", thread)
     monkeypatch.setattr(
@@ -196,10 +196,9 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((dataset / name).read_bytes())
     # What a killed process leaves of a file it was writing.
-    (tmp_path / "train" / ".tiny-0000-x.npz").write_bytes(b"half")
+    (tmp_path / "train" / ".part-tiny-0000-x.npz").write_bytes(b"half")
     before = (tmp_path / FILES[1]).stat().st_mtime_ns
     generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-    (tmp_path / "train" / ".tiny-0000-x.npz").unlink()
     assert contents(tmp_path) == contents(dataset)
     assert (tmp_path / FILES[1]).stat().st_mtime_ns == before
     generation = json.loads((tmp_path / "generation.json").read_text())

@@ -9,7 +9,6 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +16,7 @@ from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError
+from datasets.lock import locked
 
 COMMAND = "python -m validation.bench"
 
@@ -105,7 +105,7 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
     @functools.wraps(bench)
     def command(*, out: Path, quick: bool = False, keep: Path | None = None, **flags: Any) -> None:
         began = time.perf_counter()
-        with TemporaryDirectory() if keep is None else nullcontext(keep) as folder:
+        with TemporaryDirectory() if keep is None else locked(keep) as folder:
             print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 
