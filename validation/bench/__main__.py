@@ -95,6 +95,10 @@ BENCHES = {
         module="validation.bench.adjoint.bench",
         summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
     ),
+    "faults": Bench(
+        module="validation.bench.faults.bench",
+        summary="kills and full disks at many moments of every command that goes on after them",
+    ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
 }
 
