@@ -10,12 +10,10 @@ by an error of the network. A scene that blows up does so everywhere and is not 
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
-
-from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
@@ -79,11 +77,16 @@ class Cluster:
             raise ScenesFailed(outcomes)
         return whole
 
-    def map(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], *, unit: str) -> Iterator[T]:
-        """`work(*task)` of each task, in the order of `tasks`, with a progress bar. Raises WorkFailed."""
-        futures = [self.submit(work, *task) for task in tasks]
-        for future in tqdm(futures, unit=unit, leave=False, disable=None):
-            yield self.result(future)
+    def finished(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """`work(*task)` of each task with its number, whichever is ready first; errors as `result`."""
+        numbers = {self.submit(work, *task): number for number, task in enumerate(tasks)}
+        running = set(numbers)
+        while running:
+            ended, running = wait(running, timeout=POLL, return_when=FIRST_COMPLETED)
+            if not ended:
+                self.check()
+            for future in ended:
+                yield numbers[future], self.result(future)
 
     def result(self, future: Future[T]) -> T:
         """The result of a task, once it is there; what it raised is raised. Raises WorkFailed as `check`."""

@@ -149,7 +149,7 @@ def scheduler(quick: bool) -> Iterator[tuple[str | None, Callable[[], int]]]:
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,  # type: ignore[no-untyped-call]
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,  # type: ignore[no-untyped-call]
         Client(cluster) as client,  # type: ignore[no-untyped-call]
     ):
         yield cluster.scheduler_address, lambda: next(iter(client.run(os.getpid).values()))
