@@ -11,7 +11,7 @@ by an error of the network. A scene that blows up does so everywhere and is not 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
@@ -121,18 +121,25 @@ def outcome_of(scene: Scene, record: Recording, precision: Precision) -> Traject
 
 @contextmanager
 def connected(address: str) -> Iterator[Cluster]:
-    """The workers of the Dask scheduler at `address`. Raises InputError."""
+    """The workers of the Dask scheduler at `address`, or of that which wrote the JSON file of that name.
+
+    Raises InputError.
+    """
     try:
         from distributed import Client
     except ImportError:
         raise InputError('expected Dask: pip install "talus[cluster]"', key="--scheduler") from None
     try:
-        client: Any = Client(address, timeout=CONNECT)  # type: ignore[no-untyped-call]
+        found = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+        client: Any = Client(**found, timeout=CONNECT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise InputError(
             f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"
         ) from None
     with client:
+        # Those of a batch job come one by one.
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=PATIENCE)
         threads = client.nthreads()
         # Taichi holds one simulation per process.
         if not threads or set(threads.values()) != {1}:

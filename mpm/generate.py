@@ -68,8 +68,8 @@ def command(
     jobs
         Processes that simulate; one per processor unless given.
     scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate instead; they need this
-        version of Talus and the folder OUT in the same place.
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate instead;
+        they need this version of Talus and the folder OUT in the same place.
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")

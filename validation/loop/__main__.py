@@ -44,8 +44,8 @@ def main(
         "gns": always asked; "none": the MPM alone; unless given, as the problem says, by default where it saves more
         than it costs.
     scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers run the MPM instead: those of a wave
-        side by side.
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
+        instead: the runs of a wave side by side.
     vtk
         Write the final MPM run for ParaView as well.
     movie

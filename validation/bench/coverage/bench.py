@@ -43,7 +43,7 @@ def bench(
     only
         Families to solve; the page has all that there are.
     scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers solve a twin each.
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
