@@ -95,6 +95,10 @@ BENCHES = {
         module="validation.bench.adjoint.bench",
         summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
     ),
+    "cluster": Bench(
+        module="validation.bench.cluster.bench",
+        summary="overhead of a scheduler for each trajectory; what 100,000 runs or 100 million particles would take",
+    ),
     "faults": Bench(
         module="validation.bench.faults.bench",
         summary="kills and full disks at many moments of every command that goes on after them",
