@@ -8,6 +8,7 @@ A worker that dies loses nothing but its present task, which another one makes a
 by an error of the network. A scene that blows up does so everywhere and is not tried again.
 """
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -26,8 +27,8 @@ CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
 RETRIES = 2
 """How often a task that an error broke off is tried again."""
-PATIENCE = 120.0
-"""Seconds without any worker after which work fails."""
+PATIENCE = 3600.0
+"""Seconds without any worker after which work fails: a batch system may start new ones meanwhile."""
 POLL = 2.0
 """Seconds after which one looks whether there are workers."""
 QUEUED = 2
@@ -44,8 +45,11 @@ class Cluster:
     address: str
     client: Any
     executor: Executor
-    seen: float = 0.0
+    seen: float
     """When there were workers last, on the monotonic clock [s]."""
+
+    waiting: bool = False
+    """That there is none was said."""
 
     @property
     def workers(self) -> int:
@@ -101,8 +105,11 @@ class Cluster:
         """Raise WorkFailed where the scheduler has gone, or had no workers for PATIENCE seconds."""
         now = time.monotonic()
         try:
-            if self.workers or not self.seen:
-                self.seen = now
+            if self.workers:
+                self.seen, self.waiting = now, False
+            elif not self.waiting:
+                self.waiting = True
+                print(f"talus: {self.address}: no worker; waiting for one", file=sys.stderr)
         except (OSError, ValueError):
             raise WorkFailed(f"{self.address}: the scheduler has gone; what was finished is kept") from None
         if now - self.seen > PATIENCE:
@@ -138,9 +145,12 @@ def connected(address: str) -> Iterator[Cluster]:
         ) from None
     with client:
         # Those of a batch job come one by one.
-        with suppress(TimeoutError):
-            client.wait_for_workers(1, timeout=PATIENCE)
         threads = client.nthreads()
+        if not threads:
+            print(f"talus: {address}: no worker; waiting for the first", file=sys.stderr)
+            with suppress(TimeoutError):
+                client.wait_for_workers(1, timeout=PATIENCE)
+            threads = client.nthreads()
         # Taichi holds one simulation per process.
         if not threads or set(threads.values()) != {1}:
             expected = "expected workers of one thread each (dask worker --nthreads 1)"
