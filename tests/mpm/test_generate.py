@@ -308,8 +308,11 @@ def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
     yield process
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["to all processes", "to the first"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("number", "whole"),
+    [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)],
+    ids=["Ctrl-C", "SIGTERM to all", "SIGTERM to the first"],
+)
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
     tmp_path: Path, number: signal.Signals, whole: bool
 ) -> None:
@@ -318,7 +321,8 @@ def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
         (os.killpg if whole else os.kill)(process.pid, number)
         _, error = process.communicate(timeout=240.0)
     assert process.returncode == 128 + number
-    assert error.splitlines()[-1] == "talus: interrupted; what was finished is kept"
+    # Python's own process that watches over semaphores may say something after it.
+    assert "talus: interrupted; what was finished is kept" in error.splitlines()
     assert "Traceback" not in error
     assert wait_for_orphans(process.pid)[0] == 0
     assert unfinished(tmp_path) == []
