@@ -55,7 +55,7 @@ class LargeRun(Record):
     """[bytes]."""
 
 
-def bench(out: Path, *, quick: bool, keep: Path, trajectories: int = 24, trajectories_3d: int = 6) -> str:
+def bench(out: Path, *, quick: bool, keep: Path, trajectories: int = 16, trajectories_3d: int = 4) -> str:
     """Generate datasets with and without a scheduler, run a large scene; write OUT/cluster.md, return its conclusion.
 
     Parameters

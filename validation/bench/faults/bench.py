@@ -75,11 +75,10 @@ def bench(
     if quick:
         only, moments, disks = only[:1], 1, 1
     found = {}
-    with scheduler(quick) as (address, workers):
+    with scheduler("scheduler" in only) as (address, workers):
         known = commands(keep / "inputs", address)
         for name in NAMES:
-            if name in known:
-                found[name] = measured(name, known[name], keep, moments, disks, workers, new=name in only)
+            found[name] = measured(name, known[name], keep, moments, disks, workers, new=name in only)
     return page([each for each in found.values() if each.killed], quick=quick).write(out / "reliability.md")
 
 
@@ -141,10 +140,10 @@ def stored(folder: Path, name: str, kind: type[R]) -> list[R]:
 
 
 @contextmanager
-def scheduler(quick: bool) -> Iterator[tuple[str | None, Callable[[], int]]]:
-    """A scheduler with two workers on this machine, none of a trial: address, number of a worker's process."""
-    if quick:
-        yield None, os.getpid
+def scheduler(asked: bool) -> Iterator[tuple[str, Callable[[], int]]]:
+    """A scheduler with two workers on this machine, where asked for: address, number of a worker's process."""
+    if not asked:
+        yield "", os.getpid
         return
     from distributed import Client, LocalCluster
 

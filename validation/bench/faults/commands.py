@@ -80,7 +80,7 @@ class Command:
     """Exit statuses of one that came to its end."""
 
 
-def commands(inputs: Path, scheduler: str | None) -> dict[str, Command]:
+def commands(inputs: Path, scheduler: str) -> dict[str, Command]:
     """Every command by its name; what they read is written to `inputs`. Raises WorkFailed."""
     write_text(inputs / "blocks.toml", BLOCKS)
     write_text(inputs / "scene.toml", SCENE)
@@ -94,10 +94,15 @@ def commands(inputs: Path, scheduler: str | None) -> dict[str, Command]:
         resume = ["--resume"] if (out / "last.pt").exists() else []
         return ["-m", "gns.train", str(dataset), "--out", str(out), *TINY, *resume]
 
-    found = {
+    return {
         "generate": Command(
             title="`mpm.generate --jobs 2`",
             arguments=lambda out: [*generate, "--out", str(out), "--jobs", "2"],
+            result=dataset_files,
+        ),
+        "scheduler": Command(
+            title="`mpm.generate --scheduler`, two workers",
+            arguments=lambda out: [*generate, "--out", str(out), "--scheduler", scheduler],
             result=dataset_files,
         ),
         "train": Command(title="`gns.train --updates`", arguments=train, result=trained),
@@ -115,13 +120,6 @@ def commands(inputs: Path, scheduler: str | None) -> dict[str, Command]:
             result=stored_runs,
         ),
     }
-    if scheduler is not None:
-        found["scheduler"] = Command(
-            title="`mpm.generate --scheduler`, two workers",
-            arguments=lambda out: [*generate, "--out", str(out), "--scheduler", scheduler],
-            result=dataset_files,
-        )
-    return found
 
 
 def digest(content: bytes) -> str:
