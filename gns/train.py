@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import sys
 from collections.abc import Iterable, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -205,7 +205,8 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs:
     last = outputs.out / "last.pt"
     started = clock.now() - position.seconds
     bar = Bar(budget, training.unroll, seconds=position.seconds, batch=training.batch, shown=processes.first)
-    with Stop().watching() as stop:
+    # Closed whatever happens: an open bar would be drawn again, after the line that says why the training ended.
+    with Stop().watching() as stop, closing(bar):
         while True:
             position.seconds = clock.now() - started
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
@@ -230,7 +231,6 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs:
             position.seconds = clock.now() - started
             progress = budget.progress(position.seconds, position.updates)
             bar.show(progress, seconds=position.seconds, steps=steps, loss=loss)
-        bar.close()
         run.save(last)
         if stops:
             raise stop.interrupt

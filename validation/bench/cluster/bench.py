@@ -22,6 +22,7 @@ from validation.bench.speed.rates import CUBE, column
 from validation.report.memory import extra
 from validation.report.page import Page, signed
 from validation.report.process import isolated
+from validation.report.timing import spread
 
 WORKERS = (2, 4)
 MOST = 0.05
@@ -55,7 +56,13 @@ class LargeRun(Record):
     """[bytes]."""
 
 
-def bench(out: Path, *, quick: bool, keep: Path, trajectories: int = 16, trajectories_3d: int = 4) -> str:
+Pairs = dict[int, list[tuple[Generation, Generation]]]
+"""By number of workers, in every round: by processes of this machine, and by a scheduler's workers."""
+
+
+def bench(
+    out: Path, *, quick: bool, keep: Path, trajectories: int = 16, trajectories_3d: int = 4, rounds: int = 3
+) -> str:
     """Generate datasets with and without a scheduler, run a large scene; write OUT/cluster.md, return its conclusion.
 
     Parameters
@@ -70,16 +77,21 @@ def bench(out: Path, *, quick: bool, keep: Path, trajectories: int = 16, traject
         Of `flow2d` for each number of workers, with a scheduler and without.
     trajectories_3d
         Of `obstacle3d`, on one process for each processor.
+    rounds
+        In each of which all datasets of `flow2d` are made.
     """
-    if min(trajectories, trajectories_3d) < 1:
-        raise InputError(f"expected at least one, got {min(trajectories, trajectories_3d)}", where="--trajectories")
-    count, count_3d = (2, 1) if quick else (trajectories, trajectories_3d)
-    pairs = {}
-    for workers in WORKERS[:1] if quick else WORKERS:
-        here = generated(keep / f"here-{workers}-{count}", "flow2d", count, ["--jobs", str(workers)])
-        with scheduler(workers) as address:
-            there = generated(keep / f"there-{workers}-{count}", "flow2d", count, ["--scheduler", address])
-        pairs[workers] = (here, there)
+    if min(trajectories, trajectories_3d, rounds) < 1:
+        message = f"expected at least one, got {min(trajectories, trajectories_3d, rounds)}"
+        raise InputError(message, where="--trajectories")
+    count, count_3d, rounds = (2, 1, 1) if quick else (trajectories, trajectories_3d, rounds)
+    pairs: Pairs = {workers: [] for workers in (WORKERS[:1] if quick else WORKERS)}
+    for number in range(rounds):
+        for workers, each in pairs.items():
+            name = f"{workers}-{count}-{number}"
+            here = generated(keep / f"here-{name}", "flow2d", count, ["--jobs", str(workers)])
+            with scheduler(workers) as address:
+                there = generated(keep / f"there-{name}", "flow2d", count, ["--scheduler", address])
+            each.append((here, there))
     cores = processors()
     spatial = generated(keep / f"spatial-{count_3d}", "obstacle3d", count_3d, ["--jobs", str(cores)])
     path = keep / "large.json"
@@ -133,7 +145,7 @@ def run_large() -> LargeRun:
 
 
 def page(
-    pairs: dict[int, tuple[Generation, Generation]],
+    pairs: Pairs,
     count: int,
     spatial: Generation,
     count_3d: int,
@@ -143,7 +155,9 @@ def page(
     quick: bool,
 ) -> Page:
     """The table and what follows from it."""
-    overheads = {workers: there.seconds / here.seconds - 1.0 for workers, (here, there) in pairs.items()}
+    overheads = {
+        workers: spread(there.seconds / here.seconds - 1.0 for here, there in each) for workers, each in pairs.items()
+    }
     core_seconds = cores * spatial.seconds / count_3d
     scene = dataclasses.replace(column(3, cells_of(PARTICLES), 1), duration=SECONDS)
     steps = particle_steps(scene)
@@ -154,8 +168,9 @@ def page(
         command="python -m validation.bench cluster",
         conclusion=[
             *(
-                f"Overhead of a scheduler for each trajectory, {workers} workers on {cores} cores: {signed(each)}"
-                f" (asked: at most {100 * MOST:g} %)."
+                f"Overhead of a scheduler for each trajectory, {workers} workers on {cores} cores: "
+                f"{signed(each.median)} ({signed(each.minimum)} to {signed(each.maximum)}; asked: at most "
+                f"{100 * MOST:g} %)."
                 for workers, each in overheads.items()
             ),
             f"Extrapolated: {TRAJECTORIES_3D:,} trajectories of `obstacle3d` take "
@@ -171,16 +186,16 @@ def page(
             {
                 "workers": str(workers),
                 "trajectories": str(count),
-                "processes [s]": f"{here.seconds:.1f}",
-                "scheduler [s]": f"{there.seconds:.1f}",
-                "overhead": signed(overheads[workers]),
+                "processes [s]": ", ".join(f"{here.seconds:.1f}" for here, _ in each),
+                "scheduler [s]": ", ".join(f"{there.seconds:.1f}" for _, there in each),
+                "overhead": signed(overheads[workers].median),
             }
-            for workers, (here, there) in pairs.items()
+            for workers, each in pairs.items()
         ]
     )
     result.text(
         f"`mpm.generate flow2d --count {count}` with `--jobs` and with `--scheduler` of as many workers, all on this "
-        "machine; wall time from `generation.json`, in which both start and compile. "
+        "machine and in turn; wall time from `generation.json`, in which both start and compile. "
         f"3D: {count_3d} trajectories of `obstacle3d` in {spatial.seconds:.0f} s with `--jobs {cores}`, "
         f"{core_seconds:.1f} core-seconds and {spatial.size / count_3d / 2**20:.1f} MiB each. "
         f"Large: a cube of sand of {CUBE:g} m and {large.particles:,} particles on {cores} threads, "
