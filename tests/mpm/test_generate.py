@@ -21,6 +21,7 @@ from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
+from datasets.lock import locked
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
@@ -237,6 +238,11 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
     for name in FILES[:3]:
         assert (tmp_path / name).read_bytes() == (dataset / name).read_bytes()
     assert not (tmp_path / "metadata.json").exists()
+
+
+def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(WorkFailed, match="writes here since"):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
 
 
 @pytest.mark.usefixtures("at_once")
