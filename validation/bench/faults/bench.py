@@ -22,6 +22,7 @@ from validation.report.machine import GNS, MPM
 from validation.report.page import Page
 
 NAMES = ("generate", "scheduler", "train", "loop", "bench")
+MOMENTS, DISKS = 8, 4
 ENOUGH = 2**28
 """Bytes of a disk on which every command has room."""
 
@@ -47,7 +48,7 @@ class Found:
 
 
 def bench(
-    out: Path, *, quick: bool, keep: Path, moments: int = 8, disks: int = 4, only: tuple[str, ...] = NAMES
+    out: Path, *, quick: bool, keep: Path, moments: int = MOMENTS, disks: int = DISKS, only: tuple[str, ...] = NAMES
 ) -> str:
     """Kill every command at moments of its work and give it disks too small; write OUT/reliability.md.
 
@@ -79,7 +80,8 @@ def bench(
         known = commands(keep / "inputs", address)
         for name in NAMES:
             found[name] = measured(name, known[name], keep, moments, disks, workers, new=name in only)
-    return page([each for each in found.values() if each.killed], quick=quick).write(out / "reliability.md")
+    flags = "" if (moments, disks) == (MOMENTS, DISKS) else f" --moments {moments} --disks {disks}"
+    return page([each for each in found.values() if each.killed], flags, quick=quick).write(out / "reliability.md")
 
 
 def measured(
@@ -154,8 +156,8 @@ def scheduler(asked: bool) -> Iterator[tuple[str, Callable[[], int]]]:
         yield cluster.scheduler_address, lambda: next(iter(client.run(os.getpid).values()))
 
 
-def page(found: Sequence[Found], *, quick: bool) -> Page:
-    """The tables and their conclusion."""
+def page(found: Sequence[Found], flags: str = "", *, quick: bool) -> Page:
+    """The tables and their conclusion; flags: of the command that measured them."""
     killed = [record for each in found for record in each.killed]
     full = [record for each in found for record in each.full if record.full]
     workers = [record for each in found for record in each.workers]
@@ -177,7 +179,7 @@ def page(found: Sequence[Found], *, quick: bool) -> Page:
         conclusion.append(f"{len(workers)} kills of a scheduler's worker: {same} runs ended with the same files.")
     result = Page(
         "Reliability",
-        command="python -m validation.bench faults",
+        command=f"python -m validation.bench faults{flags}",
         conclusion=conclusion,
         packages=MPM | GNS,
         quick=quick,
