@@ -81,7 +81,7 @@ def test_a_namesake_beside_us_is_stated(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("package", ["mpm", "gns", "inverse", "validation"])
-def test_a_namesake_in_our_place_is_stated(package: str, tmp_path: Path) -> None:
+def test_a_namesake_instead_of_us_is_stated(package: str, tmp_path: Path) -> None:
     (tmp_path / "datasets").mkdir()
     (tmp_path / "datasets" / "__init__.py").write_text("class Dataset: ...\n")
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; import {package}"
