@@ -14,6 +14,7 @@ from validation.bench.faults.commands import timeless
 
 GOOD = Killed(moment=0.5, working=True, orphans=0, last_s=0.1, left=0, same=True)
 BAD = Killed(moment=0.7, working=True, orphans=2, last_s=5.0, left=1, same=False)
+LATE = Killed(moment=0.9, working=False, orphans=0, last_s=0.0, left=0, same=True)
 FULL = Full(size=1000, full=True, stated=True, left=0, same=True)
 LARGE_ENOUGH = Full(size=9000, full=False, stated=False, left=0, same=True)
 SILENT = Full(size=2000, full=True, stated=False, left=1, same=False)
@@ -21,10 +22,13 @@ SILENT = Full(size=2000, full=True, stated=False, left=1, same=False)
 
 def test_the_page_counts_what_was_lost() -> None:
     found = Found(
-        title="`it`", killed=[GOOD, BAD], full=[FULL, LARGE_ENOUGH, SILENT], workers=[Worker(moment=0.5, same=True)]
+        title="`it`",
+        killed=[GOOD, BAD, LATE],
+        full=[FULL, LARGE_ENOUGH, SILENT],
+        workers=[Worker(moment=0.5, same=True)],
     )
     conclusion = page([found], quick=False).conclusion
-    assert "2 kills (SIGKILL) of 1 commands at moments of their work: 1 had the same results" in conclusion
+    assert "2 kills (SIGKILL) of 1 commands in the middle of their work: 1 had the same results" in conclusion
     assert "Processes left 5 s after a kill: 2; the last one of all ended 5.00 s after it." in conclusion
     assert "Unfinished files or locks left: 2." in conclusion
     assert "2 full disks: 1 were stated in one line with exit status 1, 1 had the same results" in conclusion
@@ -62,7 +66,7 @@ def test_a_kill_of_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     arguments = ["faults", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert "1 kills (SIGKILL) of 1 commands at moments of their work: 1 had the same results" in said
+    assert "1 kills (SIGKILL) of 1 commands in the middle of their work: 1 had the same results" in said
     assert "Processes left 5 s after a kill: 0;" in said
 
 
