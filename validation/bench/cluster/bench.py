@@ -89,8 +89,8 @@ def bench(
         for workers, each in pairs.items():
             name = f"{workers}-{count}-{number}"
             here = generated(keep / f"here-{name}", "flow2d", count, ["--jobs", str(workers)])
-            known = (keep / f"there-{name}.json").exists()
-            with nullcontext("") if known else scheduler(workers) as address:
+            there_known = (keep / f"there-{name}.json").exists()
+            with nullcontext("") if there_known else scheduler(workers) as address:
                 there = generated(keep / f"there-{name}", "flow2d", count, ["--scheduler", address])
             each.append((here, there))
     cores = processors()
