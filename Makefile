@@ -1,4 +1,4 @@
-# make demo | test | test-all | lint | docs | bench NAME=...; the environment in .venv sets itself up.
+# make demo | test | test-all | lint | docs | wheel | bench NAME=...; the environment in .venv sets itself up.
 PYTHON ?= python3.11
 WORKERS ?= 2
 NAME ?= --list
@@ -11,7 +11,7 @@ PARALLEL := -n $(WORKERS) --dist loadfile
 # Material for MkDocs announces its successor on every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-all lint docs bench
+.PHONY: demo test test-all lint docs wheel bench
 
 demo: .venv/stamp
 	$(BIN)/python -m validation.demo
@@ -30,6 +30,21 @@ lint: .venv/stamp
 docs: .venv/stamp
 	$(BIN)/mkdocs build --strict --quiet
 	@echo "site/index.html"
+
+# Built, checked, and installed in an environment of its own, from which the shipped files are read elsewhere.
+wheel: build/venv/bin/twine
+	rm -rf dist build/installed
+	build/venv/bin/python -m build --outdir dist .
+	build/venv/bin/twine check --strict dist/*
+	$(PYTHON) -m venv build/installed
+	build/installed/bin/pip install --quiet --constraint constraints.txt dist/*.whl || \
+		build/installed/bin/pip install --quiet --constraint constraints.txt dist/*.whl --extra-index-url $(TORCH_INDEX)
+	cd build && installed/bin/python -P ../tests/installed.py
+
+build/venv/bin/twine: pyproject.toml
+	$(PYTHON) -m venv build/venv
+	build/venv/bin/pip install --quiet build twine
+	touch $@
 
 bench: .venv/stamp
 	$(BIN)/python -m validation.bench $(NAME) $(if $(filter --list,$(NAME)),,--out docs)

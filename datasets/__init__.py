@@ -11,6 +11,9 @@ For example:
     print(read_trajectory("results").positions.shape)  # frames, particles, 2
 """
 
+import warnings
+from importlib.metadata import PackageNotFoundError, distribution
+
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.library import read_scene, write_scene
@@ -32,3 +35,19 @@ __all__ = [
     "read_trajectory",
     "write_scene",
 ]
+
+
+def _warn_of_namesake() -> None:
+    """Hugging Face's package `datasets` has the same name, and Python imports one of the two alone."""
+    try:
+        other = distribution("datasets").version
+    except PackageNotFoundError:
+        return
+    warnings.warn(
+        f"Hugging Face's datasets {other} is installed beside Talus, whose package `datasets` has the same name: one "
+        "of them will not work; install Talus in an environment of its own",
+        stacklevel=3,
+    )
+
+
+_warn_of_namesake()

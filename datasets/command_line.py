@@ -1,12 +1,29 @@
 """How every command of Talus begins and ends: flags by cyclopts, mistakes in one line, exit status 0, 1 or 2."""
 
+import errno
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from cyclopts import App, CycloptsError
 
 from datasets.errors import InputError
+from datasets.processes import end_with_stated_parent
+
+DISK_ERRORS = {
+    getattr(errno, name)
+    for name in ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE")
+    if hasattr(errno, name)
+}
+"""What a disk says that is full, read-only or broken: no mistake of the program's."""
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as Ctrl-C does."""
 
 
 class WorkFailed(RuntimeError):
@@ -25,25 +42,55 @@ def listed(text: str, known: Sequence[str], key: str) -> tuple[str, ...]:
 def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None = None) -> int:
     """Run `command` with the flags on the command line and return its exit status.
 
-    0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C. No traceback for a user's mistake.
+    0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM. No traceback for a user's
+    mistake, nor for a disk that is full or read-only.
     """
+    end_with_stated_parent()
     # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
     app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
     app.default(command)
     try:
-        status = app(
-            sys.argv[1:] if arguments is None else list(arguments),
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
-        )
+        with terminable():
+            status = app(
+                sys.argv[1:] if arguments is None else list(arguments),
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
     except (CycloptsError, InputError) as error:
         print(f"talus: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except WorkFailed as error:
         print(f"talus: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except OSError as error:
+        if not disk_failed(error):
+            raise
+        print(f"talus: {error.filename or 'output'}: {error.strerror}; what was finished is kept", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as interrupt:
         print("talus: interrupted; what was finished is kept", file=sys.stderr)
-        return 130
+        return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     return status if isinstance(status, int) else 0
+
+
+def disk_failed(error: BaseException) -> bool:
+    """Whether an error says that the disk is full, read-only or broken, so that no other file can be written either."""
+    return isinstance(error, OSError) and error.errno in DISK_ERRORS
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """While this lasts, SIGTERM raises Terminated, unless somebody else handles it or this is not the main thread."""
+
+    def terminate(number: int, _: FrameType | None) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)

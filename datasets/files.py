@@ -1,5 +1,10 @@
-"""Files appear whole or not at all: each is written beside its place and moved into it."""
+"""Files appear whole or not at all: each is written beside its place, made to last, and moved into it.
 
+This is the one place that moves results. The bytes are on the disk before the name is (`fsync` of the file, `rename`,
+`fsync` of the folder), so that a machine that dies in between leaves the old file or the new one.
+"""
+
+import errno
 import json
 import os
 import tempfile
@@ -10,20 +15,55 @@ from typing import Any
 
 from datasets.errors import InputError
 
+PART = ".part-"
+"""What the names of files begin with that are still being written."""
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # The suffix stays: savez and savefig choose their format by it.
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    part = Path(name)
+    """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes.
+
+    An OSError, such as that of a full disk, names `path`.
+    """
+    part = path
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # The suffix stays: savez and savefig choose their format by it.
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{PART}{path.stem}-", suffix=path.suffix)
+        os.close(handle)
+        part = Path(name)
         yield part
         part.chmod(0o644)
+        flush(part)
         part.replace(path)
+        flush(path.parent)
+    except OSError as error:
+        if error.filename is None or Path(error.filename).name.startswith(PART):
+            error.filename = str(path)
+        raise
     finally:
+        if part != path:
+            part.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Return once the contents of a file, or the names in a folder, are on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        # Some file systems of a network have no such call for folders.
+        if error.errno != errno.EINVAL:
+            raise
+    finally:
+        os.close(handle)
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what killed processes left of files that they were writing, in `folder` and below."""
+    for part in folder.rglob(f"{PART}*"):
         part.unlink(missing_ok=True)
 
 

@@ -13,6 +13,14 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 # took 200 times longer, threads spinning at their barriers.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+try:
+    from datasets import Scene as _Scene  # noqa: F401
+except ImportError as error:
+    raise ImportError(
+        f"expected Talus's package datasets ({error}); Hugging Face's has the same name: install Talus in an "
+        "environment of its own"
+    ) from None
+
 from gns.inference import load, simulate
 
 __all__ = ["load", "simulate"]

@@ -161,7 +161,7 @@ def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
     """The training scenes in folders that `python -m mpm.generate` made. Raises InputError."""
     found = {}
     for folder in datasets:
-        found[folder.name] = [open_trajectory(file).scene for file in sorted((folder / "train").glob("*.npz"))]
+        found[folder.name] = [open_trajectory(file).scene for file in sorted((folder / "train").glob("[!.]*.npz"))]
         if not found[folder.name]:
             raise InputError("expected trajectories in train/*.npz, there are none", where=str(folder))
     return found

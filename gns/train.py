@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,6 +16,7 @@ from tqdm import tqdm
 
 from datasets import command_line, files
 from datasets.errors import InputError
+from datasets.lock import locked
 from datasets.training.samples import Flow, Flows
 from gns.card import length_of_training
 from gns.model import checkpoint
@@ -95,7 +97,7 @@ def train(
     if not memory_gib >= 0.0:
         raise InputError(f"expected a number of at least 0, got {memory_gib}", key="memory_gib")
     budget = Budget(minutes=minutes, updates=updates)
-    with joined(device) as processes:
+    with joined(device) as processes, locked(out) if processes.first else nullcontext():
         if mixed and processes.device.type != "cuda":
             raise InputError(f"expected a GPU, got {processes.device.type}", key="mixed")
         groups, valid = load(datasets, model, training, progress=processes.first)
@@ -203,7 +205,8 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs:
     last = outputs.out / "last.pt"
     started = clock.now() - position.seconds
     bar = Bar(budget, training.unroll, seconds=position.seconds, batch=training.batch, shown=processes.first)
-    with Stop().watching() as stop:
+    # Closed whatever happens: an open bar would be drawn again, after the line that says why the training ended.
+    with Stop().watching() as stop, closing(bar):
         while True:
             position.seconds = clock.now() - started
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
@@ -228,10 +231,9 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs:
             position.seconds = clock.now() - started
             progress = budget.progress(position.seconds, position.updates)
             bar.show(progress, seconds=position.seconds, steps=steps, loss=loss)
-        bar.close()
         run.save(last)
         if stops:
-            raise KeyboardInterrupt
+            raise stop.interrupt
 
 
 def validation_due(run: Run, budget: Budget) -> bool:

@@ -15,6 +15,14 @@ from typing import TYPE_CHECKING, Any
 # Commands of Talus print what they found, not which libraries they found it with.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 
+try:
+    from datasets import Scene as _Scene  # noqa: F401
+except ImportError as error:
+    raise ImportError(
+        f"expected Talus's package datasets ({error}); Hugging Face's has the same name: install Talus in an "
+        "environment of its own"
+    ) from None
+
 if TYPE_CHECKING:
     from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many

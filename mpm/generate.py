@@ -3,27 +3,28 @@
 import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import islice
 from multiprocessing import get_context
 from operator import add
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import WorkFailed, disk_failed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Entry, Split, Storage
 from datasets.errors import InputError
 from datasets.files import write_json
+from datasets.lock import locked
 from datasets.particles import mass_counts
+from datasets.processes import end_with_parent
 from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
@@ -31,8 +32,10 @@ from datasets.training.thinning import thin
 from datasets.trajectory import Trajectory, stored_scene
 from mpm.process import processors
 
-CONNECT = 10.0
-"""Seconds in which a scheduler must answer."""
+GRACE = 0.5
+"""Seconds to wait for a signal of one's own when a process was killed: a batch system sends it to all of a job."""
+POLL = 2.0
+"""Seconds after which one looks whether anybody works."""
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
 
@@ -65,8 +68,8 @@ def command(
     jobs
         Processes that simulate; one per processor unless given.
     scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate instead; they need this
-        version of Talus and the folder OUT in the same place.
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate instead;
+        they need this version of Talus and the folder OUT in the same place.
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
@@ -94,20 +97,31 @@ def generate(
     entries = definition.entries(seed=seed, count=count)
     if len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
-    missing = missing_entries(entries, out)
-    with pool(jobs) if scheduler is None else cluster(scheduler) as (executor, jobs):
-        simulate_all(executor, missing, out, jobs=jobs, total=len(entries), storage=definition.storage)
-        statistics = statistics_of(executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
-    write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
-    write_json(
-        out / "generation.json",
-        {
-            "simulated": len(missing),
-            "kept": len(entries) - len(missing),
-            "jobs": jobs,
-            "wall_s": time.perf_counter() - start,
-        },
-    )
+    with locked(out), pool(jobs) if scheduler is None else cluster(scheduler) as workers:
+        missing = missing_entries(entries, out)
+        simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
+        statistics = statistics_of(workers.executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
+        write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
+        write_json(
+            out / "generation.json",
+            {
+                "simulated": len(missing),
+                "kept": len(entries) - len(missing),
+                "jobs": workers.width(),
+                "wall_s": time.perf_counter() - start,
+            },
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Who simulates."""
+
+    executor: Executor
+    width: Callable[[], int]
+    """How many trajectories to hand out at a time."""
+    check: Callable[[], None] = lambda: None
+    """Raises WorkFailed where nobody is left to work."""
 
 
 def trajectory_path(entry: Entry, out: Path) -> Path:
@@ -129,26 +143,38 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
 
 
 def simulate_all(
-    executor: Executor, entries: list[Entry], out: Path, *, jobs: int, total: int, storage: Storage | None = None
+    workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
 ) -> None:
-    """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it."""
+    """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it.
+
+    Raises OSError where the disk is full or read-only: the others would fail too.
+    """
     waiting = iter(entries)
     running: dict[Future[None], str] = {}
     failures = []
     with tqdm(total=total, initial=total - len(entries), unit="trajectory", dynamic_ncols=True) as bar:
         while True:
             # No more than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
-            for entry in islice(waiting, jobs - len(running)):
-                running[executor.submit(simulate_one, entry.scene, trajectory_path(entry, out), storage)] = entry.name
+            for entry in islice(waiting, max(0, workers.width() - len(running))):
+                task = workers.executor.submit(simulate_one, entry.scene, trajectory_path(entry, out), storage)
+                running[task] = entry.name
             if not running:
                 break
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            ended = wait(running, timeout=POLL, return_when=FIRST_COMPLETED).done
+            if not ended:
+                workers.check()
+            for future in ended:
                 name = running.pop(future)
                 try:
                     future.result()
                 except BrokenProcessPool:
                     raise
+                except CancelledError:
+                    workers.check()
+                    raise WorkFailed("the scheduler has gone; what was finished is kept") from None
                 except Exception as error:  # whatever goes wrong in one scene, the others are kept
+                    if disk_failed(error):
+                        raise
                     failures.append(f"{name} ({type(error).__name__}: {error})")
                 bar.update()
     if failures:
@@ -205,43 +231,31 @@ def statistics_of_one(path: Path) -> MotionStatistics:
 
 
 @contextmanager
-def pool(jobs: int) -> Iterator[tuple[Executor, int]]:
+def pool(jobs: int) -> Iterator[Workers]:
     """`jobs` processes started afresh. When the block ends early they finish their present scene and begin no other."""
-    executor = ProcessPoolExecutor(
-        max_workers=jobs,
-        mp_context=get_context("spawn"),
-        # Ctrl-C goes to every process of the terminal; only the director answers it.
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )
+    executor = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=begin_worker)
     try:
-        yield executor, jobs
+        yield Workers(executor=executor, width=lambda: jobs)
     except BrokenProcessPool:
+        time.sleep(GRACE)
         raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
     finally:
         executor.shutdown(cancel_futures=True)
 
 
+def begin_worker() -> None:
+    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
-def cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """The workers of a Dask scheduler, which share this folder, and how many they are. Raises InputError."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError('expected Dask: pip install "talus[cluster]"', key="--scheduler") from None
-    try:
-        client: Any = Client(address, timeout=CONNECT)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"
-        ) from None
-    with client:
-        threads = client.nthreads()
-        # Taichi holds one simulation per process.
-        if not threads or set(threads.values()) != {1}:
-            expected = "expected workers of one thread each (dask worker --nthreads 1)"
-            raise InputError(f"{expected}, got {sorted(threads.values())}", where=address, key="--scheduler")
-        yield client.get_executor(pure=False), len(threads)
+def cluster(address: str) -> Iterator[Workers]:
+    """The workers of a Dask scheduler, which share this folder. Raises InputError."""
+    from mpm.cluster import connected
+
+    with connected(address) as found:
+        yield Workers(executor=found.executor, width=lambda: found.width, check=found.check)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ result.plot().savefig("found.png")
 
 from typing import TYPE_CHECKING, Any
 
+import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
+
 if TYPE_CHECKING:
     from validation.loop.result import Result
     from validation.loop.solve import solve

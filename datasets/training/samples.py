@@ -241,7 +241,7 @@ def load_flows(
 
     Each is opened once to see that it is whole. Raises InputError.
     """
-    files = sorted((dataset / split).glob("*.npz"))
+    files = sorted((dataset / split).glob("[!.]*.npz"))
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz, there are none", where=str(dataset))
     flows = Flows(files, step=step, dimension=dimension, spacing=spacing)

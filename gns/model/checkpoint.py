@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialised
 from torch import Tensor
 
 from datasets import files
@@ -55,8 +55,9 @@ def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> Non
         name: value.detach().to(device="cpu", dtype=torch.float32).contiguous()
         for name, value in simulator.state_dict().items()
     }
+    contents = serialised(tensors, {"format": FORMAT, **metadata})
     with files.replacing(path) as part:
-        save_file(tensors, part, {"format": FORMAT, **metadata})
+        part.write_bytes(contents)
 
 
 def load(path: Path) -> Model:

@@ -15,6 +15,7 @@ from torch import distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.errors import InputError
+from datasets.processes import end_with_parent
 
 TIMEOUT = datetime.timedelta(hours=6)
 """How long a process waits for the others: the first validates while they wait."""
@@ -75,6 +76,8 @@ def joined(device: str | None) -> Iterator[Processes]:
     if count == 1:
         yield Processes(device=where)
         return
+    # Orphans of torchrun would train on.
+    end_with_parent()
     distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=TIMEOUT)
     try:
         yield Processes(device=where, rank=distributed.get_rank(), count=count)

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from datasets.command_line import Terminated
+
 REPEAT = 3.0
 """A signal more than this [s] after the first is a second one; before, it is the same, forwarded by torchrun."""
 
@@ -18,18 +20,24 @@ class Stop:
     def __init__(self) -> None:
         self._at_once = False
         self._received: float | None = None
+        self._number = signal.SIGINT
 
     @property
     def requested(self) -> bool:
         """Whether there was a signal."""
         return self._received is not None
 
+    @property
+    def interrupt(self) -> KeyboardInterrupt:
+        """What to raise for the signal."""
+        return Terminated() if self._number == signal.SIGTERM else KeyboardInterrupt()
+
     def _record(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
         if self._received is None:
-            self._received = now
+            self._received, self._number = now, signal.Signals(number)
         if self._at_once or now - self._received > REPEAT:
-            raise KeyboardInterrupt
+            raise self.interrupt
 
     @contextmanager
     def watching(self) -> Iterator["Stop"]:
@@ -45,7 +53,7 @@ class Stop:
     def at_once(self) -> Iterator[None]:
         """A block that may be broken off anywhere: what it would lose is saved."""
         if self.requested:
-            raise KeyboardInterrupt
+            raise self.interrupt
         self._at_once = True
         try:
             yield

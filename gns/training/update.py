@@ -1,6 +1,7 @@
 """A training in progress: one update of the weights, and a checkpoint that continues it to the bit."""
 
 import dataclasses
+import io
 import math
 import pickle
 from dataclasses import dataclass
@@ -192,8 +193,11 @@ class Run:
             "optimiser": self.optimiser.state_dict(),
             "position": dataclasses.asdict(self.position),
         }
+        # By way of memory: what torch says of a full disk is not what the system said.
+        buffer = io.BytesIO()
+        torch.save(content, buffer)
         with files.replacing(path) as part:
-            torch.save(content, part)
+            part.write_bytes(buffer.getbuffer())
 
     def resume(self, path: Path) -> None:
         """Restore what `save` wrote. Raises InputError."""

@@ -9,6 +9,9 @@ from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
 
+REGISTER = 64
+"""Bytes of a vector of lanes: a register of AVX-512. LLVM computes it in parts where registers are shorter."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
@@ -48,16 +51,16 @@ class Features:
     """Masses stand behind barriers until their release."""
     until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
+    register: int = REGISTER
+    """Bytes of a vector of lanes."""
 
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
     @property
     def lanes(self) -> int:
-        """Particles in a block: what a register of 64 bytes holds; one on a GPU."""
-        if self.gpu:
-            return 1
-        return 16 if self.precision == "f32" else 8
+        """Particles in a block: what a register holds; one on a GPU."""
+        return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
 
     # The vectors of a block: position from 0, velocity, C row by row, stress, and what only some scenes need.
 
@@ -280,4 +283,5 @@ def features_of(
         until_rest=record.until_rest,
         shared=shared,
         gpu=gpu,
+        register=REGISTER,
     )

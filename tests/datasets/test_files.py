@@ -1,11 +1,15 @@
 """A file appears whole or stays as it was."""
 
+import errno
 import json
+import os
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from datasets.files import replacing, write_json, write_text
+from datasets.files import PART, remove_parts, replacing, write_json, write_text
 
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -31,6 +35,55 @@ def test_the_old_file_stands_until_the_block_ends(tmp_path: Path) -> None:
         assert path.read_text() == "old"
         assert part.suffix == ".txt"
     assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine may die at any moment: the file is flushed, then moved, then its name is."""
+    path, order = tmp_path / "result.txt", []
+    sync, move = os.fsync, Path.replace
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: (order.append(Path(f"/proc/self/fd/{handle}").resolve()), sync(handle))
+    )
+    monkeypatch.setattr(Path, "replace", lambda part, to: (order.append("move"), move(part, to))[1])
+    write_text(path, "new")
+    part, moved, folder = order
+    assert part.name.startswith(PART)
+    assert (moved, folder) == ("move", tmp_path)
+
+
+def test_parts_that_a_killed_process_left_are_removed(tmp_path: Path) -> None:
+    write_text(tmp_path / "train" / "a.npz", "whole")
+    for name in (f"{PART}b-x1.npz", f"train/{PART}a-x2.npz"):
+        (tmp_path / name).write_text("half")
+    remove_parts(tmp_path)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "train" / "a.npz"]
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_full_disk_leaves_the_old_file_and_names_it(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the call `number` of those that may find the disk full: to make the part, to flush it, to flush the folder."""
+    path, calls = tmp_path / "result.txt", []
+    path.write_text("old")
+
+    def full(function: Any) -> Any:
+        def call(*given: Any, **flags: Any) -> Any:
+            calls.append(None)
+            if len(calls) == number:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return function(*given, **flags)
+
+        return call
+
+    monkeypatch.setattr(tempfile, "mkstemp", full(tempfile.mkstemp))
+    monkeypatch.setattr(os, "fsync", full(os.fsync))
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_text(path, "new")
+    assert caught.value.filename == str(path)
+    # Once it has been moved the name is the new file's.
+    assert path.read_text() == ("new" if number == 3 else "old")
     assert list(tmp_path.iterdir()) == [path]
 
 

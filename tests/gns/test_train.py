@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import errno
 import itertools
 import signal
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 
 from datasets import command_line
 from datasets.geometry.solid import Solid
+from datasets.lock import locked
 from datasets.scene import Baffle, Domain
 from datasets.training.samples import Flow, load_flows
 from datasets.trajectory import Trajectory
@@ -124,7 +126,7 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     with monkeypatch.context() as patch:
         broken(call, number, kind, patch)
-        assert run(dataset, tmp_path, *flags) == 130
+        assert run(dataset, tmp_path, *flags) == 128 + kind
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert read(tmp_path / "last.pt")["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
@@ -135,6 +137,26 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
             del content["position"][key]
     assert same(found, expected)
     assert same(*(checkpoint.read(out / "best.safetensors")[0] for out in (tmp_path, unbroken)))
+
+
+def test_a_folder_that_another_process_writes_into_is_refused(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with locked(tmp_path):
+        assert run(dataset, tmp_path, "--updates", "1") == 1
+    assert "writes here since" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_full_disk_is_the_last_line(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "last.pt"))
+
+    monkeypatch.setattr(Run, "save", full)
+    assert run(dataset, tmp_path, "--updates", "1") == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"talus: {tmp_path / 'last.pt'}: No space left on device; what was finished is kept"
 
 
 def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:

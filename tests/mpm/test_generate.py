@@ -1,5 +1,6 @@
 """`python -m mpm.generate`: the same files whatever the jobs, resumable, and nothing of another dataset overwritten."""
 
+import errno
 import json
 import os
 import signal
@@ -7,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +21,14 @@ from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
+from datasets.lock import locked
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
-from mpm.generate import command, generate, thinned
+from mpm.generate import Workers, command, generate, thinned
+from validation.bench.faults.breaking import members, unfinished, wait_for_orphans
 
 ROOT = Path(__file__).parents[2]
 
@@ -162,14 +165,14 @@ def test_what_is_stored_has_the_volume_of_all_and_the_cohesion_of_its_mass() -> 
 def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
     """The workers of a cluster on this machine, processes of their own that share the folder."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler=cluster.scheduler_address)
     assert contents(tmp_path) == contents(dataset)
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("mpm.generate.CONNECT", 0.5)
+    monkeypatch.setattr("mpm.cluster.CONNECT", 0.5)
     with pytest.raises(InputError, match="expected the address of a Dask scheduler"):
         generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler="tcp://127.0.0.1:1")
 
@@ -180,9 +183,9 @@ def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = {entry.scene: dataset / entry.split.value / f"{entry.name}.npz" for entry in TINY.entries(seed=7)}
 
     @contextmanager
-    def thread(jobs: int) -> Iterator[tuple[Executor, int]]:
+    def thread(jobs: int) -> Iterator[Workers]:
         with ThreadPoolExecutor(jobs) as executor:
-            yield executor, jobs
+            yield Workers(executor=executor, width=lambda: jobs)
 
     monkeypatch.setattr("mpm.generate.pool", thread)
     monkeypatch.setattr(
@@ -196,10 +199,9 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((dataset / name).read_bytes())
     # What a killed process leaves of a file it was writing.
-    (tmp_path / "train" / ".tiny-0000-x.npz").write_bytes(b"half")
+    (tmp_path / "train" / ".part-tiny-0000-x.npz").write_bytes(b"half")
     before = (tmp_path / FILES[1]).stat().st_mtime_ns
     generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-    (tmp_path / "train" / ".tiny-0000-x.npz").unlink()
     assert contents(tmp_path) == contents(dataset)
     assert (tmp_path / FILES[1]).stat().st_mtime_ns == before
     generation = json.loads((tmp_path / "generation.json").read_text())
@@ -238,6 +240,35 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
     assert not (tmp_path / "metadata.json").exists()
 
 
+def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(WorkFailed, match="writes here since"):
+        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_full_disk_ends_it_and_what_is_finished_stays(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mpm import generate as module
+
+    simulate_one = module.simulate_one
+
+    def full(scene: Scene, path: Path, storage: Storage | None) -> None:
+        if path.stem == "tiny-0002":
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        simulate_one(scene, path, storage)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "simulate_one", full)
+        with pytest.raises(OSError, match="No space left") as caught:
+            generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+    assert caught.value.filename == str(tmp_path / FILES[0])
+    # The fourth was not begun.
+    assert sorted(path.name for path in tmp_path.rglob("*.npz")) == ["tiny-0000.npz", "tiny-0001.npz"]
+    generate(TINY, tmp_path, seed=7, count=None, jobs=1)
+    assert contents(tmp_path) == contents(dataset)
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -262,10 +293,12 @@ def test_wrong_input_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
-    (tmp_path / "blocks.toml").write_text(BLOCKS)
+@contextmanager
+def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
+    """`mpm.generate` of a definition in TOML, in a session of its own, once it has left its first trajectory."""
+    (folder / "blocks.toml").write_text(BLOCKS)
     process = subprocess.Popen(
-        [sys.executable, "-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "1"],
+        [sys.executable, "-m", "mpm.generate", str(folder / "blocks.toml"), "--out", str(folder), "--jobs", "2"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -275,14 +308,38 @@ def test_ctrl_c_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 240.0
-    while not list(tmp_path.rglob("[!.]*.npz")):
+    while not list(folder.rglob("[!.]*.npz")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, error = process.communicate(timeout=240.0)
-    assert process.returncode == 130
-    assert error.splitlines()[-1] == "talus: interrupted; what was finished is kept"
+    yield process
+
+
+@pytest.mark.parametrize(
+    ("number", "whole"),
+    [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)],
+    ids=["Ctrl-C", "SIGTERM to all", "SIGTERM to the first"],
+)
+def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
+    tmp_path: Path, number: signal.Signals, whole: bool
+) -> None:
+    with generating(tmp_path) as process:
+        # A terminal and a batch system send it to all.
+        (os.killpg if whole else os.kill)(process.pid, number)
+        _, error = process.communicate(timeout=240.0)
+    assert process.returncode == 128 + number
+    # Python's own process that watches over semaphores may say something after it.
+    assert "talus: interrupted; what was finished is kept" in error.splitlines()
     assert "Traceback" not in error
+    assert wait_for_orphans(process.pid)[0] == 0
+    assert unfinished(tmp_path) == []
     scenes = {entry.name: entry.scene for entry in read_definition(str(tmp_path / "blocks.toml")).entries(seed=0)}
     for path in tmp_path.rglob("[!.]*.npz"):
         assert Trajectory.load(path).scene == scenes[path.stem]
+
+
+def test_nothing_lives_on_after_a_kill(tmp_path: Path) -> None:
+    with generating(tmp_path) as process:
+        assert len(members(process.pid)) > 2
+        process.kill()
+        process.communicate()
+    assert wait_for_orphans(process.pid)[0] == 0

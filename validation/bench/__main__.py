@@ -9,7 +9,6 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +16,7 @@ from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError
+from datasets.lock import locked
 
 COMMAND = "python -m validation.bench"
 
@@ -99,6 +99,14 @@ BENCHES = {
         module="validation.bench.fields.bench",
         summary="unknown fields of friction and velocity from profiles, by the MPM's adjoint, in twin experiments",
     ),
+    "cluster": Bench(
+        module="validation.bench.cluster.bench",
+        summary="overhead of a scheduler for each trajectory; what 100,000 runs or 100 million particles would take",
+    ),
+    "faults": Bench(
+        module="validation.bench.faults.bench",
+        summary="kills and full disks at many moments of every command that goes on after them",
+    ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
 }
 
@@ -109,7 +117,7 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
     @functools.wraps(bench)
     def command(*, out: Path, quick: bool = False, keep: Path | None = None, **flags: Any) -> None:
         began = time.perf_counter()
-        with TemporaryDirectory() if keep is None else nullcontext(keep) as folder:
+        with TemporaryDirectory() if keep is None else locked(keep) as folder:
             print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 

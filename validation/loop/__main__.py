@@ -2,12 +2,15 @@
 
 import dataclasses
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from datasets.command_line import WorkFailed, run
 from inverse.problem import read_problem
 from inverse.result import Verdict
 from inverse.settings import Surrogate
+from mpm import simulate_many
+from mpm.cluster import connected
 from validation.loop import report
 from validation.loop.result import Result
 from validation.loop.solve import solve
@@ -20,6 +23,7 @@ def main(
     out: Path,
     model: Path | None = None,
     surrogate: Surrogate | None = None,
+    scheduler: str | None = None,
     vtk: bool = False,
     movie: bool = False,
 ) -> None:
@@ -39,6 +43,9 @@ def main(
     surrogate
         "gns": always asked; "none": the MPM alone; unless given, as the problem says, by default where it saves more
         than it costs.
+    scheduler
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
+        instead: the runs of a wave side by side.
     vtk
         Write the final MPM run for ParaView as well.
     movie
@@ -47,7 +54,8 @@ def main(
     asked = read_problem(problem)
     if surrogate is not None:
         asked = dataclasses.replace(asked, surrogate=surrogate)
-    result = solve(asked, out, model=model)
+    with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
+        result = solve(asked, out, model=model, simulate=simulate)
     if vtk or movie:
         report.append_final_run(result, out, vtk=vtk, movie=movie)
     print_outcome(result, out)

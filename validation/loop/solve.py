@@ -5,6 +5,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from datasets.lock import locked
 from inverse.forward.interface import Simulate
 from inverse.observations.reading import read_target
 from inverse.problem import Problem, read_problem
@@ -38,13 +39,14 @@ def solve(
     `posterior.npz`, `report.md`, pictures and every MPM run, where an interrupted command goes on; without it nothing
     is written (`Result.save` does so later). model: weights of the surrogate, those that ship where absent. simulate:
     in place of the MPM. Raises InputError for a problem that cannot be solved as it stands, WorkFailed where a run of
-    the MPM blows up.
+    the MPM blows up or another process writes into `out`.
     """
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
             return _solve(problem, Path(folder), model, simulate)
-    result = _solve(problem, Path(out), model, simulate)
-    result.save(out)
+    with locked(Path(out)):
+        result = _solve(problem, Path(out), model, simulate)
+        result.save(out)
     return result
 
 

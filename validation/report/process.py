@@ -7,6 +7,7 @@ from multiprocessing import get_context
 from typing import ParamSpec, TypeVar
 
 from datasets.command_line import WorkFailed
+from datasets.processes import end_with_parent
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -14,7 +15,7 @@ T = TypeVar("T")
 
 def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
     """`work(...)` in a new interpreter; what it raises is raised here. Raises WorkFailed."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
         try:
             return pool.submit(work, *args, **kwargs).result()
         except BrokenProcessPool:

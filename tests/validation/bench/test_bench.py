@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from datasets.lock import locked
 from validation.bench.__main__ import BENCHES, Bench, main
 from validation.report.page import Page, percent, signed, table
 
@@ -40,6 +41,12 @@ def test_a_page_gets_its_flags(
     assert main(["fake", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().out.startswith(f"{tmp_path.name} False 2\n")
     assert main(["fake", "--out", str(tmp_path), "--seeds", "many"]) == 2
+
+
+def test_runs_that_another_process_keeps_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with locked(tmp_path / "keep"):
+        assert main(["columns", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 1
+    assert "writes here since" in capsys.readouterr().err
 
 
 def test_names_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 """`python -m validation.bench coverage`: twins are solved once, counted right, and uneven ranks are named."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,16 @@ def test_truths_are_drawn_from_the_prior_and_known_to_the_twin_alone(mpm: FakeMp
     assert problem.scene.seed != drawn(FAMILY, 4)[0].scene.seed
 
 
-def test_a_twin_is_made_once(mpm: FakeMpm, tmp_path: Path) -> None:
-    found = twins.twin(FAMILY, 0, tmp_path)
+def test_where_a_twin_has_its_truth(mpm: FakeMpm) -> None:
+    found = twins.solve_twin(FAMILY, 0)
     assert 0.0 <= found.denser <= 1.0
     assert 0.0 <= found.below["friction_deg"] <= 1.0
     assert found.inside in (0, 1)
     made = len(mpm.scenes)
-    assert twins.twin(FAMILY, 0, tmp_path) == found
-    assert len(mpm.scenes) == made
+    assert made > 5
+    again = twins.solve_twin(FAMILY, 0)
+    assert dataclasses.replace(again, seconds=found.seconds) == found
+    assert len(mpm.scenes) == 2 * made
 
 
 def twin(denser: float, below: float) -> Twin:
@@ -67,6 +70,9 @@ def test_the_command(mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 0
     assert "2 twin experiments of 1 kinds" in capsys.readouterr().out
     assert len(list((tmp_path / "keep" / "front").glob("*.json"))) == 2
+    made = len(mpm.scenes)
+    assert main(["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 0
+    assert len(mpm.scenes) == made
     assert main(["coverage", "--out", str(tmp_path), "--only", "nothing"]) == 2
     assert main(["coverage", "--out", str(tmp_path), "--twins", "0"]) == 2
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
+from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.posterior.settings import CONSTANTS
 from inverse.report import pictures
@@ -18,6 +19,7 @@ from inverse.settings import LoopSettings, TargetSettings
 from tests.validation.loop.flows import WIDTH, Case, Coarse, Folded, layers, length, true_velocities, wedge
 from validation.loop.__main__ import print_outcome
 from validation.loop.result import Result
+from validation.loop.solve import solve
 
 RESULT_KEYS = {
     "problem",
@@ -187,6 +189,12 @@ def test_what_ran_before_a_kill_is_not_run_again(
     case.mpm.scenes.clear()
     assert case.solve(tmp_path / "killed").certainty == unbroken.certainty
     assert case.mpm.scenes == []
+
+
+def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(WorkFailed, match="writes here since"):
+        solve("friction-tall-42", tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", ["front", "profile"])

@@ -1,6 +1,8 @@
 """`python -m validation.bench coverage`: how often the posterior holds the truth, and whether its ranks are uniform."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,9 @@ from scipy.stats import chisquare, kstest
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from validation.bench.coverage.twins import FAMILIES, Family, Twin, twin
+from datasets.files import write_json
+from mpm.cluster import connected
+from validation.bench.coverage.twins import FAMILIES, Family, Twin, path_of, read_twin, solve_twin
 from validation.report.machine import GNS, MPM
 from validation.report.page import Page
 
@@ -21,7 +25,9 @@ SIGNIFICANT = 0.01
 """p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05."""
 
 
-def bench(out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[str, ...] = ()) -> str:
+def bench(
+    out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[str, ...] = (), scheduler: str = ""
+) -> str:
     """Solve twin experiments with truths from the prior; write OUT/coverage.md and return its conclusion.
 
     Parameters
@@ -36,18 +42,29 @@ def bench(out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[st
         Of each family.
     only
         Families to solve; the page has all that there are.
+    scheduler
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
     if twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
     requested = list(FAMILIES)[:1] if quick else only or FAMILIES
-    for name in requested:
-        for number in tqdm(range(2 if quick else twins), desc=name, unit="twin", leave=False, disable=None):
-            twin(FAMILIES[name], number, keep / name)
+    asked = [(name, number) for name in requested for number in range(2 if quick else twins)]
+    missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
+    tasks = [(FAMILIES[name], number) for name, number in missing]
+    with nullcontext() if not scheduler else connected(scheduler) as cluster:
+        results: Iterator[tuple[int, Twin]] = (
+            enumerate(solve_twin(*task) for task in tasks)
+            if cluster is None
+            else cluster.finished(solve_twin, [(*task, 1) for task in tasks])
+        )
+        for index, result in tqdm(results, total=len(tasks), unit="twin", leave=False, disable=None):
+            name, number = missing[index]
+            write_json(path_of(number, keep / name), dataclasses.asdict(result))
     found = {
-        name: [twin(family, int(path.stem), keep / name) for path in sorted((keep / name).glob("*.json"))]
-        for name, family in FAMILIES.items()
+        name: [each for path in sorted((keep / name).glob("[0-9]*.json")) if (each := read_twin(path)) is not None]
+        for name in FAMILIES
     }
     return page({FAMILIES[name]: each for name, each in found.items() if each}, twins, quick=quick).write(
         out / "coverage.md"
@@ -62,7 +79,7 @@ def page(found: dict[Family, Sequence[Twin]], twins: int, *, quick: bool) -> Pag
         for level, (low, high) in WITHIN.items()
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
-    every = [twin for each in found.values() for twin in each]
+    every = [each for twins_of_one in found.values() for each in twins_of_one]
     result = Page(
         "Coverage of the posterior",
         command=f"python -m validation.bench coverage{'' if twins == 40 else f' --twins {twins}'}",

@@ -10,12 +10,13 @@ highest density regions, Am. Stat. 50 (1996) 120-126).
 import dataclasses
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
+from inverse.forward.interface import Simulate
 from inverse.observations import Target
 from inverse.observations.reading import read_target
 from inverse.problem import Problem, read_problem
@@ -74,17 +75,23 @@ class Twin(Record):
     seconds: float
 
 
-def twin(family: Family, number: int, folder: Path) -> Twin:
-    """The twin of this number, from `folder` where it was solved before."""
-    path = folder / f"{number:03d}.json"
-    if (known := read_json(path)) is not None:
-        return from_mapping(Twin, known)
+def path_of(number: int, folder: Path) -> Path:
+    """The file of a twin in the folder of its family."""
+    return folder / f"{number:03d}.json"
+
+
+def read_twin(path: Path) -> Twin | None:
+    """The twin at `path`; None where it was not solved yet."""
+    return None if (known := read_json(path)) is None else from_mapping(Twin, known)
+
+
+def solve_twin(family: Family, number: int, threads: int | None = None) -> Twin:
+    """Solve the twin of this number; threads: of the MPM, all cores unless given."""
+    simulate: Simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
     problem, target = drawn(family, number)
     with tempfile.TemporaryDirectory() as runs:
-        result = run(Task(problem=problem, target=target, folder=Path(runs), simulate=simulate_many))
-    found = located(result, FIRST_SEED + number)
-    write_json(path, dataclasses.asdict(found))
-    return found
+        result = run(Task(problem=problem, target=target, folder=Path(runs), simulate=simulate))
+    return located(result, FIRST_SEED + number)
 
 
 def drawn(family: Family, number: int) -> tuple[Problem, Target]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from datasets.processes import parent_environment
 from inverse.problem import PROBLEMS, Problem, read_problem
 from validation.bench.columns.paper import read_paper
 from validation.bench.problems.outcome import RESULT, Origin, Outcome, is_current, read, write_origin
@@ -65,4 +66,4 @@ def solve(problem: Problem, folder: Path) -> Outcome | None:
 
 def run_loop(arguments: list[str]) -> int:
     """Run Python with `arguments` and return its exit status."""
-    return subprocess.run([sys.executable, *arguments], check=False).returncode
+    return subprocess.run([sys.executable, *arguments], check=False, env=parent_environment()).returncode

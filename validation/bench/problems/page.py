@@ -18,7 +18,7 @@ NAMED = 4
 
 def page(out: Path, families: Sequence[Family], found: Mapping[str, Outcome], paper: Paper, *, quick: bool) -> Page:
     """The page of all problems that were `found`; their pictures are copied into `out`."""
-    groups = [(family, [found[name] for name in family.problems if name in found]) for family in families]
+    groups = [(family, [found[each] for each in family.problems if each in found]) for family in families]
     groups = [(family, here) for family, here in groups if here]
     command = f"python -m validation.bench problems{' --quick' if quick else ''}"
     result = Page(

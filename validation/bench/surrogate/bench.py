@@ -134,7 +134,8 @@ def with_dimension(
         drawn = coarsened(drawn[:QUICK_KINDS], QUICK_CELLS[dimension] * source.cell)
     references = References(keep / source.definition.name, source.storage)
     # Pool first: what is timed runs when its processes are gone.
-    with pool(processors()) as (executor, _):
+    with pool(processors()) as workers:
+        executor = workers.executor
         scores = accuracy.measure(drawn, models, references, keep, executor.map)
         apart = accuracy.reference_errors(spread_over_kinds(drawn, counts.finer[dimension]), references)
         accurate = Accuracy(scenes=drawn, scores=scores, finer=apart[0], jitter=apart[1])

@@ -1,0 +1,68 @@
+"""One process at a time writes into a folder of results.
+
+The lock is the operating system's (flock, by `filelock`), which a process loses however it ends: that of a dead one is
+free. What stands in the file beside it is for people: who holds the folder.
+"""
+
+import errno
+import json
+import os
+import shlex
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from filelock import FileLock, Timeout, UnixFileLock
+
+from datasets.command_line import WorkFailed
+from datasets.files import make_folder, remove_parts, write_json
+
+LOCK = ".talus-lock"
+HOLDER = ".talus-lock.json"
+"""Files in a folder while a process writes into it."""
+NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}
+"""Errors of file systems that have no locks."""
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[Path]:
+    """Hold `folder`, made if need be, for this process; parts of files that a killed one left go first and last.
+
+    Raises WorkFailed, which says who, where another process holds it, and InputError as `make_folder`.
+    """
+    make_folder(folder)
+    lock = FileLock(folder / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise WorkFailed(f"{folder}: {_holder(folder)}; wait for it, or choose another folder") from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        print(f"talus: {folder}: no locks on this file system, start no second command there", file=sys.stderr)
+    try:
+        remove_parts(folder)
+        command = " ".join(["python", *map(shlex.quote, sys.argv)])
+        now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        write_json(
+            folder / HOLDER, {"host": socket.gethostname(), "pid": os.getpid(), "since": now, "command": command}
+        )
+        yield folder
+        remove_parts(folder)
+    finally:
+        (folder / HOLDER).unlink(missing_ok=True)
+        # While it is held: who waits for it sees that the name is gone, and begins anew.
+        if lock.is_locked and isinstance(lock, UnixFileLock):
+            (folder / LOCK).unlink(missing_ok=True)
+        lock.release()
+
+
+def _holder(folder: Path) -> str:
+    """Who holds `folder`."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        holder = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
+        return "process {pid} on {host} writes here since {since} ({command})".format(**holder)
+    return "another process writes here"

@@ -1,0 +1,72 @@
+"""The batch scripts of the page on SLURM, with a stand-in for `srun` that runs its command here."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.commands import DOCS, ROOT
+from validation.bench.faults.breaking import wait_for_orphans
+from validation.bench.faults.commands import BLOCKS, dataset_files
+
+FOLDER = DOCS / "how-to" / "slurm"
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
+
+
+@contextmanager
+def submitted(tmp_path: Path, *command: str) -> Iterator["subprocess.Popen[str]"]:
+    """A job of one node with two cores."""
+    (tmp_path / "bin").mkdir()
+    srun = tmp_path / "bin" / "srun"
+    srun.write_text('#!/bin/bash\nwhile [[ $1 == -* ]]; do shift; done\nexec "$@"\n')
+    srun.chmod(0o755)
+    (tmp_path / "blocks.toml").write_text(BLOCKS)
+    environment = {
+        **os.environ,
+        "PATH": f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:/usr/bin:/bin",
+        "PYTHONPATH": str(ROOT),
+        "SLURM_JOB_ID": "7",
+        "SLURM_CPUS_PER_TASK": "2",
+    }
+    with subprocess.Popen(
+        ["bash", str(FOLDER / "cluster.sbatch"), *command],
+        cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        yield process
+    assert wait_for_orphans(process.pid)[0] == 0
+    assert not list(tmp_path.glob("scheduler-*.json"))
+
+
+def test_a_dataset_by_all_cores_of_a_job(tmp_path: Path) -> None:
+    generate = ["-m", "mpm.generate", "blocks.toml", "--count", "4"]
+    with submitted(tmp_path, "python", *generate, "--out", "there") as job:
+        _, error = job.communicate(timeout=240.0)
+    assert job.returncode == 0, error
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, *generate, "--out", "here"], cwd=tmp_path, env=environment, check=True)
+    assert dataset_files(tmp_path / "there") == dataset_files(tmp_path / "here")
+
+
+def test_the_end_of_its_time_keeps_what_is_finished(tmp_path: Path) -> None:
+    with submitted(tmp_path, "python", "-m", "mpm.generate", "blocks.toml", "--out", "out") as job:
+        deadline = time.monotonic() + 240.0
+        while not list((tmp_path / "out").rglob("[!.]*.npz")):
+            assert time.monotonic() < deadline
+            assert job.poll() is None
+            time.sleep(0.05)
+        job.send_signal(signal.SIGTERM)
+        _, error = job.communicate(timeout=240.0)
+    assert job.returncode == 143
+    assert "talus: interrupted; what was finished is kept" in error
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.sbatch")), ids=lambda path: path.stem)
+def test_a_script_is_one(path: Path) -> None:
+    subprocess.run(["bash", "-n", str(path)], check=True)

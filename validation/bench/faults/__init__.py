@@ -1,0 +1,1 @@
+"""What a kill or a full disk costs at any moment: `python -m validation.bench faults`."""
