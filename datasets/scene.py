@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from datasets.errors import InputError
 from datasets.geometry.solid import Rows, Solid, Triangles
 from datasets.material import Material
 from datasets.records import Record, from_mapping
+from datasets.untrusted.text import json_object
 
 Vector = tuple[float, ...]
 
@@ -240,11 +240,9 @@ class Scene(Record):
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
         try:
-            data: Any = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"expected a scene in JSON, {error}", key="scene") from None
-        if not isinstance(data, dict):
-            raise InputError("expected a scene in JSON", key="scene")
+            data = json_object(text)
+        except InputError as error:
+            raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
         return from_mapping(Scene, data)
 
 
