@@ -97,10 +97,12 @@ def read_raster(path: Path) -> Field:
     from rasterio.errors import NotGeoreferencedWarning
 
     size = file_size(path, "a raster", most=LARGEST)
+    with path.open("rb") as raw:
+        head = raw.read(2)
     with reading(path, "a readable raster"), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        # A path without a scheme, and these drivers alone: others open what a file names, on this machine or elsewhere.
-        with rasterio.open(path.resolve(), driver=["AAIGrid", "GTiff"]) as file:
+        # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
+        with rasterio.open(path.resolve(), driver="GTiff" if head in (b"II", b"MM") else "AAIGrid") as file:
             check_size(file.width, file.height, file.block_shapes, size)
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
