@@ -170,13 +170,14 @@ class Scene(Record):
     """Seed of that displacement."""
 
     def __post_init__(self) -> None:
+        # Imported here, because the checks speak of scenes.
+        from datasets.checks import check, check_sizes
+
+        check_sizes(self)
         if any(mass.kind != "box" for mass in self.masses):
             from datasets.geometry.masses import with_boxes
 
             object.__setattr__(self, "masses", with_boxes(self))
-        # Imported here, because the checks speak of scenes.
-        from datasets.checks import check
-
         check(self)
 
     @property

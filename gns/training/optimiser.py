@@ -38,7 +38,7 @@ class Optimiser:
             part.step()
 
     def tensors(self) -> dict[str, Tensor]:
-        """What `load_tensors` needs to go on to the bit, by PART/PARAMETER/NAME; as before a step where there was none."""
+        """What `load_tensors` needs to go on to the bit, by PART/PARAMETER/NAME; zeros before the first step."""
         found = {}
         for part in self.parts:
             for number, weight in enumerate(weight for group in part.param_groups for weight in group["params"]):

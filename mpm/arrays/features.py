@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
-from datasets.particles import Particles
+from datasets.material import Material
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
@@ -242,9 +242,21 @@ class Features:
         return self.lowest + self.dimension * (3 if self.relaxed else 1)
 
 
+class Filled(Protocol):
+    """Of the particles of a scene, what decides which kernel is compiled."""
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The different materials of the scene."""
+
+    @property
+    def common_volume(self) -> float | None:
+        """The initial volume [m^D] that all particles have."""
+
+
 def features_of(
     scenes: Sequence[Scene],
-    particles: Sequence[Particles],
+    particles: Sequence[Filled],
     precision: Precision,
     *,
     record: Recording = ALL,

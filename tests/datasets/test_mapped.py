@@ -91,7 +91,9 @@ def test_a_broken_file_is_one_clear_line(saved: Path, tmp_path: Path) -> None:
         begin = archive.getinfo("positions.npy").header_offset
     content[begin : begin + 4] = b"none"
     (tmp_path / "lost.npz").write_bytes(content)
-    with pytest.raises(InputError, match=r"lost\.npz: positions: expected a whole NPZ of plain arrays .*, no member begins at"):
+    with pytest.raises(
+        InputError, match=r"lost\.npz: positions: expected a whole NPZ of plain arrays .*, no member begins at"
+    ):
         mapped(tmp_path / "lost.npz", "positions")
 
 

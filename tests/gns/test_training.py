@@ -14,8 +14,8 @@ from gns.model import interaction
 from gns.model.interaction import message_sum
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
-from gns.training.objective import Curriculum, statistics
 from gns.training import run_file
+from gns.training.objective import Curriculum, statistics
 from gns.training.update import Run, TrainingSettings
 from tests.gns.conftest import NORMALISATION
 
@@ -118,7 +118,7 @@ def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, 
         with pytest.raises(InputError, match=f"{key}: expected a whole run, the key is missing"):
             begin(settings).resume(part)
     run_file.write(part, described, {name: value for name, value in parts.items() if name != "average"})
-    with pytest.raises(InputError, match="average/.*: expected a whole run, there is no such tensor"):
+    with pytest.raises(InputError, match=r"average/.*: expected a whole run, there is no such tensor"):
         begin(settings).resume(part)
 
 
