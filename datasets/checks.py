@@ -65,7 +65,7 @@ def check_particles(scene: Scene) -> None:
     counts = [math.prod(lattice_counts(scene, mass)) for mass in scene.masses if mass.kind == "box"]
     if sum(counts) > MOST_PARTICLES:
         raise InputError(
-            f"expected at most {MOST_PARTICLES} particles, got {sum(counts):.3g}: larger cells or fewer particles_per_axis",
+            f"expected at most {MOST_PARTICLES} particles, got {sum(counts):.3g}: larger cells are fewer",
             key="masses",
         )
 

@@ -66,7 +66,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
         # Where a key takes one of several types, pydantic names the type that it tried last.
-        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))
+        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))[:LONGEST_LINE]
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.

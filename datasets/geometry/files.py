@@ -21,8 +21,9 @@ from datasets.errors import InputError
 from datasets.geometry.ground import interpolated
 from datasets.geometry.margins import BEYOND
 from datasets.geometry.meshes import read_mesh
-from datasets.geometry.rasters import RASTERS, UNITS, Field, read_columns, read_field
+from datasets.geometry.rasters import RASTERS, UNITS, Field, read_field
 from datasets.untrusted.arrays import open_untrusted_npz
+from datasets.untrusted.tables import read_columns
 
 Floats = NDArray[np.float64]
 Entry = dict[str, Any]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.memory import at_most
-from datasets.untrusted.archives import MOST_RATIO
 from datasets.untrusted.files import file_size, reading
 
 Floats = NDArray[np.float64]
@@ -20,12 +19,25 @@ SAME = 1.0e-9
 """Distance of vertices that are one, over the extent of the mesh."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 """Faces of a tetrahedron, outwards."""
-READ = (".stl", ".obj", ".ply", ".off", ".msh", ".mesh", ".vtk", ".vtu", ".inp", ".nas", ".bdf", ".fem", ".ugrid")
-"""Endings of files that are read: those formats of meshio that hold all they need and name no other file."""
+READ = {
+    ".stl": "stl",
+    ".obj": "obj",
+    ".ply": "ply",
+    ".off": "off",
+    ".msh": "gmsh",
+    ".mesh": "medit",
+    ".vtk": "vtk",
+    ".vtu": "vtu",
+    ".nas": "nastran",
+    ".bdf": "nastran",
+    ".fem": "nastran",
+}
+"""Endings of files that are read, as which format of meshio: those that hold all they need and name no other file."""
 LARGEST = 2**28
 """Bytes of a file."""
 SMALL_MEMORY = 2**28
-"""Bytes that reading may take, and `MOST_RATIO` times those of the file."""
+"""Bytes that reading may take, and `PER_BYTE` times those of the file."""
+PER_BYTE = 30
 FARTHEST = 1.0e9
 """Coordinates [m] beyond this are none."""
 IGNORED = ("vertex", "line", "line3")
@@ -57,10 +69,10 @@ def load(path: Path) -> tuple[Floats, dict[str, Integers]]:
         warnings.catch_warnings(),
         redirect_stdout(output),
         redirect_stderr(output),
-        at_most(SMALL_MEMORY + MOST_RATIO * size),
+        at_most(SMALL_MEMORY + PER_BYTE * size),
     ):
         warnings.simplefilter("ignore", RuntimeWarning)
-        mesh = meshio.read(path)
+        mesh = meshio.read(path, file_format=READ[path.suffix.lower()])
         cells: dict[str, Integers] = {}
         for block in mesh.cells:
             members = np.asarray(block.data, np.int64)

@@ -4,7 +4,6 @@ Plan coordinates are x, to the east, and z, to the north. A raster's values stan
 default the lower left corner of its extent becomes the corner x = 0, z = 0 of the box.
 """
 
-import csv
 import dataclasses
 import math
 import warnings
@@ -18,7 +17,7 @@ from datasets.errors import InputError
 from datasets.memory import require, spoken
 from datasets.untrusted.archives import MOST_RATIO, SMALL
 from datasets.untrusted.files import file_size, reading
-from datasets.untrusted.text import read_text
+from datasets.untrusted.tables import read_columns
 
 Floats = NDArray[np.float64]
 
@@ -29,12 +28,6 @@ REGULAR = 1.0e-6
 """Largest difference between two spacings of a regular grid, over the spacing."""
 LARGEST = 2**30
 """Bytes of a raster's file."""
-LARGEST_CSV = 2**28
-"""Bytes of a CSV."""
-LONGEST_LINE = 10_000
-"""Characters of a line of a CSV."""
-FARTHEST = 1.0e12
-"""Numbers beyond this are no length, velocity or volume of anything that flows."""
 VALUE = 32
 """Bytes that a value takes while a raster is read."""
 METRES = (None, "", "m", "metre", "metres", "meter", "meters")
@@ -154,42 +147,6 @@ def check_units(crs: object, unit: str | None) -> None:
         name, factor = "unknown units", math.nan
     if factor != 1.0 or str(name).lower() not in METRES:
         raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
-
-
-def read_columns(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
-    """Columns of a CSV with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
-
-    Lines that begin with # are comments. Raises InputError, which does not name the file.
-    """
-    text = read_text(path, "a CSV", most=LARGEST_CSV)
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
-    if any(len(line) > LONGEST_LINE for _, line in lines):
-        raise InputError(f"expected lines of at most {LONGEST_LINE} characters")
-    names, columns = "`, `".join(needed), len(needed)
-    header = [name.strip() for name in next(csv.reader([lines[0][1]]))] if lines else []
-    if not set(needed) <= set(header):
-        raise InputError(f"expected a header with the columns `{names}`, got {', '.join(header) or 'an empty file'}")
-    unknown = [name for name in header if name not in (*needed, *optional)]
-    if unknown:
-        raise InputError(f"expected no other columns than `{'`, `'.join((*needed, *optional))}`, got `{unknown[0]}`")
-    if len(set(header)) < len(header):
-        raise InputError("expected each column once")
-    rows = []
-    for number, line in lines[1:]:
-        parts = next(csv.reader([line]))
-        try:
-            row = [float(part) for part in parts]
-        except ValueError:
-            raise InputError(f"expected numbers in line {number}, got {line.strip()[:40]!r}") from None
-        if len(row) != len(header):
-            raise InputError(f"expected {len(header)} numbers in line {number}, got {len(row)}")
-        if not all(abs(number) <= FARTHEST for number in row):
-            raise InputError(f"expected finite numbers in line {number}, got {line.strip()[:40]!r}")
-        rows.append(row)
-    if not rows:
-        raise InputError(f"expected rows of {columns} numbers, got none")
-    table = np.array(rows)
-    return {name: table[:, index] for index, name in enumerate(header)}
 
 
 def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:

@@ -59,15 +59,13 @@ def read_text(path: Path, what: str, *, most: int) -> str:
 
 
 def shallow(data: dict[str, Any]) -> dict[str, Any]:
-    """`data`. Raises InputError where tables and lists are nested more than `DEEPEST` times."""
+    """`data`. Raises InputError where it is nested more than `DEEPEST` times, or has an integer beyond 64 bits."""
     level: list[Any] = [data]
     for _ in range(DEEPEST):
-        level = [
-            inner
-            for each in level
-            for inner in (each.values() if isinstance(each, dict) else each)
-            if isinstance(inner, dict | list)
-        ]
+        inner = [value for each in level for value in (each.values() if isinstance(each, dict) else each)]
+        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in inner):
+            raise InputError("expected integers of 64 bits, got a larger one")
+        level = [value for value in inner if isinstance(value, dict | list)]
         if not level:
             return data
     raise InputError(f"expected tables and lists at most {DEEPEST} deep, got more")

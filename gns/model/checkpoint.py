@@ -110,6 +110,11 @@ def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
         if getattr(settings, key) > limit:
             message = f"expected at most {limit}, from the tensors in the file, got {getattr(settings, key)}"
             raise InputError(message, key=f"settings.{key}")
+    built = settings.layers * (settings.mlp_layers + 1) + settings.rounds * settings.grid_layers
+    if built > len(tensors):
+        raise InputError(
+            f"expected at most {len(tensors)} layers, from the tensors in the file, got {built}", key="settings"
+        )
     try:
         with torch.device("meta"):
             expected = Simulator(settings, BLANK).state_dict()

@@ -90,7 +90,7 @@ class Batch:
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
-            offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
+            offset[Offset.WINDOW] = min(rest.window_frames(scene, own.materials), INDEX_LIMIT)
             solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)

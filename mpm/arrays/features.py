@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 from datasets.material import Material
+from datasets.records import Record
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class Features:
+class Features(Record):
     """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
 
     dimension: int
