@@ -51,8 +51,8 @@ def check_sizes(scene: Scene) -> None:
     require(whole(frames), "duration", expected, scene.duration)
     most = f"an integer from 1 to {MOST_PER_AXIS}"
     require(1 <= scene.particles_per_axis <= MOST_PER_AXIS, "particles_per_axis", most, scene.particles_per_axis)
-    bodies = len(scene.masses) + len(scene.baffles) + len(scene.solids)
-    require(bodies <= MOST_BODIES, "masses", f"at most {MOST_BODIES} masses, baffles and solids", bodies)
+    count = len(scene.masses) + len(scene.baffles) + len(scene.solids)
+    require(count <= MOST_BODIES, "masses", f"at most {MOST_BODIES} masses, baffles and solids", count)
 
 
 def whole(count: float) -> bool:

@@ -43,6 +43,9 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     except WorkFailed as error:
         print(f"talus: {error}", file=sys.stderr)
         return 1
+    except MemoryError:
+        print("talus: the memory of this machine did not do: larger cells, fewer frames or fewer jobs", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("talus: interrupted; what was finished is kept", file=sys.stderr)
         return 130

@@ -23,7 +23,6 @@ from gns.model.settings import ModelSettings
 from gns.model.state import Conditions, State, Tensors
 from gns.units import Units
 
-
 MOST_STEPS = 1_000_000
 """Of a rollout."""
 GRID_COPIES = 8
@@ -151,7 +150,7 @@ def initial_state(
 
 
 def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
-    """Raise InputError for a rollout of more steps or grid cells than there are bytes for: which, and what to change."""
+    """Raise InputError for a rollout of more steps or grid cells than fit into memory: how many, what to change."""
     steps = scene.duration / step
     if steps > MOST_STEPS:
         raise InputError(

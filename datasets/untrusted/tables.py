@@ -48,14 +48,14 @@ def columns_of(
         raise InputError(f"expected no other columns than `{known}`, got `{unknown[0]}`")
     if len(set(asked)) < len(asked):
         raise InputError("expected each column once")
-    places = [header.index(name) for name in asked]
+    columns = [header.index(name) for name in asked]
     rows = []
     for number, line in lines[1:]:
         parts = parts_of(line)
         if len(parts) != len(header):
             raise InputError(f"expected {len(header)} numbers in line {number}, got {len(parts)}")
         try:
-            row = [float(parts[place]) for place in places]
+            row = [float(parts[column]) for column in columns]
         except ValueError:
             raise InputError(f"expected numbers in line {number}, got {line.strip()[:40]!r}") from None
         if not all(abs(value) <= FARTHEST for value in row):

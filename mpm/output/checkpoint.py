@@ -142,13 +142,14 @@ class Checkpoint:
         dimension, solids = features.dimension, int(batch.offsets[0, Offset.SOLIDS])
         # The last frame of a shorter run may be none that a longer one keeps.
         kept = [len(self.recording.kept(self.scene.frames)), sum(number <= self.frame for number in batch.kept(0))]
+        frames = self.positions.shape[0] if self.positions.ndim else 0
         expected: dict[str, tuple[tuple[int, ...], Any]] = {
             "state": (state.shape, state.dtype),
             "order": (batch.order.shape, np.int32),
             "energy": ((self.frame + 1, len(Energy)), np.float64),
             "impulse": ((self.frame + 1, solids, dimension), np.float64),
-            "positions": ((len(self.positions), count, dimension), np.float32),
-            "fields": ((len(self.positions), count, features.recorded), np.float32),
+            "positions": ((frames, count, dimension), np.float32),
+            "fields": ((frames, count, features.recorded), np.float32),
             "retained": (batch.retained.shape, np.int32),
             "settling": (batch.settling.shape, np.float64),
         }
@@ -159,8 +160,8 @@ class Checkpoint:
                 raise InputError(f"expected {np.dtype(kind)} of shape {shape}, got {got}", key=key)
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise InputError("expected finite numbers", key=key)
-        if not kept[1] <= len(self.positions) <= max(kept):
-            raise InputError(f"expected {kept[1]} frames, got {len(self.positions)}", key="positions")
+        if not kept[1] <= frames <= max(kept):
+            raise InputError(f"expected {kept[1]} frames, got {frames}", key="positions")
         whole = np.array_equal(np.sort(self.order[:count]), np.arange(count))
         if not whole or self.order.min() < 0 or self.order.max() >= count:
             raise InputError("expected each particle once", key="order")

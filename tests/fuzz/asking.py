@@ -106,10 +106,10 @@ class Worker:
         tally.slowest = max(tally.slowest, answer["seconds"])
         tally.largest = max(tally.largest, answer["bytes"])
         if outcome == "fell":
-            place = text[text.rfind("(") :] if "(" in text else text[:40]
-            known = tally.fallen.get(place)
+            origin = text[text.rfind("(") :] if "(" in text else text[:40]
+            known = tally.fallen.get(origin)
             if known is None or len(case.content) < len(known[1]):
-                tally.fallen[place] = (text, case.content)
+                tally.fallen[origin] = (text, case.content)
         return outcome, text
 
     def tell(self, case: Case) -> None:

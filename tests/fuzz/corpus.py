@@ -1,4 +1,4 @@
-"""What once fell, as it is made: each a kind, a name, and the content of a file. Every one must be refused in a line."""
+"""What once fell, as it is made: names and contents of files by kind. Every one must be refused in a line."""
 
 import io
 import json
@@ -42,10 +42,10 @@ def changed(base: dict[str, Any], **changes: Any) -> tuple[str, bytes]:
     data = json.loads(json.dumps(base))
     for key, value in changes.items():
         *tables, last = key.split("__")
-        place = data
+        table = data
         for each in tables:
-            place = place[int(each) if each.isdigit() else each]
-        place[last] = value
+            table = table[int(each) if each.isdigit() else each]
+        table[last] = value
     return "scene.toml", mutations.toml(data)
 
 
@@ -411,6 +411,7 @@ def states() -> dict[str, tuple[str, bytes]]:
         "nan": with_array(state=np.full_like(state, np.nan)),
         "an order beyond the particles": with_array(order=order),
         "a particle twice": with_array(order=np.zeros_like(order)),
+        "positions that are a number": with_array(positions=np.array(1.0)),
         "no energies": with_array(energy=base["energy"][:0]),
         "a frame of -1": with_array(run=np.array(json.dumps(run | {"frame": -1}))),
         "a frame of 10^30": with_array(run=np.array(json.dumps(run | {"frame": 10**30}))),

@@ -52,12 +52,12 @@ BYTES = (
 )
 
 
-def places(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+def paths(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The paths to everything in nested tables and lists, tables and lists themselves too."""
     found = [path] if path else []
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
-        found += places(value, (*path, key))
+        found += paths(value, (*path, key))
     return found
 
 
@@ -68,7 +68,7 @@ def tables(
     """A table with one to four of its places changed, taken away, doubled, scaled or renamed."""
     data = copy.deepcopy(draw(st.sampled_from(bases)))
     for _ in range(draw(FEW)):
-        known = places(data)
+        known = paths(data)
         if not known:
             break
         path = draw(st.sampled_from(known))

@@ -12,8 +12,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from datasets.scene import Scene
 from datasets.records import from_mapping
+from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 
 COLUMN: dict[str, Any] = {

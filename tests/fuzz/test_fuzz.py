@@ -6,7 +6,6 @@ A process of its own reads them (`tests.fuzz.worker`), so that one that hangs or
 
 import json
 import tempfile
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
