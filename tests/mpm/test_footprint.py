@@ -1,4 +1,4 @@
-"""What a run will take, before it is allocated: counts are those of the run, bytes cover its arrays; what is refused."""
+"""What a run will take, before it is allocated: counts are those of the run, bytes cover its arrays."""
 
 import dataclasses
 
