@@ -68,6 +68,9 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
             raise
         print(f"talus: {error.filename or 'output'}: {error.strerror}; what was finished is kept", file=sys.stderr)
         return 1
+    except MemoryError:
+        print("talus: the memory of this machine did not do: larger cells, fewer frames or fewer jobs", file=sys.stderr)
+        return 1
     except KeyboardInterrupt as interrupt:
         print("talus: interrupted; what was finished is kept", file=sys.stderr)
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)

@@ -1,5 +1,8 @@
 """The one exception that means "the input is wrong" rather than "the program is"."""
 
+LONGEST = 1000
+"""Characters of what is said: a file may be anybody's, and what it has in place of a number may be long."""
+
 
 class InputError(ValueError):
     """A user's mistake in one line: which file, which key, what was expected.
@@ -8,8 +11,9 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str, *, where: str = "", key: str = "") -> None:
-        self.message, self.where, self.key = message, where, key
-        super().__init__(": ".join(part for part in (where, key, message) if part))
+        short = message if len(message) <= LONGEST else f"{message[:LONGEST]}..."
+        self.message, self.where, self.key = short, where, key
+        super().__init__(": ".join(part for part in (where, key, short) if part))
 
     def at(self, where: str) -> "InputError":
         """The same mistake with the file it stands in."""

@@ -50,6 +50,11 @@ from datasets.records import Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
+STIFFEST = 1.0e15
+"""Moduli and strengths [Pa] beyond this, a thousand times those of diamond, are none."""
+LEAST_VOLUME_CHANGE = 0.4999
+"""Largest Poisson's ratio: the bulk modulus is then 5,000 times the shear modulus, and beyond
+that single precision loses the shear stress beside the pressure."""
 TENSION_SHARE = 0.003
 """Tension cutoff over cohesion [-] where a material names none."""
 
@@ -71,7 +76,7 @@ class Material(Record):
     young: float = 2.0e6
     """Young's modulus [Pa]."""
     poisson: float = 0.3
-    """Poisson's ratio [-], in [0, 0.5)."""
+    """Poisson's ratio [-], in [0, 0.4999]."""
     dilation_deg: float = 0.0
     """Angle of dilation [deg], in [0, friction_deg]; for ever where there is no `softening_length`."""
     cohesion: float = 0.0
@@ -97,18 +102,26 @@ class Material(Record):
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
         require(0.0 <= self.friction_deg < 90.0, "friction_deg", "an angle in [0, 90) degrees")
-        require(self.density > 0.0, "density", "a positive density in kg/m^3")
-        require(self.young > 0.0, "young", "a positive modulus in Pa")
-        require(0.0 <= self.poisson < 0.5, "poisson", "a ratio in [0, 0.5)")
+        require(1.0e-3 <= self.density <= 1.0e6, "density", "a positive density in kg/m^3, 0.001 to 1e6")
+        require(1.0e-3 <= self.young <= STIFFEST, "young", f"a positive modulus in Pa, 0.001 to {STIFFEST:g}")
+        require(0.0 <= self.poisson <= LEAST_VOLUME_CHANGE, "poisson", f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]")
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
-        require(self.cohesion >= 0.0, "cohesion", "a cohesion of at least 0 Pa")
+        require(0.0 <= self.cohesion <= STIFFEST, "cohesion", f"a cohesion of at least 0 Pa, up to {STIFFEST:g}")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
-        require(self.strength_gradient >= 0.0, "strength_gradient", "a growth of at least 0 Pa/m")
+        require(
+            0.0 <= self.strength_gradient <= STIFFEST,
+            "strength_gradient",
+            f"a growth of at least 0 Pa/m, up to {STIFFEST:g}",
+        )
         if self.tension_cutoff is not None:
-            require(self.tension_cutoff >= 0.0, "tension_cutoff", "a tension cutoff of at least 0 Pa")
+            require(
+                0.0 <= self.tension_cutoff <= STIFFEST,
+                "tension_cutoff",
+                f"a tension cutoff of at least 0 Pa, up to {STIFFEST:g}",
+            )
         if self.softening_length is not None:
-            require(self.softening_length > 0.0, "softening_length", "a positive slip in m")
+            require(1.0e-9 <= self.softening_length <= 1.0e9, "softening_length", "a positive slip in m, 1e-9 to 1e9")
         for key, peak in (
             ("friction_deg", self.friction_deg),
             ("cohesion", self.cohesion),

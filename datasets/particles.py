@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from datasets.field import FRICTION
 from datasets.material import Material
+from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, corners
 
 if TYPE_CHECKING:
     from datasets.geometry.masses import Filling
 
+PARTICLE = 60
+"""Bytes that a particle takes while it is made, over the square of the dimensions."""
 ROUNDING = 1.0e-13
 """Relative difference up to which two volumes are the same number."""
 RESOLVED = (3.0, 4.0)
@@ -58,6 +61,11 @@ class Particles:
         return np.array([material.density for material in self.materials])[self.material]
 
     @property
+    def friction_varies(self) -> bool:
+        """Whether a field gives the friction of each particle."""
+        return self.friction_deg is not None
+
+    @property
     def friction(self) -> NDArray[np.float32]:
         """tan(phi) of each particle [-], shape [N]."""
         if self.friction_deg is not None:
@@ -82,6 +90,9 @@ def initial_particles(scene: Scene) -> Particles:
     lattice cell. A mass draws from its own stream, so that adding one leaves the others. Bodies that are no boxes:
     `datasets.geometry.masses`.
     """
+    count = particle_count(scene)
+    instead = f"there are {count}; larger cells or fewer particles_per_axis"
+    require(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
     materials: list[Material] = []
     positions, depths, velocities, gradients, indices = [], [], [], [], []
     for number, mass in enumerate(scene.masses):

@@ -1,18 +1,19 @@
-"""TOML or JSON into frozen dataclasses: an unknown key or a wrong type is an error that names it."""
+"""Tables of TOML or JSON into frozen dataclasses: an unknown key or a wrong type is an error that names it."""
 
 import difflib
 import json
 import math
-import tomllib
 import warnings
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange
+from datasets.untrusted.files import LONGEST_LINE, line_of
+from datasets.untrusted.text import read_json as read_json
+from datasets.untrusted.text import read_toml as read_toml
 
 T = TypeVar("T")
 
@@ -54,7 +55,10 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
-        text = json.dumps(with_new_names(data), default=str)
+        try:
+            text = json.dumps(with_new_names(data), default=str)
+        except ValueError as error:  # of an integer of thousands of digits
+            raise InputError(f"expected numbers that are finite, {line_of(error)}") from None
         record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
     except ValidationError as error:
@@ -62,7 +66,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
         # Where a key takes one of several types, pydantic names the type that it tried last.
-        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))
+        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))[:LONGEST_LINE]
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
@@ -76,7 +80,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         if first["type"] == "missing":
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
-        raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+        raise InputError(f"expected {expected}, got {shortened(first['input'])}", key=path) from None
 
 
 def with_new_names(data: Any) -> Any:
@@ -99,28 +103,10 @@ def fraction(text: str) -> float:
         return math.nan
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file. Raises InputError, which names the file."""
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except FileNotFoundError:
-        raise InputError("expected a TOML file, there is none", where=str(path)) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"expected a readable TOML file, {error}", where=str(path)) from None
-
-
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Parse a JSON object; None where there is no file. Raises InputError, which names the file."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"expected readable JSON, {error}", where=str(path)) from None
-    if not isinstance(found, dict):
-        raise InputError("expected a JSON object", where=str(path))
-    return found
+def shortened(value: Any) -> str:
+    """`value` as Python writes it, of a long one the beginning."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE]}..."
 
 
 def dotted(location: tuple[int | str, ...]) -> str:

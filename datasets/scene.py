@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from datasets.field import Field
 from datasets.geometry.solid import Rows, Solid, Triangles
 from datasets.material import Material
 from datasets.records import Record, from_mapping
+from datasets.untrusted.text import json_object
 
 Vector = tuple[float, ...]
 
@@ -173,13 +173,14 @@ class Scene(Record):
     """Seed of that displacement."""
 
     def __post_init__(self) -> None:
+        # Imported here, because the checks speak of scenes.
+        from datasets.checks import check, check_sizes
+
+        check_sizes(self)
         if any(mass.kind != "box" for mass in self.masses):
             from datasets.geometry.masses import with_boxes
 
             object.__setattr__(self, "masses", with_boxes(self))
-        # Imported here, because the checks speak of scenes.
-        from datasets.checks import check
-
         check(self)
 
     @property
@@ -246,11 +247,9 @@ class Scene(Record):
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
         try:
-            data: Any = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"expected a scene in JSON, {error}", key="scene") from None
-        if not isinstance(data, dict):
-            raise InputError("expected a scene in JSON", key="scene")
+            data = json_object(text)
+        except InputError as error:
+            raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
         return from_mapping(Scene, data)
 
 

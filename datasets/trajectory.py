@@ -1,7 +1,7 @@
 """Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ file."""
 
 import json
-import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,13 @@ from datasets.errors import InputError
 from datasets.files import replacing
 from datasets.particles import initial_volumes, particle_count
 from datasets.scene import Scene
+from datasets.untrusted.arrays import open_untrusted_npz
+from datasets.untrusted.text import json_object
 
 Floats = NDArray[np.float32]
 
+FARTHEST = 1.0e12
+"""Positions [m] and velocities [m/s] beyond this are none: their squares would not fit into single precision."""
 FIELDS = {
     "volume": np.float32,
     "velocities": np.float32,
@@ -165,11 +169,12 @@ class Trajectory:
                 where=str(path),
                 key="positions",
             )
+        check_numbers(arrays, path)
         mass = checked_mass(arrays.get("mass"), particles, scene, path)
         try:
-            summary = json.loads(str(arrays["summary"])) if "summary" in arrays else {}
-        except json.JSONDecodeError as error:
-            raise InputError(f"expected JSON, {error}", where=str(path), key="summary") from None
+            summary = json_object(str(arrays["summary"])) if "summary" in arrays else {}
+        except InputError as error:
+            raise InputError(error.message, where=str(path), key="summary") from None
         return Trajectory(
             positions=positions.astype(np.float32, copy=False),
             time=arrays["time"].astype(np.float64, copy=False),
@@ -184,6 +189,24 @@ class Trajectory:
                 if (name := impulse_key(scene) if key == "solid_impulse" else key) in arrays
             },
         )
+
+
+def check_numbers(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Raise InputError for numbers of the NPZ at `path`, those that are there, that are none of any motion."""
+
+    def require(ok: bool, key: str, expected: str) -> None:
+        if not ok:
+            raise InputError(f"expected {expected}, got others", where=str(path), key=key)
+
+    for key in ("positions", "velocity0"):
+        if key in arrays:
+            require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers")
+    time, friction = arrays["time"], arrays["friction"]
+    ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
+    require(bool(ascending), "time", "ascending times of at least 0 s")
+    require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0")
+    if (volume := arrays.get("volume")) is not None:
+        require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes")
 
 
 def checked_mass(array: NDArray[Any] | None, particles: int, scene: Scene, path: Path) -> NDArray[np.int32] | None:
@@ -238,18 +261,9 @@ def read_arrays(
 
     Never runs a pickle. Raises InputError.
     """
-    try:
-        # Opened here, because numpy leaves its own handle open where the archive is broken.
-        with path.open("rb") as raw:
-            file = np.load(raw, allow_pickle=False)
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("found a single array")
-            there = [name for name in optional if name in file.files]
-            return {name: file[name] for name in (*names, *there) or file.files}
-    except FileNotFoundError:
-        raise InputError(f"expected {what} (NPZ), there is none", where=str(path)) from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise InputError(f"expected a whole NPZ of plain arrays, {error}", where=str(path)) from None
+    with open_untrusted_npz(path, f"a whole NPZ of plain arrays ({what})") as file:
+        there = [name for name in optional if name in file.keys]
+        return {name: file.read(name) for name in (*names, *there) or file.keys}
 
 
 def scene_in(array: NDArray[Any], path: Path) -> Scene:

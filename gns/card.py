@@ -9,7 +9,6 @@ is given its folders: `python -m gns.card MODEL DATASET...`.
 """
 
 import dataclasses
-import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from datasets.command_line import run
 from datasets.definitions import DEFINITIONS
 from datasets.definitions.definition import Split
 from datasets.errors import InputError
-from datasets.records import Record, from_mapping
+from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.training.memory_mapped import open_trajectory
 from gns.inference import shipped
@@ -175,16 +174,9 @@ def card_path(weights: Path) -> Path:
 def read(weights: Path) -> Card | None:
     """The card beside a model's file; None where there is none. Raises InputError, which names the file."""
     path = card_path(weights)
-    if not path.exists():
-        return None
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"expected a card in JSON, {error}", where=str(path)) from None
-    try:
-        if not isinstance(data, dict):
-            raise InputError("expected a card in JSON")
-        return from_mapping(Card, data)
+        data = read_json(path)
+        return None if data is None else from_mapping(Card, data)
     except InputError as error:
         raise error.at(f"{path}, which python -m gns.card writes") from None
 

@@ -1,6 +1,7 @@
 """The initial state of a rollout: a scene at time 0, or the end of the MPM's first frames."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -10,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets import memory
 from datasets.errors import InputError
-from datasets.particles import initial_particles, mass_counts
+from datasets.particles import initial_particles, mass_counts, released_volume
 from datasets.scene import Scene
 from datasets.training.samples import Surroundings, check_known
 from datasets.training.thinning import thin
@@ -20,6 +22,11 @@ from gns.conditions import conditions_of, tensors_of
 from gns.model.settings import ModelSettings
 from gns.model.state import Conditions, State, Tensors
 from gns.units import Units
+
+MOST_STEPS = 1_000_000
+"""Of a rollout."""
+GRID_COPIES = 8
+"""Numbers of a channel on the grid that are there at once, over its cells."""
 
 
 class Start(StrEnum):
@@ -116,6 +123,7 @@ def initial_state(
             raise InputError(message, where="start", key="positions")
         known = resampled(frames, step)
     velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
+    require_memory(scene, settings, units, step)
     rng = np.random.default_rng(seed)
     cell = units.length * settings.cell
     thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
@@ -138,6 +146,23 @@ def initial_state(
         known=known,
         velocity0=velocity0,
         indices=kept,
+    )
+
+
+def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
+    """Raise InputError for a rollout of more steps or grid cells than fit into memory: how many, what to change."""
+    steps = scene.duration / step
+    if steps > MOST_STEPS:
+        raise InputError(
+            f"expected at most {MOST_STEPS} steps of the model, got {steps:.3g} of {step:g} s", key="duration"
+        )
+    kept = settings.particles_per_cell * released_volume(scene) / (units.length * settings.cell) ** scene.dimension
+    nodes = math.prod(length / (units.length * settings.grid_cell) + 2.0 for length in scene.domain.size)
+    memory.require(
+        4.0 * (steps * kept * scene.dimension + nodes * GRID_COPIES * settings.grid_channels),
+        "a rollout",
+        f"{kept:.3g} particles over {steps:.3g} steps, {nodes:.3g} cells of the grid; a smaller box or a shorter time",
+        key="domain",
     )
 
 

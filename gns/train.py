@@ -31,7 +31,7 @@ from gns.training.log import Log
 from gns.training.objective import Curriculum, statistics, unrolled_steps
 from gns.training.progress import Bar
 from gns.training.stopping import Stop
-from gns.training.update import Run, TrainingSettings
+from gns.training.update import LAST, Run, TrainingSettings
 
 MODEL = ModelSettings()
 TRAINING = TrainingSettings()
@@ -56,8 +56,8 @@ def train(
 ) -> None:
     """Train a graph network simulator on trajectories of the MPM.
 
-    Leaves OUT/best.safetensors (the model to use), OUT/last.pt (what --resume continues), OUT/log.csv and
-    OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several GPUs or processes:
+    Leaves OUT/best.safetensors (the model to use), OUT/last.safetensors (what --resume continues), OUT/log.csv and
+    OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.safetensors. On several GPUs or processes:
     torchrun --nproc-per-node N -m gns.train ...
 
     Parameters
@@ -73,7 +73,7 @@ def train(
     clock
         What the minutes are: wall time, or time that the process computes.
     resume
-        Continue from OUT/last.pt; give the other flags again.
+        Continue from OUT/last.safetensors; give the other flags again.
     begin
         A model to begin with instead of random weights, of the same settings but for --rest-speed; its
         normalisation stays.
@@ -92,8 +92,8 @@ def train(
     """
     torch.set_num_threads(threads)
     torch.manual_seed(seed)
-    if resume and not (out / "last.pt").exists():
-        raise InputError("expected a run to resume, there is no last.pt", where=str(out))
+    if resume and not (out / LAST).exists():
+        raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if not memory_gib >= 0.0:
         raise InputError(f"expected a number of at least 0, got {memory_gib}", key="memory_gib")
     budget = Budget(minutes=minutes, updates=updates)
@@ -104,7 +104,7 @@ def train(
         simulator = Simulator(model, statistics(groups)) if begin is None else starting_model(begin, model)
         run = Run(simulator, training, seed=seed, processes=processes, mixed=mixed, memory_gib=memory_gib)
         if resume:
-            run.resume(out / "last.pt")
+            run.resume(out / LAST)
         provenance = {
             "command": " ".join(["python -m gns.train", *sys.argv[1:]]),
             "seed": seed,
@@ -202,7 +202,7 @@ class Outputs:
 def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs: Outputs) -> None:
     """Update until the budget is spent, with validations in between. Raises KeyboardInterrupt where it was stopped."""
     training, position, processes = run.training, run.position, run.processes
-    last = outputs.out / "last.pt"
+    last = outputs.out / LAST
     started = clock.now() - position.seconds
     bar = Bar(budget, training.unroll, seconds=position.seconds, batch=training.batch, shown=processes.first)
     # Closed whatever happens: an open bar would be drawn again, after the line that says why the training ended.

@@ -11,12 +11,14 @@ from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
+from datasets.particles import particle_count
 from mpm.arrays.layout import Precision
+from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.request import ALL, FIELDS, Recording
 from mpm.process import stopping
 from mpm.resolution import read_tolerance, resolved
-from mpm.runtime import Arch
+from mpm.runtime import Arch, workers_for
 from mpm.simulation import Interrupted, Options, simulate_resumably
 
 
@@ -98,6 +100,9 @@ def command(
     options: Options = {"arch": arch, "record": record, "progress": True}
     if precision or what:
         options["precision"] = precision or (what.precision if what else "f32")
+    precise = options.get("precision") or (start.features.precision if start else "f32")
+    workers = workers_for(particle_count(given)) if arch == "cpu" else 1
+    print(footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu"), flush=True)
     try:
         with stopping() as stop:
             trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)

@@ -15,7 +15,7 @@ from typing import TypedDict, Unpack
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
-from datasets.particles import warn_if_unresolved
+from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
@@ -23,6 +23,7 @@ from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import Precision
 from mpm.device import run_on_device
+from mpm.footprint import footprint, require_memory
 from mpm.kernel import Phase, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import failure, trajectory
@@ -131,6 +132,7 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
     precision = options.get("precision", "f32")
+    require_memory([footprint(scene, record=record, precision=precision, gpu=arch != "cpu") for scene in scenes])
     runtime.start(precision, options.get("threads"), arch)
     particles = particles_of(scenes)
     groups: dict[Features, list[int]] = {}
@@ -167,9 +169,10 @@ def run_one(
     arch = options.get("arch", "cpu")
     precision = options.get("precision") or (resume.features.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
-    particles = particles_of([scene])
     threads = options.get("threads")
-    workers = runtime.workers_for(len(particles[0].positions), threads) if arch == "cpu" else 1
+    workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
+    require_memory([footprint(scene, record=record, precision=precision, workers=workers, gpu=arch != "cpu")])
+    particles = particles_of([scene])
     runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
         [scene],

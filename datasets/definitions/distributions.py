@@ -28,6 +28,10 @@ from datasets.scene import TOLERANCE, Scene
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
+LARGEST = 1.0e15
+"""Of a bound of a distribution."""
+MOST_COPIES = 4096
+"""Of a mass or a baffle."""
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
@@ -127,9 +131,10 @@ def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -
             repeats = (
                 drawn(each.get("count", 1), stream, variables, (*where, "count")) if isinstance(each, Mapping) else 1
             )
-            if not isinstance(repeats, int) or repeats < 0:
+            if not isinstance(repeats, int) or not 0 <= repeats <= MOST_COPIES:
                 raise InputError(
-                    f"expected a whole number of at least 0, got {repeats!r}", key=dotted((*where, "count"))
+                    f"expected a whole number of at least 0, up to {MOST_COPIES}, got {repeats!r}",
+                    key=dotted((*where, "count")),
                 )
             items += [drawn(each, stream, variables, where) for _ in range(repeats)]
         return items
@@ -160,10 +165,12 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     require(kind == "normal" or low <= high, "the smaller number first")
     require(kind != "log_uniform" or low > 0, "positive numbers")
     require(kind != "integer" or all(type(each) is int for each in given), "two whole numbers")
+    require(all(abs(each) <= LARGEST for each in given), f"numbers within {LARGEST:g}")
     if kind == "integer":
         return int(stream.integers(low, high, endpoint=True))
     if "step" in value:
         require(type(value["step"]) in (int, float) and value["step"] > 0.0, "a positive step")
+        require((high - low) / value["step"] <= LARGEST, "a step that is no smaller beside the range")
         return rounded(
             low + value["step"] * int(stream.integers(int((high - low) / value["step"] + 1e-9), endpoint=True))
         )

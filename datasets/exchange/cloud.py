@@ -1,6 +1,5 @@
 """What the other codes' formats share: sand and obstacles in one cloud of particles; keys of `metadata.json`."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from inspect import signature
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.exchange.baffle_particles import obstacle_particles
-from datasets.records import Record, from_mapping
+from datasets.records import Record, from_mapping, read_json
 from datasets.trajectory import Trajectory
 
 M = TypeVar("M", bound=Record)
@@ -121,16 +120,11 @@ class Described:
         }
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read the JSON object in a file. Raises InputError."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("expected a JSON file, there is none", where=str(path)) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"expected readable JSON, {error}", where=str(path)) from None
-    if not isinstance(data, dict):
-        raise InputError("expected a JSON object", where=str(path))
+def read_metadata(path: Path) -> dict[str, Any]:
+    """Read a `metadata.json`. Raises InputError, also where there is none."""
+    data = read_json(path)
+    if data is None:
+        raise InputError("expected a JSON file, there is none", where=str(path))
     return data
 
 

@@ -17,14 +17,14 @@ from datasets.definitions.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements, lagrangebench
 from datasets.exchange.baffle_particles import obstacle_particles
-from datasets.exchange.cloud import Cloud, Described, ForeignMetadata, Statistics, cloud_of, known_keys, read_json
+from datasets.exchange.cloud import Cloud, Described, ForeignMetadata, Statistics, cloud_of, known_keys, read_metadata
 from datasets.exchange.reconstruction import Known, reconstruct
-from datasets.exchange.untrusted import open_untrusted_npz
 from datasets.files import write_json
 from datasets.geometry.plain import check_plain
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory, stored_scene
+from datasets.untrusted.arrays import open_untrusted_npz
 
 RECORD = "exchange.json"
 """What a conversion is from, and with which options; written first, so that the same command can finish it."""
@@ -73,7 +73,7 @@ def export(dataset: Path, to: str, out: Path) -> None:
 def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
     """What a dataset's trajectories have in common, from their scenes and shapes alone. Raises InputError."""
     described = dataset / "metadata.json"
-    statistics = known_keys(Statistics, read_json(described), described)
+    statistics = known_keys(Statistics, read_metadata(described), described)
     paths = [path for split in Split for path in files[split]]
     if not paths:
         raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
@@ -82,7 +82,7 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
         scene = stored_scene(path)
         check_plain(scene, "the other code's format", str(path))
         with open_untrusted_npz(path) as file:
-            if "positions" not in file.keys or len(file.shape("positions")) != 3:
+            if len(file.shape("positions")) != 3:
                 raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
             frames, particles, _ = file.shape("positions")
         spacing = scene.particle_spacing
@@ -157,7 +157,7 @@ def import_dataset(
 def parts_of(source: Path, layout: Layout, out: Path) -> list[Part]:
     """The splits that another code's dataset has. Raises InputError."""
     described = source / "metadata.json"
-    content = read_json(described)
+    content = read_metadata(described)
     parts = []
     for split in Split:
         path = source / f"{split.value}{layout.SUFFIX}"
@@ -235,7 +235,7 @@ def begin(out: Path, record: dict[str, Any]) -> None:
     """
     path = out / RECORD
     if path.exists():
-        if read_json(path) != json.loads(json.dumps(record)):
+        if read_metadata(path) != json.loads(json.dumps(record)):
             raise InputError("expected the conversion that this folder was begun with, found another", where=str(path))
     elif out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
         raise InputError("expected an empty folder, or one that this conversion has begun", where=str(out))

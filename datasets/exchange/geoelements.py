@@ -16,8 +16,8 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.exchange.cloud import Cloud, Described, checked_cloud
-from datasets.exchange.untrusted import open_untrusted_npz
 from datasets.files import replacing
+from datasets.untrusted.arrays import open_untrusted_npz
 
 SUFFIX = ".npz"
 ALL = "gns_data"
@@ -103,9 +103,9 @@ def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
     with open_untrusted_npz(path) as file:
         together = ALL in file.keys
         entries = (
-            ((f"{index:05d}", parts) for index, parts in enumerate(file.read(ALL)))
+            ((f"{index:05d}", parts) for index, parts in enumerate(file.read(ALL, objects=True)))
             if together
-            else ((name, file.read(name)) for name in file.keys if name in requested)
+            else ((name, file.read(name, objects=True)) for name in file.keys if name in requested)
         )
         for name, parts in entries:
             if name in requested:

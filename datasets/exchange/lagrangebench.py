@@ -5,20 +5,18 @@ A split is one file (`train.h5`, `valid.h5`, `test.h5`) with groups `00000`, `00
 """
 
 from collections.abc import Container, Iterable, Iterator
-from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.exchange import geoelements
 from datasets.exchange.cloud import Cloud, Described, checked_cloud
-from datasets.exchange.untrusted import LARGEST
 from datasets.files import replacing
+from datasets.untrusted.files import reading
+from datasets.untrusted.hdf5 import WHAT, open_hdf5, read_array
 
 SUFFIX = ".h5"
 
@@ -66,51 +64,25 @@ def metadata(described: Described) -> dict[str, Any]:
 
 def names(path: Path) -> list[str]:
     """The trajectories of a split, in order, without reading them. Raises InputError."""
-    with _open(path) as file:
+    with open_hdf5(path) as file, reading(path, WHAT):
         return list(file)
 
 
 def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
     """The trajectories of a split whose names are `requested`, one in memory at a time. Raises InputError."""
-    with _open(path) as file:
-        for name in file:
+    with open_hdf5(path) as file:
+        for name in names(path):
             if name in requested:
-                yield _cloud(file, name)
+                with reading(path, WHAT, name):
+                    cloud = _cloud(file, name)
+                yield cloud
 
 
 def _cloud(file: h5py.File, name: str) -> Cloud:
-    positions = _array(file, f"{name}/position")
-    types = _array(file, f"{name}/particle_type")
-    material = _array(file, f"{name}/material_property") if "material_property" in file[name] else None
+    positions = read_array(file, f"{name}/position")
+    types = read_array(file, f"{name}/particle_type")
+    material = read_array(file, f"{name}/material_property") if "material_property" in file[name] else None
     # Sets of the original GNS, as LagrangeBench converts them, keep the numbers they had there.
     original = geoelements.ParticleType.SAND in types
     stationary = geoelements.STATIONARY if original else STATIONARY
     return checked_cloud(name, positions, types, material, stationary=stationary)
-
-
-def _array(file: h5py.File, key: str) -> NDArray[Any]:
-    """One array of the file itself: HDF5 could as well point to another file of this machine."""
-    parts = key.split("/")
-    links = [file["/".join(parts[:depth]) or "/"].get(part, getlink=True) for depth, part in enumerate(parts)]
-    if not all(isinstance(link, h5py.HardLink) for link in links):
-        raise InputError("expected an array in the file, found none", key=key)
-    array = file[key]
-    if not isinstance(array, h5py.Dataset) or array.external or array.is_virtual or array.dtype.kind not in "biuf":
-        raise InputError("expected an array of numbers in the file", key=key)
-    if array.nbytes > LARGEST:
-        raise InputError(f"expected at most {LARGEST / 2**30:g} GiB, found {array.nbytes / 2**30:.1f}", key=key)
-    return np.asarray(array[()])
-
-
-@contextmanager
-def _open(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file; whatever it makes of the block is an InputError that names the file."""
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except FileNotFoundError:
-        raise InputError("expected an HDF5 file, there is none", where=str(path)) from None
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"expected a whole HDF5 file, {error}", where=str(path)) from None

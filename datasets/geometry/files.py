@@ -21,7 +21,9 @@ from datasets.errors import InputError
 from datasets.geometry.ground import interpolated
 from datasets.geometry.margins import BEYOND
 from datasets.geometry.meshes import read_mesh
-from datasets.geometry.rasters import RASTERS, UNITS, Field, read_columns, read_field
+from datasets.geometry.rasters import RASTERS, UNITS, Field, read_field
+from datasets.untrusted.arrays import open_untrusted_npz
+from datasets.untrusted.tables import read_columns
 
 Floats = NDArray[np.float64]
 Entry = dict[str, Any]
@@ -289,13 +291,8 @@ def read_particles(path: Path, dimension: int) -> Entry:
 
 def read_arrays(path: Path) -> dict[str, Floats]:
     """The arrays of an NPZ of particles. Raises InputError."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name], np.float64) for name in file.files}
-    except FileNotFoundError:
-        raise InputError("expected an NPZ, there is no such file") from None
-    except Exception as error:
-        raise InputError(f"expected an NPZ of plain numbers, {error}") from None
+    with open_untrusted_npz(path, "an NPZ of plain numbers") as file:
+        arrays = {name: file.read(name) for name in file.keys}
     unknown = arrays.keys() - {"positions", "velocities", "volume"}
     if unknown or "positions" not in arrays:
         raise InputError(f"expected `positions` and, if there are, `velocities` and `volume`, got {sorted(arrays)}")
@@ -303,6 +300,6 @@ def read_arrays(path: Path) -> dict[str, Floats]:
         flat = name == "volume"
         if values.ndim > 1 if flat else values.ndim != 2:
             raise InputError(f"expected `{name}` of shape {'[N]' if flat else '[N, D]'}, got {list(values.shape)}")
-        if not np.isfinite(values).all():
+        if values.dtype.kind not in "iuf" or not np.isfinite(values).all():
             raise InputError(f"expected finite numbers in `{name}`")
-    return arrays
+    return {name: values.astype(np.float64, copy=False) for name, values in arrays.items()}

@@ -6,6 +6,7 @@ the ground: it is laid in x, z and the height above the ground, a shear that kee
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.ground import elevation
 from datasets.geometry.margins import TOUCHING, Box
-from datasets.geometry.solid import Solid, check_solid, check_vectors
+from datasets.geometry.solid import FARTHEST, Solid, check_solid, check_vectors
+from datasets.memory import require
 
 if TYPE_CHECKING:
     from datasets.scene import Mass, Scene
@@ -37,6 +39,10 @@ KEYS: dict[tuple[str, int], tuple[str, ...]] = {
 """Keys that give the shape of a kind of mass, all of them needed."""
 OPTIONAL = {"layer": ("origin", "spacing", "outline"), "particles": ("velocities", "volume")}
 """Keys that a kind of mass may have."""
+
+
+LATTICE = 40
+"""Bytes that a coordinate of a lattice takes while it is made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +75,7 @@ class Filling:
 
 def with_boxes(scene: "Scene") -> tuple["Mass", ...]:
     """The masses of `scene`, each with the box around it. Raises InputError for a shape that is none."""
-    size, cell = scene.domain.size, scene.domain.cell
-    if len(size) not in (2, 3) or min(size) <= 0.0 or cell <= 0.0 or scene.particles_per_axis < 1:
-        return scene.masses  # the scene's own check says so
+    size = scene.domain.size
     for index, solid in enumerate(scene.solids):
         check_solid(solid, f"solids[{index}]", len(size))
     masses = []
@@ -267,7 +271,7 @@ def particles(mass: "Mass", box: Box, share: float, key: str) -> Filling:
             f"expected {len(positions)} volumes, one for each particle, got {len(given)}", key=f"{key}.volume"
         )
     volumes = np.broadcast_to(np.asarray(given, np.float64), len(positions)).copy()
-    if not (np.isfinite(volumes).all() and (volumes > 0.0).all()):
+    if not ((volumes > 0.0) & (volumes <= FARTHEST)).all():
         raise InputError(f"expected positive volumes in m^{box.dimension}", key=f"{key}.volume")
     if not len(positions):
         raise InputError("expected at least one particle", key=f"{key}.positions")
@@ -288,6 +292,12 @@ def particles(mass: "Mass", box: Box, share: float, key: str) -> Filling:
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:
     """Centres [N, D] of a lattice of about `share` [m] that fits the box from `lower` to `upper`; its spacing [D]."""
     counts = [max(1, round(float(length) / share)) for length in upper - lower]
+    require(
+        LATTICE * len(counts) * math.prod(counts),
+        "a body in a lattice",
+        f"it has {math.prod(counts):.3g} places; larger cells or fewer particles_per_axis",
+        key="masses",
+    )
     spacing = (upper - lower) / counts
     lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
     return lower + (lattice + 0.5) * spacing, spacing

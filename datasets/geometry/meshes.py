@@ -1,12 +1,16 @@
-"""Triangles from mesh files: whatever meshio reads (STL, OBJ, PLY, MSH, VTU, ...)."""
+"""Triangles from mesh files, by meshio."""
 
+import io
 import warnings
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.memory import at_most
+from datasets.untrusted.files import file_size, reading
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -15,6 +19,27 @@ SAME = 1.0e-9
 """Distance of vertices that are one, over the extent of the mesh."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 """Faces of a tetrahedron, outwards."""
+READ = {
+    ".stl": "stl",
+    ".obj": "obj",
+    ".ply": "ply",
+    ".off": "off",
+    ".msh": "gmsh",
+    ".mesh": "medit",
+    ".vtk": "vtk",
+    ".vtu": "vtu",
+    ".nas": "nastran",
+    ".bdf": "nastran",
+    ".fem": "nastran",
+}
+"""Endings of files that are read, as which format of meshio: those that hold all they need and name no other file."""
+LARGEST = 2**28
+"""Bytes of a file."""
+SMALL_MEMORY = 2**28
+"""Bytes that reading may take, and `PER_BYTE` times those of the file."""
+PER_BYTE = 30
+FARTHEST = 1.0e9
+"""Coordinates [m] beyond this are none."""
 IGNORED = ("vertex", "line", "line3")
 """Cells that bound no solid."""
 
@@ -34,25 +59,30 @@ def load(path: Path) -> tuple[Floats, dict[str, Integers]]:
     """Points and cells by their kind as they stand in the file. Raises InputError."""
     import meshio
 
-    if not path.exists():
-        raise InputError("expected a mesh, there is no such file")
-    known = sorted(meshio.extension_to_filetypes)
-    if path.suffix.lower() not in known:
-        raise InputError("expected a mesh of a kind that meshio reads, such as .stl .obj .ply .msh .vtu")
-    try:
-        with warnings.catch_warnings():
-            # Its test for a binary STL overflows on the text of one that is none.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:
-        # Its readers fail in many ways on a file that is none of theirs; all of them mean the same to the user.
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"expected a mesh that meshio reads, {reason}") from None
-    cells: dict[str, Integers] = {}
-    for block in mesh.cells:
-        members = np.asarray(block.data, np.int64)
-        cells[block.type] = np.concatenate([cells[block.type], members]) if block.type in cells else members
-    return np.asarray(mesh.points, np.float64), cells
+    size = file_size(path, "a mesh", most=LARGEST)
+    if path.suffix.lower() not in READ:
+        raise InputError(f"expected a mesh, a file that ends in {' '.join(READ)}")
+    output = io.StringIO()
+    with (
+        reading(path, "a mesh that meshio reads"),
+        # Its test for a binary STL overflows on the text of one that is none; it prints what it leaves out.
+        warnings.catch_warnings(),
+        redirect_stdout(output),
+        redirect_stderr(output),
+        at_most(SMALL_MEMORY + PER_BYTE * size),
+    ):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mesh = meshio.read(path, file_format=READ[path.suffix.lower()])
+        cells: dict[str, Integers] = {}
+        for block in mesh.cells:
+            members = np.asarray(block.data, np.int64)
+            cells[block.type] = np.concatenate([cells[block.type], members]) if block.type in cells else members
+        points = np.asarray(mesh.points, np.float64)
+    vertices = len(points)
+    for members in cells.values():
+        if members.size and (members.ndim != 2 or members.min() < 0 or members.max() >= vertices):
+            raise InputError(f"expected cells of the {vertices} vertices in the file, got others")
+    return points, cells
 
 
 def surface(points: Floats, cells: dict[str, Integers]) -> tuple[Floats, Integers]:
@@ -60,7 +90,7 @@ def surface(points: Floats, cells: dict[str, Integers]) -> tuple[Floats, Integer
     unknown = [kind for kind in cells if kind not in ("triangle", "quad", "tetra", *IGNORED)]
     if unknown:
         raise InputError(f"expected triangles, quadrilaterals or tetrahedra, got {unknown[0]}")
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+    if points.ndim != 2 or points.shape[1] != 3 or not (np.abs(points) <= FARTHEST).all():
         raise InputError("expected vertices of three finite coordinates")
     parts = [cells[kind] for kind in ("triangle",) if kind in cells and "tetra" not in cells]
     if "quad" in cells and "tetra" not in cells:

@@ -4,7 +4,6 @@ Plan coordinates are x, to the east, and z, to the north. A raster's values stan
 default the lower left corner of its extent becomes the corner x = 0, z = 0 of the box.
 """
 
-import csv
 import dataclasses
 import math
 import warnings
@@ -15,6 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.memory import require, spoken
+from datasets.untrusted.archives import MOST_RATIO, SMALL
+from datasets.untrusted.files import file_size, reading
+from datasets.untrusted.tables import read_columns
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +26,10 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 RASTERS = (".asc", ".tif", ".tiff")
 REGULAR = 1.0e-6
 """Largest difference between two spacings of a regular grid, over the spacing."""
+LARGEST = 2**30
+"""Bytes of a raster's file."""
+VALUE = 32
+"""Bytes that a value takes while a raster is read."""
 METRES = (None, "", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its values."""
 
@@ -80,19 +87,21 @@ def read_field(path: Path, column: str, unit: str = "m", extra: str | None = Non
 def read_raster(path: Path) -> Field:
     """A raster of one band, north up, in metres. Raises InputError."""
     import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+    from rasterio.errors import NotGeoreferencedWarning
 
-    if not path.exists():
-        raise InputError("expected a raster, there is no such file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                georeferenced = not file.transform.is_identity
-                transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
-                masked = file.read(1, masked=True).astype(np.float64)
-    except RasterioIOError as error:
-        raise InputError(f"expected a readable raster, {str(error).splitlines()[0]}") from None
+    size = file_size(path, "a raster", most=LARGEST)
+    with path.open("rb") as raw:
+        head = raw.read(2)
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
+        with rasterio.open(path.resolve(), driver="GTiff" if head in (b"II", b"MM") else "AAIGrid") as file:
+            check_size(file.width, file.height, file.block_shapes, size)
+            georeferenced = not file.transform.is_identity
+            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+            masked = file.read(1, masked=True).astype(np.float64)
+    if not np.isfinite(tuple(transform)).all():
+        raise InputError("expected a raster that lies at finite coordinates")
     if bands != 1:
         raise InputError(f"expected a raster of one band, got {bands}")
     check_units(crs, unit)
@@ -114,6 +123,14 @@ def read_raster(path: Path) -> Field:
     )
 
 
+def check_size(columns: int, rows: int, blocks: list[tuple[int, int]], size: int) -> None:
+    """Raise InputError for a raster that swells to more than a file of `size` bytes could hold, or than is free."""
+    values = max(columns * rows, *(height * width for height, width in blocks))
+    if values > max(SMALL, MOST_RATIO * size) / VALUE:
+        raise InputError(f"expected a raster as large as its file, got {columns} x {rows} values in {spoken(size)}")
+    require(VALUE * values, "a raster", "cut it to the box")
+
+
 def check_units(crs: object, unit: str | None) -> None:
     """Raise InputError unless a raster's coordinates, where it says what they are, and its values are in metres."""
     from rasterio.errors import CRSError
@@ -130,45 +147,6 @@ def check_units(crs: object, unit: str | None) -> None:
         name, factor = "unknown units", math.nan
     if factor != 1.0 or str(name).lower() not in METRES:
         raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
-
-
-def read_columns(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Floats]:
-    """Columns of a CSV with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
-
-    Lines that begin with # are comments. Raises InputError, which does not name the file.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [(number, line) for number, line in enumerate(file, 1) if line.strip() and line[0] != "#"]
-    except FileNotFoundError:
-        raise InputError("expected a CSV, there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"expected a readable CSV, {error}") from None
-    names, columns = "`, `".join(needed), len(needed)
-    header = [name.strip() for name in next(csv.reader([lines[0][1]]))] if lines else []
-    if not set(needed) <= set(header):
-        raise InputError(f"expected a header with the columns `{names}`, got {', '.join(header) or 'an empty file'}")
-    unknown = [name for name in header if name not in (*needed, *optional)]
-    if unknown:
-        raise InputError(f"expected no other columns than `{'`, `'.join((*needed, *optional))}`, got `{unknown[0]}`")
-    if len(set(header)) < len(header):
-        raise InputError("expected each column once")
-    rows = []
-    for number, line in lines[1:]:
-        parts = next(csv.reader([line]))
-        try:
-            row = [float(part) for part in parts]
-        except ValueError:
-            raise InputError(f"expected numbers in line {number}, got {line.strip()[:40]!r}") from None
-        if len(row) != len(header):
-            raise InputError(f"expected {len(header)} numbers in line {number}, got {len(row)}")
-        if not all(map(math.isfinite, row)):
-            raise InputError(f"expected finite numbers in line {number}, got {line.strip()[:40]!r}")
-        rows.append(row)
-    if not rows:
-        raise InputError(f"expected rows of {columns} numbers, got none")
-    table = np.array(rows)
-    return {name: table[:, index] for index, name in enumerate(header)}
 
 
 def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:

@@ -5,7 +5,6 @@ a scene is complete without its files.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,6 +26,8 @@ KEYS: dict[tuple[str, int], tuple[str, ...]] = {
     ("mesh", 3): ("vertices", "triangles"),
 }
 """Keys that give the shape of a kind, all of them needed."""
+FARTHEST = 1.0e9
+"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 CONTACTS = ("coulomb", "no-slip")
 
 
@@ -90,9 +91,10 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
             files = {"terrain": " or a file", "mesh": " or a file"}.get(solid.kind, "")
             raise InputError(f"expected `{'`, `'.join(needed)}`{files} of a {solid.kind}", key=f"{key}.{name}")
         require(given == (name in needed), name, f"no such key of a {solid.kind}", "one")
+    require(usual(solid.turned_deg), "turned_deg", f"an angle within {FARTHEST:g}", solid.turned_deg)
     require(solid.turned_deg == 0.0 or solid.kind == "box", "turned_deg", "a turn of a box alone", solid.kind)
     require(solid.contact in CONTACTS, "contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
-    require(solid.adhesion >= 0.0, "adhesion", "a tension of at least 0 Pa", solid.adhesion)
+    require(0.0 <= solid.adhesion <= 1.0e15, "adhesion", "a tension of at least 0 Pa, up to 1e15", solid.adhesion)
     check_friction(solid, key)
     if solid.kind == "box":
         check_vectors(((solid.lower or ()), (solid.size or ())), ("lower", "size"), key, dimension)
@@ -124,12 +126,17 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
         check_rows(solid.heights, f"{key}.heights")
 
 
+def usual(number: float) -> bool:
+    """Whether a number is finite, and no larger than a length can be."""
+    return abs(number) <= FARTHEST
+
+
 def check_friction(solid: Solid, key: str) -> None:
     """Raise InputError for friction that is negative or does not fit the shape."""
     friction = solid.friction
     message = "a coefficient of at least 0"
     if isinstance(friction, int | float):
-        if not (math.isfinite(friction) and friction >= 0.0):
+        if not (0.0 <= friction <= FARTHEST):
             raise InputError(f"expected {message}, got {friction}", key=f"{key}.friction")
         return
     if solid.contact != "coulomb":
@@ -150,7 +157,7 @@ def check_friction(solid: Solid, key: str) -> None:
                 f"expected {len(along)} coefficients, one for each point, got {len(friction)}", key=f"{key}.friction"
             )
         values = list(friction)
-    bad = next((value for value in values if not (math.isfinite(value) and value >= 0.0)), None)
+    bad = next((value for value in values if not 0.0 <= value <= FARTHEST), None)
     if bad is not None:
         raise InputError(f"expected {message}, got {bad}", key=f"{key}.friction")
 
@@ -158,8 +165,10 @@ def check_friction(solid: Solid, key: str) -> None:
 def check_vectors(vectors: Sequence[Sequence[float]], names: Sequence[str], key: str, dimension: int) -> None:
     """Raise InputError unless every vector has `dimension` finite components."""
     for vector, name in zip(vectors, names, strict=True):
-        if len(vector) != dimension or not all(map(math.isfinite, vector)):
-            raise InputError(f"expected {dimension} finite lengths in m, got {list(vector)}", key=f"{key}.{name}")
+        if len(vector) != dimension or not all(map(usual, vector)):
+            raise InputError(
+                f"expected {dimension} lengths in m within {FARTHEST:g}, got {list(vector)}", key=f"{key}.{name}"
+            )
 
 
 def check_ground_line(points: Rows, key: str) -> None:
@@ -186,5 +195,5 @@ def check_rows(rows: Rows, key: str) -> None:
             raise InputError(
                 f"expected {len(rows[0])} heights as in the first row, got {len(row)}", key=f"{key}[{index}]"
             )
-        if not all(map(math.isfinite, row)):
-            raise InputError("expected finite heights in m", key=f"{key}[{index}]")
+        if not all(map(usual, row)):
+            raise InputError(f"expected heights in m within {FARTHEST:g}", key=f"{key}[{index}]")

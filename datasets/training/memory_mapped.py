@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory, checked_mass, read_arrays, scene_in
+from datasets.trajectory import Trajectory, check_numbers, checked_mass, read_arrays, scene_in
+from datasets.untrusted.arrays import open_untrusted_npz, read_header
+from datasets.untrusted.files import reading
 
 LIMIT = 2**30
 """Largest array [bytes] that is read into memory because it cannot be mapped: compressed, or not float32."""
+WHAT = "a whole NPZ of plain arrays (a trajectory)"
 LOCAL_HEADER = struct.Struct("<4s22xHH")
 """What stands before a member of a zip archive: signature, then the lengths of its name and of its extra field."""
 
@@ -41,6 +44,7 @@ def open_trajectory(path: Path) -> Trajectory:
     if scene.dimension != dimension:
         expected = f"{scene.dimension}D positions as in the scene"
         raise InputError(f"expected {expected}, got {dimension}D", where=str(path), key="positions")
+    check_numbers(arrays, path)
     return Trajectory(
         positions=positions,
         time=arrays["time"].astype(np.float64, copy=False),
@@ -57,22 +61,16 @@ def mapped(path: Path, key: str, *, limit: int = LIMIT) -> NDArray[np.float32]:
 
     An array that is compressed or of another type is read whole if it has at most `limit` bytes. Raises InputError.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            member = archive.getinfo(f"{key}.npy")
-        if member.compress_type == zipfile.ZIP_STORED:
+    with open_untrusted_npz(path, WHAT) as file:
+        member = file.member(key)
+    if member.compress_type == zipfile.ZIP_STORED:
+        with reading(path, WHAT, key):
             offset, shape, fortran, kind = _stored(path, member)
             if kind == np.float32 and kind.isnative:
                 order: Any = "F" if fortran else "C"
                 whole = np.memmap(path, dtype=np.float32, mode="r", offset=offset, shape=shape, order=order)
                 # A plain array: slices of a memmap are slow to make and say nothing more.
                 return np.asarray(whole)
-    except KeyError:
-        raise InputError("expected an array, the key is missing", where=str(path), key=key) from None
-    except FileNotFoundError:
-        raise InputError("expected a trajectory (NPZ), there is none", where=str(path)) from None
-    except (OSError, ValueError, EOFError, struct.error, zipfile.BadZipFile) as error:
-        raise InputError(f"expected a whole NPZ of plain arrays, {error}", where=str(path)) from None
     if member.file_size > limit:
         expected = f"float32 numbers that are stored uncompressed (numpy.savez), or at most {limit / 2**20:g} MiB"
         raise InputError(f"expected {expected}, got {member.file_size / 2**20:.0f} MiB", where=str(path), key=key)
@@ -90,11 +88,5 @@ def _stored(path: Path, member: zipfile.ZipInfo) -> tuple[int, tuple[int, ...], 
         if signature != b"PK\x03\x04":
             raise ValueError(f"no member begins at byte {member.header_offset}")
         file.seek(name + extra, 1)
-        version = np.lib.format.read_magic(file)
-        if version == (1, 0):
-            shape, fortran, kind = np.lib.format.read_array_header_1_0(file)
-        elif version == (2, 0):
-            shape, fortran, kind = np.lib.format.read_array_header_2_0(file)
-        else:
-            raise ValueError(f"an array of format {version}")
+        shape, fortran, kind = read_header(file)
         return file.tell(), shape, fortran, kind

@@ -16,21 +16,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save as serialised
 from torch import Tensor
 
 from datasets import files
 from datasets.errors import InputError
 from datasets.records import from_mapping
+from datasets.untrusted.files import reading
+from datasets.untrusted.tensors import WHAT, check_tensors
+from datasets.untrusted.text import json_object
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 
 FORMAT = "4"
 """Raised when files get another layout."""
 ENDING = ".safetensors"
-TORCH = b"PK\x03\x04"
-"""How files of torch begin, in which models were kept up to format 3."""
 BLANK = Normalisation(displacement=1.0, acceleration=1.0, friction_mean=0.0, friction_std=1.0)
 """The true constants are among the tensors."""
 SCALES = ("displacement_scale", "acceleration_scale", "friction_std")
@@ -78,31 +79,17 @@ def load(path: Path) -> Model:
 
 def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors and metadata of a file of safetensors. Raises InputError."""
-    try:
-        with path.open("rb") as file:
-            if file.read(len(TORCH)) == TORCH:
-                raise InputError(
-                    f"expected a model as {ENDING}, got a file of torch; those are of older physics and features, "
-                    "train anew with python -m gns.train"
-                )
-        with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
-    except FileNotFoundError:
-        raise InputError("expected the weights of a model, there is no such file") from None
-    except (OSError, SafetensorError) as error:
-        first = next(iter(str(error).splitlines()), "")
-        raise InputError(f"expected whole weights of a model, {first}") from None
+    check_tensors(path)
+    with reading(path, WHAT), safe_open(path, framework="pt") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
 def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
     """A table of the metadata. Raises InputError."""
     try:
-        value = json.loads(metadata.get(key, ""))
-    except (ValueError, RecursionError):
-        value = None
-    if not isinstance(value, dict):
-        raise InputError("expected a table in JSON in the file's metadata", key=key)
-    return value
+        return json_object(metadata.get(key, ""))
+    except InputError:
+        raise InputError("expected a table in JSON in the file's metadata", key=key) from None
 
 
 def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
@@ -124,6 +111,11 @@ def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
         if getattr(settings, key) > limit:
             message = f"expected at most {limit}, from the tensors in the file, got {getattr(settings, key)}"
             raise InputError(message, key=f"settings.{key}")
+    built = settings.layers * (settings.mlp_layers + 1) + settings.rounds * settings.grid_layers
+    if built > len(tensors):
+        raise InputError(
+            f"expected at most {len(tensors)} layers, from the tensors in the file, got {built}", key="settings"
+        )
     try:
         with torch.device("meta"):
             expected = Simulator(settings, BLANK).state_dict()

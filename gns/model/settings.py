@@ -5,6 +5,12 @@ from dataclasses import dataclass
 from datasets.errors import InputError
 from datasets.records import Record
 
+SMALLEST, LARGEST = 1.0e-6, 1.0e6
+"""Lengths [m], times [s], densities [kg/m^3] and speeds [m/s] of any model are between them."""
+MOST_CELLS = 32
+"""Cells of the thinning over the cut-off radius, or a cell of the grid: a particle has as many neighbours, squared."""
+MOST = 10_000
+
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings(Record):
@@ -52,14 +58,17 @@ class ModelSettings(Record):
                 raise InputError(f"expected {expected}, got {getattr(self, key)}", key=key)
 
         require(self.dimension in (2, 3), "dimension", "2 or 3")
-        for key in ("cell", "frame_dt", "radius", "grid_cell", "density"):
-            require(getattr(self, key) > 0.0, key, "a positive number")
-        require(self.body_length is None or self.body_length > 0.0, "body_length", "a positive number")
+        lengths = "cell", "radius", "grid_cell", *(() if self.body_length is None else ("body_length",))
+        for key in (*lengths, "frame_dt", "density"):
+            require(SMALLEST <= getattr(self, key) <= LARGEST, key, f"a positive number, {SMALLEST:g} to {LARGEST:g}")
+        for key in ("radius", "grid_cell"):
+            ratio = getattr(self, key) / self.cell
+            require(1.0 / MOST_CELLS <= ratio <= MOST_CELLS, key, f"a length of 1/{MOST_CELLS} to {MOST_CELLS} cells")
         for key in ("particles_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
-            require(getattr(self, key) >= 1, key, "an integer of at least 1")
-        require(self.rest_speed >= 0.0, "rest_speed", "a speed of at least 0 m/s")
+            require(1 <= getattr(self, key) <= MOST, key, f"an integer of at least 1, up to {MOST}")
+        require(0.0 <= self.rest_speed <= LARGEST, "rest_speed", "a speed of at least 0 m/s")
         for key in ("mlp_layers", "grid_layers"):
-            require(getattr(self, key) >= 0, key, "an integer of at least 0")
+            require(0 <= getattr(self, key) <= MOST, key, f"an integer of at least 0, up to {MOST}")
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds")
 
     @property

@@ -6,10 +6,12 @@ about one: the momentum, orthogonalised by Newton and Schulz's iteration. Its le
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
+
+STATES = {"Muon": ("momentum_buffer",), "Adam": ("step", "exp_avg", "exp_avg_sq")}
+"""What each of them remembers of a parameter."""
 
 
 class Optimiser:
@@ -35,11 +37,22 @@ class Optimiser:
                 group["lr"] = rate
             part.step()
 
-    def state_dict(self) -> dict[str, Any]:
-        """What `load_state_dict` needs to go on to the bit."""
-        return {type(part).__name__: part.state_dict() for part in self.parts}
-
-    def load_state_dict(self, content: Mapping[str, Any]) -> None:
-        """Raises KeyError or ValueError where `content` is of another model."""
+    def tensors(self) -> dict[str, Tensor]:
+        """What `load_tensors` needs to go on to the bit, by PART/PARAMETER/NAME; zeros before the first step."""
+        found = {}
         for part in self.parts:
-            part.load_state_dict(content[type(part).__name__])
+            for number, weight in enumerate(weight for group in part.param_groups for weight in group["params"]):
+                for name in STATES[type(part).__name__]:
+                    zero = torch.zeros(()) if name == "step" else torch.zeros_like(weight)
+                    found[f"{type(part).__name__}/{number}/{name}"] = part.state.get(weight, {}).get(name, zero)
+        return found
+
+    def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Go on from there."""
+        for part in self.parts:
+            state: dict[int, dict[str, Tensor]] = {}
+            for key, value in tensors.items():
+                kind, number, name = key.split("/")
+                if kind == type(part).__name__:
+                    state.setdefault(int(number), {})[name] = value
+            part.load_state_dict({"state": state, "param_groups": part.state_dict()["param_groups"]})

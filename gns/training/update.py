@@ -1,9 +1,7 @@
 """A training in progress: one update of the weights, and a checkpoint that continues it to the bit."""
 
 import dataclasses
-import io
 import math
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,18 +11,20 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from datasets import files
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.records import from_mapping
+from datasets.records import Record, from_mapping
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training import run_file
 from gns.training.batch import Particles, perturbed
 from gns.training.distributed import Processes
 from gns.training.objective import Curriculum, UnrolledLoss
 from gns.training.optimiser import Optimiser
 from gns.unroll import step_activation_bytes
 
+LAST = "last.safetensors"
+"""The file of a run that --resume continues."""
 MARGIN = 1.5
 """Some batches have more neighbours a particle than the one whose memory was measured."""
 SINGLE = Processes(device=torch.device("cpu"))
@@ -77,7 +77,7 @@ class TrainingSettings:
 
 
 @dataclass(kw_only=True)
-class Position:
+class Position(Record):
     """The progress of a run."""
 
     seconds: float = 0.0
@@ -99,6 +99,15 @@ class Position:
     particle_bytes: float = 0.0
     """Memory that a step's activations take per particle, measured [bytes]; 0 before that."""
 
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            if getattr(self, each.name) < 0:
+                raise InputError(f"expected a number of at least 0, got {getattr(self, each.name)}", key=each.name)
+
+    def as_json(self) -> dict[str, Any]:
+        """As the file has it: without the score before there is one, which is infinite."""
+        return {key: value for key, value in dataclasses.asdict(self).items() if value != math.inf}
+
     @property
     def unscored(self) -> int:
         """Updates since the last validation."""
@@ -106,7 +115,7 @@ class Position:
 
 
 class Run:
-    """Weights, their running average, the optimiser and the position: the content of `last.pt`.
+    """Weights, their running average, the optimiser and the position: the content of `LAST`.
 
     No random state is stored: update u of process r draws from the stream (seed, r, u).
     """
@@ -164,7 +173,7 @@ class Run:
         (self.processes.share(batch.targets.shape[1]) * loss).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.simulator.parameters(), training.clip)
         if not math.isfinite(norm):
-            raise WorkFailed(f"the gradient of update {position.updates + 1} is not finite; last.pt is older and whole")
+            raise WorkFailed(f"the gradient of update {position.updates + 1} is not finite; {LAST} is older and whole")
         self.optimiser.step(rate)
         self.average.update_parameters(self.simulator)
         value = loss.item()
@@ -182,45 +191,37 @@ class Run:
         return min(steps, int(self.memory_gib * 2**30 / (self.position.particle_bytes * particles)))
 
     def save(self, path: Path) -> None:
-        """Write `last.pt`, by the first process alone: the others hold the same."""
-        if not self.processes.first:
-            return
-        content = {
-            "settings": dataclasses.asdict(self.simulator.settings),
-            "seed": self.seed,
-            "weights": self.simulator.state_dict(),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "position": dataclasses.asdict(self.position),
-        }
-        # By way of memory: what torch says of a full disk is not what the system said.
-        buffer = io.BytesIO()
-        torch.save(content, buffer)
-        with files.replacing(path) as part:
-            part.write_bytes(buffer.getbuffer())
+        """Write `LAST`, by the first process alone: the others hold the same."""
+        if self.processes.first:
+            described = {
+                "settings": dataclasses.asdict(self.simulator.settings),
+                "seed": self.seed,
+                "position": self.position.as_json(),
+            }
+            run_file.write(path, described, self.parts())
 
     def resume(self, path: Path) -> None:
         """Restore what `save` wrote. Raises InputError."""
-        content = read(path)
         try:
-            if from_mapping(ModelSettings, content["settings"]) != self.simulator.settings:
-                raise InputError("expected the model settings that the run was begun with", where=str(path))
-            if content["seed"] != self.seed:
-                raise InputError(f"expected the seed of the run, {content['seed']}", where=str(path), key="seed")
-            self.simulator.load_state_dict(content["weights"])
-            self.average.load_state_dict(content["average"])
-            self.optimiser.load_state_dict(content["optimiser"])
-            self.position = Position(**content["position"])
-        except (KeyError, TypeError, RuntimeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"expected a whole run, {str(error).splitlines()[0]}", where=str(path)) from None
+            described, tensors = run_file.read(path)
+            if from_mapping(ModelSettings, described["settings"]) != self.simulator.settings:
+                raise InputError("expected the model settings that the run was begun with")
+            if described["seed"] != self.seed:
+                raise InputError(f"expected the seed of the run, {described['seed']}", key="seed")
+            position = from_mapping(Position, described["position"])
+            for name, like in self.parts().items():
+                run_file.check(name, like, tensors[name])
+        except InputError as error:
+            raise error.at(str(path)) from None
+        self.simulator.load_state_dict(tensors["weights"])
+        self.average.load_state_dict(tensors["average"])
+        self.optimiser.load_tensors(tensors["optimiser"])
+        self.position = position
 
-
-def read(path: Path) -> Any:
-    """Plain tensors, strings and numbers from a file that torch wrote. Raises InputError."""
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
-        first = next(iter(str(error).splitlines()), "empty file")
-        raise InputError(f"expected a whole run, {first}", where=str(path)) from None
+    def parts(self) -> dict[str, dict[str, Tensor]]:
+        """All that the next update depends on: weights, their average, and the state of the optimiser."""
+        return {
+            "weights": self.simulator.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.tensors(),
+        }

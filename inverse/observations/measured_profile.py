@@ -5,7 +5,6 @@
 What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
 """
 
-import csv
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from datasets.errors import InputError
+from datasets.untrusted import tables
 from inverse.settings import Heights, LengthUnit
 
 Floats = NDArray[np.float64]
@@ -123,24 +123,10 @@ def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = 
 
     Raises InputError, which names the file.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:
-        raise InputError("expected a measurement (CSV), there is none", where=str(path)) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"expected a readable CSV, {error}", where=str(path)) from None
-    expected = f"the columns {' and '.join(names)}"
-    if len(rows) < 2 or not set(names) <= rows[0].keys():
-        raise InputError(f"expected {expected} and at least two rows", where=str(path))
-    asked = [*names, *(name for name in optional if name in rows[0])]
-    try:
-        columns = [np.array([float(row[name]) for row in rows]) for name in asked]
-    except (TypeError, ValueError):
-        raise InputError(f"expected numbers in {expected}", where=str(path)) from None
-    if not all(np.all(np.isfinite(column)) for column in columns):
-        raise InputError("expected finite numbers", where=str(path))
-    return columns
+    found = tables.read_columns(path, tuple(names), tuple(optional), others=True)
+    if len(found[names[0]]) < 2:
+        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
+    return [found[name] for name in (*names, *optional) if name in found]
 
 
 def check_box(x: Floats, length: float) -> None:

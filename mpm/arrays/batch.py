@@ -20,12 +20,21 @@ from mpm.arrays.layout import (
     Energy,
     Offset,
     Precision,
+    Property,
     Retained,
+    Setting,
     Settling,
     StepControl,
     Worker,
 )
-from mpm.arrays.properties import elastic_energy, properties_of, properties_row, settings_row, substeps_per_frame
+from mpm.arrays.properties import (
+    elastic_energy,
+    in_precision,
+    properties_of,
+    properties_row,
+    settings_row,
+    substeps_per_frame,
+)
 from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
 from mpm.output import rest
 from mpm.output.request import ALL, Recording
@@ -58,8 +67,11 @@ class Batch:
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
-        self.settings = np.array([settings_row(s, p) for s, p in zip(scenes, self.particles, strict=True)], real)
-        self.properties = np.array([properties_row(p.materials[0], float(p.volume[0])) for p in self.particles], real)
+        pairs = list(zip(scenes, self.particles, strict=True))
+        self.settings = in_precision([settings_row(s, p) for s, p in pairs], Setting, real)
+        rows = [properties_row(material, float(p.volume[0])) for p in self.particles for material in p.materials]
+        first = np.cumsum([0, *(len(p.materials) for p in self.particles)])[:-1]
+        self.properties = in_precision(rows, Property, real)[first]
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.add_contacts(real)
         self.add_barriers()
@@ -78,7 +90,7 @@ class Batch:
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
-            offset[Offset.WINDOW] = rest.window_frames(scene, own.materials)
+            offset[Offset.WINDOW] = min(rest.window_frames(scene, own.materials), INDEX_LIMIT)
             solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
-from datasets.particles import Particles
+from datasets.material import Material
+from datasets.records import Record
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
@@ -14,7 +15,7 @@ REGISTER = 64
 
 
 @dataclass(frozen=True, kw_only=True)
-class Features:
+class Features(Record):
     """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
 
     dimension: int
@@ -245,9 +246,25 @@ class Features:
         return self.lowest + self.dimension * (3 if self.relaxed else 1)
 
 
+class Filled(Protocol):
+    """Of the particles of a scene, what decides which kernel is compiled."""
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The different materials of the scene."""
+
+    @property
+    def common_volume(self) -> float | None:
+        """The initial volume [m^D] that all particles have."""
+
+    @property
+    def friction_varies(self) -> bool:
+        """Whether a field gives the friction of each particle."""
+
+
 def features_of(
     scenes: Sequence[Scene],
-    particles: Sequence[Particles],
+    particles: Sequence[Filled],
     precision: Precision,
     *,
     record: Recording = ALL,
@@ -268,7 +285,7 @@ def features_of(
         heterogeneous=any(
             len(each.materials) > 1
             or each.common_volume is None
-            or each.friction_deg is not None
+            or each.friction_varies
             or any(material.strength_gradient > 0.0 for material in each.materials)
             for each in particles
         ),

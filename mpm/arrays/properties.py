@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
@@ -62,6 +64,19 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
     }
     return [values[column] for column in Setting]
+
+
+def in_precision(rows: Sequence[Sequence[float]], columns: type[IntEnum], real: np.dtype[Any]) -> Array:
+    """Lines of a table as the kernels take them. Raises InputError for a number that `real` cannot hold."""
+    table = np.array(rows, np.float64)
+    size, kind = np.abs(table), np.finfo(real)
+    bad = np.argwhere(np.isfinite(table) & ((size > kind.max) | ((size > 0.0) & (size < kind.tiny))))
+    if len(bad):
+        line, column = bad[0]
+        name = columns(column).name.lower().replace("_", " ")
+        message = f"expected numbers of {kind.tiny:.0e} to {kind.max:.0e}, got a {name} of {table[line, column]:g}"
+        raise InputError(f"{message}; --precision f64 holds more" if real == np.float32 else message)
+    return table.astype(real)
 
 
 def properties_row(material: Material, volume: float) -> list[float]:

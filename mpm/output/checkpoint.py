@@ -11,15 +11,35 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import read_arrays
+from datasets.untrusted.text import json_object
 from mpm.arrays.batch import Batch
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Offset
+from mpm.arrays.layout import Contact, Energy, Offset, Retained
 from mpm.output.request import Recording
 
+LARGEST = 2**31 - 1
+"""Of what 32 bits count."""
 ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "retained", "settling")
-PLAIN = ("frame", "rest", "steps", "clamped", "wall_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress(Record):
+    """How far a run came: what of `Checkpoint` stands as JSON under `run`."""
+
+    frame: int
+    rest: int
+    steps: int
+    clamped: int
+    wall_s: float
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.rest <= self.frame and min(self.steps, self.clamped, self.wall_s) >= 0):
+            raise InputError("expected numbers of at least 0, and rest not after the frame", key="run")
+        if max(self.steps, self.clamped) > LARGEST:
+            raise InputError(f"expected numbers up to {LARGEST}", key="run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +122,7 @@ class Checkpoint:
         if key := difference(dataclasses.replace(self.features, shared=batch.features.shared), batch.features):
             own, theirs = getattr(batch.features, key), getattr(self.features, key)
             raise InputError(f"expected {theirs} as in the checkpoint, got {own}", key=key)
-        if self.state.shape != batch.state_of(0).shape or self.retained.shape != batch.retained.shape:
-            raise InputError("expected a checkpoint of this version of Talus, it holds another state", key="state")
+        self.check_arrays(batch)
         kept, solids = sum(number <= self.frame for number in batch.kept(0)), self.impulse.shape[1]
         offset, first = batch.offsets[0], int(batch.offsets[0, Offset.IMPULSE])
         offset[Offset.REST], offset[Offset.STEPS], batch.clamped[0] = self.rest, self.steps, self.clamped
@@ -117,6 +136,51 @@ class Checkpoint:
         batch.recorded(0)[:kept] = self.positions[:kept]
         batch.recorded_fields(0)[:kept] = self.fields[:kept]
 
+    def check_arrays(self, batch: Batch) -> None:
+        """Raise InputError for arrays that are none of a run of `batch`: the kernels believe what they hold."""
+        features, state, count = batch.features, batch.state_of(0), len(batch.particles[0].positions)
+        dimension, solids = features.dimension, int(batch.offsets[0, Offset.SOLIDS])
+        # The last frame of a shorter run may be none that a longer one keeps.
+        kept = [len(self.recording.kept(self.scene.frames)), sum(number <= self.frame for number in batch.kept(0))]
+        frames = self.positions.shape[0] if self.positions.ndim else 0
+        expected: dict[str, tuple[tuple[int, ...], Any]] = {
+            "state": (state.shape, state.dtype),
+            "order": (batch.order.shape, np.int32),
+            "energy": ((self.frame + 1, len(Energy)), np.float64),
+            "impulse": ((self.frame + 1, solids, dimension), np.float64),
+            "positions": ((frames, count, dimension), np.float32),
+            "fields": ((frames, count, features.recorded), np.float32),
+            "retained": (batch.retained.shape, np.int32),
+            "settling": (batch.settling.shape, np.float64),
+        }
+        for key, (shape, kind) in expected.items():
+            array = getattr(self, key)
+            if array.shape != shape or array.dtype != kind:
+                got = f"{array.dtype} of shape {array.shape}"
+                raise InputError(f"expected {np.dtype(kind)} of shape {shape}, got {got}", key=key)
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise InputError("expected finite numbers", key=key)
+        if not kept[1] <= frames <= max(kept):
+            raise InputError(f"expected {kept[1]} frames, got {frames}", key="positions")
+        whole = np.array_equal(np.sort(self.order[:count]), np.arange(count))
+        if not whole or self.order.min() < 0 or self.order.max() >= count:
+            raise InputError("expected each particle once", key="order")
+        if not np.array_equal(self.retained[:, : Retained.RELEASE + 1], batch.retained[:, : Retained.RELEASE + 1]):
+            raise InputError("expected the masses behind barriers of the scene", key="retained")
+        numbers = np.moveaxis(self.state, 1, 0).reshape(features.block, -1)
+        present = numbers[features.present]
+        if not np.isin(present, (0.0, 1.0)).all():
+            raise InputError("expected particles that are there or not", key="state")
+        cell = self.scene.domain.cell
+        upper = np.array(self.scene.domain.size)[:, None] + cell
+        beyond = (numbers[:dimension] < -cell) | (numbers[:dimension] > upper)
+        if (beyond & (present == 1.0)).any():
+            raise InputError("expected particles inside the domain", key="state")
+        if features.contact:
+            face = numbers[features.contacts + Contact.FACE]
+            if face.min() < 0.0 or face.max() >= len(batch.faces):
+                raise InputError(f"expected the numbers of {len(batch.faces)} faces", key="state")
+
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays and JSON strings."""
         recording = dataclasses.asdict(self.recording)
@@ -126,7 +190,9 @@ class Checkpoint:
                 scene=np.array(self.scene.to_json()),
                 features=np.array(json.dumps(dataclasses.asdict(self.features))),
                 recording=np.array(json.dumps(recording | {"fields": sorted(recording["fields"])})),
-                run=np.array(json.dumps({key: getattr(self, key) for key in PLAIN})),
+                run=np.array(
+                    json.dumps({each.name: getattr(self, each.name) for each in dataclasses.fields(Progress)})
+                ),
                 **{key: getattr(self, key) for key in ARRAYS},
             )
 
@@ -135,17 +201,19 @@ class Checkpoint:
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
         arrays: dict[str, Any] = read_arrays(path, what="a checkpoint")
         try:
+            for key in ("scene", "features", "recording", "run", *ARRAYS):
+                if key not in arrays:
+                    raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
+            run = from_mapping(Progress, json_object(str(arrays["run"])))
             return Checkpoint(
                 scene=Scene.from_json(str(arrays["scene"])),
-                features=Features(**json.loads(str(arrays["features"]))),
-                recording=Recording(**json.loads(str(arrays["recording"]))),
-                **json.loads(str(arrays["run"])),
+                features=from_mapping(Features, json_object(str(arrays["features"]))),
+                recording=from_mapping(Recording, json_object(str(arrays["recording"]))),
+                **dataclasses.asdict(run),
                 **{key: arrays[key] for key in ARRAYS},
             )
         except InputError as error:
             raise error.at(str(path)) from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"expected a checkpoint of this version of Talus, {error}", where=str(path)) from None
 
 
 def difference(one: Any, other: Any, key: str = "") -> str:

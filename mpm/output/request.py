@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import InputError
+from datasets.records import Record
 
 FieldName = Literal["velocity", "stress", "pressure", "density", "plastic_strain"]
 
@@ -12,7 +13,7 @@ FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "density", "p
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class Recording(Record):
     """A request: memory is allocated, and code compiled, for this alone.
 
         simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity", "stress"}), wall_forces=True))

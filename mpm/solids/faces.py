@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, sign_and_normal
 from datasets.geometry.surface import Surface
+from datasets.memory import require
 from datasets.scene import Domain
 from mpm.arrays.layout import PADDING
 from mpm.solids.face_search import nearest_listed, pairs_within
@@ -141,8 +142,17 @@ def in_space(corners: Floats) -> Floats:
     return np.concatenate([corners, np.zeros_like(corners[..., :1])], axis=2)
 
 
+PIECE_BYTES = 400
+"""Bytes that a piece of a face takes while it is cut."""
+
+
 def pieces(corners: Floats, longest: float) -> tuple[Floats, Integers]:
     """Faces [F, D, D] cut at the middles of their edges until none is longer than `longest` [m]; the face of each."""
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1).max(axis=1)
+    halvings = np.ceil(np.log2(np.maximum(edges / longest, 1.0)))
+    count = float((2.0 ** ((corners.shape[-1] - 1) * halvings)).sum())
+    instead = f"solids are cut into {count:.3g} pieces of some cells; larger cells, or smaller solids"
+    require(PIECE_BYTES * count, "the faces of solids", instead, key="solids")
     face = np.arange(len(corners))
     done: list[tuple[Floats, Integers]] = []
     while len(corners):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.exchange.untrusted import Refused, read_pickle
+from datasets.untrusted.pickles import Refused, read_pickle
 
 NUMPY = "numpy.core.multiarray"
 CODE = {opcode.name: opcode.code.encode("latin-1") for opcode in pickletools.opcodes}
@@ -260,7 +260,7 @@ def test_a_short_pickle_cannot_ask_for_much() -> None:
 
 
 def test_too_many_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datasets.exchange.untrusted.MOST_READS", 100)
+    monkeypatch.setattr("datasets.untrusted.pickles.MOST_READS", 100)
     assert "at most 100 pieces" in refused(op("EMPTY_LIST", "MARK", *["NEWTRUE"] * 100, "APPENDS"))
 
 

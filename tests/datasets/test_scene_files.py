@@ -65,7 +65,7 @@ MISTAKES = {
     "negative friction of the walls": ("duration = 1.0", "wall_friction = -0.1", "wall_friction", "at least 0"),
     "negative cohesion": ("cohesion = 100.0", "cohesion = -1.0", "material.cohesion", "at least 0 Pa"),
     "friction angle of 90": ("friction_deg = 30.0", "friction_deg = 90.0", "material.friction_deg", "[0, 90)"),
-    "incompressible": ("cohesion = 100.0", "poisson = 0.5", "material.poisson", "[0, 0.5)"),
+    "incompressible": ("cohesion = 100.0", "poisson = 0.5", "material.poisson", "[0, 0.4999]"),
     "dilation above friction": ("cohesion = 100.0", "dilation_deg = 31.0", "material.dilation_deg", "friction_deg"),
     "mass outside the domain": ("lower = [0.0, 0.0]", "lower = [0.9, 0.0]", "masses[0]", "inside the domain"),
     "mass of the wrong dimension": ("size = [0.2, 0.1]", "size = [0.2, 0.1, 0.1]", "masses[0].size", "2 lengths"),

@@ -18,7 +18,8 @@ from gns.model.simulator import Simulator
 from gns.training.batch import Particles, batched
 from gns.training.distributed import Processes, joined
 from gns.training.objective import Curriculum
-from gns.training.update import Run, TrainingSettings, read
+from gns.training.run_file import read
+from gns.training.update import Run, TrainingSettings
 
 ROOT = Path(__file__).parents[2]
 STEPS = 3
@@ -80,7 +81,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
         each.join(60.0)
     assert [each.exitcode for each in workers] == [0, 0]
     one = updated(simulator, samples, Processes(device=torch.device("cpu")))
-    first, second = (read(tmp_path / f"{rank}.pt") for rank in (0, 1))
+    first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in (0, 1))
     for name, value in one.items():
         assert torch.equal(first[name], second[name])
         if name.startswith("gradient"):
@@ -99,12 +100,12 @@ def test_torchrun_trains_stops_and_resumes(dataset: Path, tmp_path: Path) -> Non
         subprocess.run(command, cwd=ROOT, check=True, timeout=120)
 
     run(tmp_path, "--updates", "6")
-    content = read(tmp_path / "last.pt")
-    assert content["position"]["updates"] == 6
+    described, _ = read(tmp_path / "last.safetensors")
+    assert described["position"]["updates"] == 6
     assert checkpoint.load(tmp_path / "best.safetensors").provenance["processes"] == 2
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 3
     run(tmp_path, "--updates", "8", "--resume")
-    assert read(tmp_path / "last.pt")["position"]["updates"] == 8
+    assert read(tmp_path / "last.safetensors")[0]["position"]["updates"] == 8
 
 
 def test_without_torchrun_there_is_one_process() -> None:

@@ -22,7 +22,8 @@ from gns.model import checkpoint
 from gns.model.settings import ModelSettings
 from gns.train import pick, train
 from gns.training.budget import Clock
-from gns.training.update import Run, read
+from gns.training.run_file import read
+from gns.training.update import Run
 
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
@@ -55,9 +56,9 @@ def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypa
     ticks = itertools.count()
     monkeypatch.setattr(Clock, "now", lambda clock: next(ticks) / 10.0)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
-    first = read(tmp_path / "last.pt")["position"]
+    first = read(tmp_path / "last.safetensors")[0]["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
-    second = read(tmp_path / "last.pt")["position"]
+    second = read(tmp_path / "last.safetensors")[0]["position"]
     assert second["updates"] > first["updates"] > 0
     assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
     assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
@@ -128,14 +129,14 @@ def test_a_run_that_was_stopped_anywhere_ends_the_same(
         broken(call, number, kind, patch)
         assert run(dataset, tmp_path, *flags) == 128 + kind
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
-    assert read(tmp_path / "last.pt")["position"]["updates"] == done
+    assert read(tmp_path / "last.safetensors")[0]["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
     assert rows(tmp_path) == rows(unbroken)
-    found, expected = (read(out / "last.pt") for out in (tmp_path, unbroken))
-    for content in (found, expected):
+    found, expected = (read(out / "last.safetensors") for out in (tmp_path, unbroken))
+    for described, _ in (found, expected):
         for key in ("seconds", "validated_seconds", "log_size"):
-            del content["position"][key]
-    assert same(found, expected)
+            del described["position"][key]
+    assert same(dict(enumerate(found)), dict(enumerate(expected)))
     assert same(*(checkpoint.read(out / "best.safetensors")[0] for out in (tmp_path, unbroken)))
 
 
@@ -151,12 +152,12 @@ def test_a_full_disk_is_the_last_line(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "last.pt"))
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "last.safetensors"))
 
     monkeypatch.setattr(Run, "save", full)
     assert run(dataset, tmp_path, "--updates", "1") == 1
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last == f"talus: {tmp_path / 'last.pt'}: No space left on device; what was finished is kept"
+    assert last == f"talus: {tmp_path / 'last.safetensors'}: No space left on device; what was finished is kept"
 
 
 def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:
@@ -181,7 +182,7 @@ def test_minutes_may_be_of_the_processor(dataset: Path, tmp_path: Path, monkeypa
     monkeypatch.setattr("gns.training.budget.time.process_time", iter(range(100)).__next__)
     assert run(dataset, tmp_path, "--minutes", "0.1", "--clock", "cpu") == 0
     assert checkpoint.load(tmp_path / "best.safetensors").provenance["clock"] == "cpu"
-    assert 6.0 <= read(tmp_path / "last.pt")["position"]["seconds"] < 12.0
+    assert 6.0 <= read(tmp_path / "last.safetensors")[0]["position"]["seconds"] < 12.0
 
 
 def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:
@@ -197,7 +198,7 @@ def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettin
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["--resume"], "there is no last.pt"),
+        (["--resume"], "there is no last.safetensors"),
         (["--layers", "3"], "layers: expected a multiple of the 2 rounds"),
         (["--batch", "0"], "batch: expected a positive number"),
         (["--minutes", "0"], "minutes: expected a positive number"),

@@ -14,8 +14,9 @@ from gns.model import interaction
 from gns.model.interaction import message_sum
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Simulator
+from gns.training import run_file
 from gns.training.objective import Curriculum, statistics
-from gns.training.update import Run, TrainingSettings, read
+from gns.training.update import Run, TrainingSettings
 from tests.gns.conftest import NORMALISATION
 
 
@@ -47,21 +48,21 @@ def test_a_run_goes_on_to_the_bit(settings: ModelSettings, curriculum: Curriculu
         unbroken.update(curriculum, steps=steps, rate=unbroken.learning_rate(number / 6))
     for number, steps in enumerate(schedule):
         if number == 3:
-            broken.save(tmp_path / "last.pt")
+            broken.save(tmp_path / "last.safetensors")
             broken = begin(settings)
             # What others draw in the meantime is nothing to it.
             torch.rand(7)
-            broken.resume(tmp_path / "last.pt")
+            broken.resume(tmp_path / "last.safetensors")
         broken.update(curriculum, steps=steps, rate=broken.learning_rate(number / 6))
     assert broken.position == unbroken.position
     for part in ("simulator", "average"):
         states = [getattr(run, part).state_dict() for run in (unbroken, broken)]
         assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-    moments = [run.optimiser.state_dict() for run in (unbroken, broken)]
-    for part, names in (("Muon", ("momentum_buffer",)), ("Adam", ("exp_avg", "exp_avg_sq", "step"))):
-        first, second = (each[part]["state"] for each in moments)
-        assert first
-        assert all(torch.equal(first[key][name], second[key][name]) for key in first for name in names)
+    first, second = (run.optimiser.tensors() for run in (unbroken, broken))
+    names = [key.partition("/")[0] + key[key.rindex("/") :] for key in first]
+    assert set(names) == {"Muon/momentum_buffer", "Adam/exp_avg", "Adam/exp_avg_sq", "Adam/step"}
+    assert all(torch.equal(first[key], second[key]) for key in first)
+    assert all(float(value.abs().sum()) > 0.0 for key, value in first.items() if key.endswith("step"))
 
 
 def test_the_rate_rises_and_falls(settings: ModelSettings) -> None:
@@ -105,16 +106,38 @@ def test_a_gradient_that_is_not_finite_ends_the_run_before_it_spoils_the_weights
 
 
 def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, tmp_path: Path) -> None:
-    begin(settings).save(tmp_path / "last.pt")
+    begin(settings).save(tmp_path / "last.safetensors")
     with pytest.raises(InputError, match="settings that the run was begun with"):
-        begin(dataclasses.replace(settings, width=8)).resume(tmp_path / "last.pt")
+        begin(dataclasses.replace(settings, width=8)).resume(tmp_path / "last.safetensors")
     with pytest.raises(InputError, match="seed: expected the seed of the run, 0"):
-        Run(Simulator(settings, NORMALISATION), TrainingSettings(), seed=1).resume(tmp_path / "last.pt")
-    content = read(tmp_path / "last.pt")
-    for key in ("seed", "position", "average"):
-        torch.save({name: value for name, value in content.items() if name != key}, tmp_path / "part.pt")
-        with pytest.raises(InputError, match=f"expected a whole run, '{key}'"):
-            begin(settings).resume(tmp_path / "part.pt")
+        Run(Simulator(settings, NORMALISATION), TrainingSettings(), seed=1).resume(tmp_path / "last.safetensors")
+    described, parts = run_file.read(tmp_path / "last.safetensors")
+    part = tmp_path / "part.safetensors"
+    for key in ("seed", "position"):
+        run_file.write(part, {name: value for name, value in described.items() if name != key}, parts)
+        with pytest.raises(InputError, match=f"{key}: expected a whole run, the key is missing"):
+            begin(settings).resume(part)
+    run_file.write(part, described, {name: value for name, value in parts.items() if name != "average"})
+    with pytest.raises(InputError, match=r"average/.*: expected a whole run, there is no such tensor"):
+        begin(settings).resume(part)
+
+
+def test_a_run_of_wrong_numbers_is_not_resumed(settings: ModelSettings, tmp_path: Path) -> None:
+    run, path = begin(settings), tmp_path / "last.safetensors"
+    name = next(iter(run.parts()["optimiser"]))
+    for change, message in (
+        ({name: torch.full_like(run.parts()["optimiser"][name], torch.nan)}, "expected finite numbers"),
+        ({name: torch.zeros(3)}, "expected shape"),
+        ({"Adam/0/other": torch.zeros(3)}, "expected no such tensor"),
+    ):
+        run.save(path)
+        described, parts = run_file.read(path)
+        run_file.write(path, described, {**parts, "optimiser": parts["optimiser"] | change})
+        with pytest.raises(InputError, match=message):
+            begin(settings).resume(path)
+    run_file.write(path, {**described, "position": {"updates": -1}}, parts)
+    with pytest.raises(InputError, match="updates: expected a number of at least 0"):
+        begin(settings).resume(path)
 
 
 def test_mixed_precision_trains_by_the_products_of_a_gpu(

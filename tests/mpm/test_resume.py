@@ -110,7 +110,7 @@ def test_the_first_difference_of_two_values() -> None:
 @pytest.mark.parametrize("change", [{"run": None}, {"features": np.array("{}")}, {"scene": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
-    with pytest.raises(InputError, match=r"expected a checkpoint .*, there is none"):
+    with pytest.raises(InputError, match=r"expected a whole NPZ .*a checkpoint.*, there is none"):
         Checkpoint.load(path)
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:

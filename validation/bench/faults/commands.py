@@ -91,7 +91,7 @@ def commands(inputs: Path, scheduler: str) -> dict[str, Command]:
         raise WorkFailed("the dataset of the training could not be made")
 
     def train(out: Path) -> list[str]:
-        resume = ["--resume"] if (out / "last.pt").exists() else []
+        resume = ["--resume"] if (out / "last.safetensors").exists() else []
         return ["-m", "gns.train", str(dataset), "--out", str(out), *TINY, *resume]
 
     return {

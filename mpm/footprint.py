@@ -1,0 +1,120 @@
+"""What a run will take, before any of it is allocated: particles, nodes, frames, steps and memory.
+
+    >>> print(footprint(read_scene("column-tall-42")))
+    3200 particles, 106 x 56 nodes, 401 frames, 27200 steps or more, about 460 MiB of memory
+
+The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; what else a process holds is
+measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
+"""
+
+import math
+from dataclasses import dataclass
+
+from datasets import memory
+from datasets.errors import InputError
+from datasets.field import FRICTION
+from datasets.material import Material
+from datasets.particles import mass_counts, mass_particle_volumes
+from datasets.scene import Scene
+from mpm.arrays.features import Features, features_of
+from mpm.arrays.layout import PADDING, Energy, Precision
+from mpm.arrays.properties import substeps_per_frame
+from mpm.output.request import ALL, Recording
+
+PROCESS = 400 * 2**20
+"""Bytes of a process with Taichi and a kernel."""
+BESIDE = 2.5
+"""Peak over the bytes of the particles and their state."""
+STRESS = 4096
+"""Bytes that an equilibrium of a mass at the start takes per particle: a factorisation."""
+MOST_STEPS = 2**31 - 1
+"""A counter's limit; at a million particle-steps a second one particle would take half an hour."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footprint:
+    """What a run takes."""
+
+    particles: int
+    nodes: tuple[int, ...]
+    """Of the grid along each axis."""
+    frames: int
+    """With the first."""
+    steps: int
+    """At least: a frame whose particles move fast has more."""
+    bytes: int
+    """Of memory, at the peak, of the whole process."""
+
+    def __str__(self) -> str:
+        nodes = " x ".join(map(str, self.nodes))
+        return (
+            f"{self.particles} particles, {nodes} nodes, {self.frames} frames, {self.steps} steps or more, "
+            f"about {memory.spoken(self.bytes)} of memory"
+        )
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Of particles that are not there yet, what decides which kernel is compiled."""
+
+    materials: tuple[Material, ...]
+    common_volume: float | None
+    friction_varies: bool
+
+
+def footprint(
+    scene: Scene, *, record: Recording = ALL, precision: Precision = "f32", workers: int = 1, gpu: bool = False
+) -> Footprint:
+    """What a run of `scene` on so many `workers` takes. Raises InputError for one that no machine could make."""
+    materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
+    volumes = set(mass_particle_volumes(scene).tolist())
+    own = any(isinstance(mass.volume, tuple) for mass in scene.masses)
+    varies = any(field.quantity == FRICTION for field in scene.fields)
+    planned = Planned(materials, None if own or len(volumes) > 1 else volumes.pop(), varies)
+    features = features_of([scene], [planned], precision, record=record, shared=workers > 1, gpu=gpu)
+    substeps = substeps_per_frame(scene, materials)
+    steps = substeps * (scene.frames - 1)
+    if steps > MOST_STEPS:
+        raise InputError(
+            f"expected at most {MOST_STEPS} steps, got {steps:.3g}, {substeps:.3g} in each frame: "
+            "a softer `young`, larger cells or a shorter time",
+            key="duration",
+        )
+    count = sum(mass_counts(scene))
+    nodes = tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    return Footprint(
+        particles=count,
+        nodes=nodes,
+        frames=scene.frames,
+        steps=steps,
+        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), record, workers),
+    )
+
+
+def size_of(scene: Scene, features: Features, count: int, nodes: int, record: Recording, workers: int) -> int:
+    """Bytes of the arrays of a run with so many particles and nodes."""
+    real, dimension = (4 if features.precision == "f32" else 8), features.dimension
+    particle = 8 * (2 * dimension + dimension**2 + 2) + 8
+    state = real * features.block
+    kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
+    solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
+    sizes = (
+        count * BESIDE * (particle + state),
+        nodes * workers * (real * features.node + (16 if features.contact else 0)),
+        # What is smoothed is there twice.
+        count * kept * 4 * (dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))),
+        scene.frames * 8 * (len(Energy) + 2 * solids * dimension),
+        STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
+    )
+    return int(sum(sizes))
+
+
+def require_memory(footprints: list[Footprint]) -> None:
+    """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
+    extra = sum(each.bytes - PROCESS for each in footprints)
+    largest = max(footprints, key=lambda each: each.bytes)
+    memory.require(
+        extra,
+        f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
+        f"{largest}; larger cells, fewer particles_per_axis, or fewer frames that are kept (--every, --last-frame)",
+    )

@@ -1,0 +1,45 @@
+"""The memory that is free, and what is refused for want of it."""
+
+import resource
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import memory
+from datasets.errors import InputError
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="limits of addresses are Linux's")
+
+
+def test_some_is_free_and_no_more_than_there_is() -> None:
+    assert 0 < memory.free() <= memory.whole()
+
+
+def test_a_container_has_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "memory.max").write_text("1000000\n")
+    (tmp_path / "memory.current").write_text("400000\n")
+    monkeypatch.setattr(memory, "GROUP", tmp_path)
+    assert memory.free() == 600_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free() > 600_000
+
+
+def test_more_than_is_free_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free", lambda: 2**20)
+    memory.require(0.8 * 2**20, "a thing", "less")
+    with pytest.raises(
+        InputError, match="key: expected a thing in the 922 KiB of memory that are free, got 1 MiB: less"
+    ):
+        memory.require(2**20, "a thing", "less", key="key")
+    with pytest.raises(InputError):
+        memory.require(float("nan"), "a thing", "less")
+
+
+@LINUX
+def test_no_more_than_asked_for() -> None:
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with memory.at_most(2**27), pytest.raises(MemoryError):
+        np.ones(2**28)
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
