@@ -11,13 +11,17 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str, *, where: str = "", key: str = "") -> None:
-        short = message if len(message) <= LONGEST else f"{message[:LONGEST]}..."
-        self.message, self.where, self.key = short, where, key
-        super().__init__(": ".join(part for part in (where, key, short) if part))
+        self.message, self.where, self.key = shortened(message), where, key
+        super().__init__(": ".join(shortened(part) for part in (where, key, message) if part))
 
     def at(self, where: str) -> "InputError":
         """The same mistake with the file it stands in."""
         return InputError(self.message, where=where, key=self.key)
+
+
+def shortened(text: str) -> str:
+    """The first LONGEST characters of a text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 class OutOfRange(InputError):

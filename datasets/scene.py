@@ -283,8 +283,8 @@ def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
     # Imported here: most commands of this package need no graphs.
     from scipy.sparse.csgraph import connected_components
 
-    bodies, body = connected_components(in_contact & in_contact.T)
-    lowest = np.full(bodies, np.inf)
+    count_connected, body = connected_components(in_contact & in_contact.T)
+    lowest = np.full(count_connected, np.inf)
     np.minimum.at(lowest, body, height)
     return np.asarray(lowest[body])
 

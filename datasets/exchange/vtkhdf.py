@@ -113,4 +113,4 @@ def write_vtkhdf(trajectory: Trajectory, path: Path, *, every: int = 1, progress
                     block.write(step, frame, since)
                 since = frame
     except OSError as error:
-        raise WorkFailed(f"{path.name} could not be written: {error}") from None
+        raise WorkFailed(f"{path.name} could not be written: {error.strerror or error.args[0]}") from None

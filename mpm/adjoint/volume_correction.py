@@ -92,8 +92,8 @@ def grid_gap_reverse(bar, x: ti.template(), scene, block, scratch, present, arra
     for k in ti.static(range(size)):
         across_bar = across_bar - inside_bar[k] * n[k]
         # Of the logarithm of `full`, axis by axis.
-        hidden_bar = full_bar / (1.0 - 0.5 * (low[k] * low[k] + high[k] * high[k]))
-        moved = hidden_bar * (low[k] - high[k]) / (GAP_CUTOFF * dx)
+        full_share_bar = full_bar / (1.0 - 0.5 * (low[k] * low[k] + high[k] * high[k]))
+        moved = full_share_bar * (low[k] - high[k]) / (GAP_CUTOFF * dx)
         own = block * layout.width + k
         arrays.adjoints[own] = arrays.adjoints[own] + moved
     across_bar = ti.select((near > 0.0) & (raw > 0.0), across_bar, zero)
@@ -102,8 +102,8 @@ def grid_gap_reverse(bar, x: ti.template(), scene, block, scratch, present, arra
         if ti.static(features.contact):
             add_contact_bar(block, Contact.NORMAL + k, across_bar * slope[k] - across * inside_bar[k], arrays)
     if ti.static(features.contact):
-        hidden_bar = 0.0 - full_bar * near / (1.0 - 0.5 * near * near)
-        distance_bar = ti.select(near > 0.0, 0.0 - hidden_bar / (GAP_CUTOFF * dx), zero)
+        full_share_bar = 0.0 - full_bar * near / (1.0 - 0.5 * near * near)
+        distance_bar = ti.select(near > 0.0, 0.0 - full_share_bar / (GAP_CUTOFF * dx), zero)
         add_contact_bar(block, Contact.DISTANCE, distance_bar, arrays)
     at = block * layout.width + layout.properties + ti.static(int(Property.DENSITY))
     arrays.adjoints[at] = arrays.adjoints[at] + present * full_bar / density

@@ -54,6 +54,8 @@ DRAWN = {
 def test_the_shipped_definitions_draw_the_scenes_they_always_drew(definition: Definition) -> None:
     entries = definition.entries(seed=0, count=40)
     lines = "\n".join(f"{entry.split} {entry.name} {entry.scene.to_json()}" for entry in entries)
+    # Scenes have had fields since, and these have none.
+    lines = lines.replace('"fields": [], ', "")
     assert hashlib.sha256(lines.encode()).hexdigest()[:16] == DRAWN[definition.name]
 
 

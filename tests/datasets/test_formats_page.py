@@ -27,7 +27,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, motion_statistics
 from datasets.trajectory import Trajectory
-from mpm.output.checkpoint import ARRAYS, PLAIN
+from mpm.output.checkpoint import ARRAYS, Progress
 from tests.datasets.toys import toy
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -122,7 +122,9 @@ def test_every_key_of_a_checkpoint(tmp_path: Path) -> None:
         "features",
         "run",
     }
-    assert all(f"`{key}`" in section("Checkpoint (NPZ)") for key in PLAIN)
+    assert all(
+        f"`{key}`" in section("Checkpoint (NPZ)") for key in (each.name for each in dataclasses.fields(Progress))
+    )
 
 
 def test_every_key_of_the_metadata() -> None:

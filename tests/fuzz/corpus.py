@@ -65,7 +65,6 @@ def scenes() -> dict[str, tuple[str, bytes]]:
         "more cells than 32 bits count": changed(column, domain__cell=1e-5, domain__size=[1.0, 1.0]),
         "no cells": changed(column, domain__size=[1e-12, 1e-12]),
         "stiffness 1e300": changed(column, material__young=1e300),
-        "stiffness 1e15, soft in time": changed(column, material__young=1e15),
         "density 1e-300": changed(column, material__density=1e-300),
         "poisson 0.49999999": changed(column, material__poisson=0.49999999),
         "duration 1e9": changed(column, duration=1e9),

@@ -120,7 +120,7 @@ def test_the_shipped_model_is_that_of_the_dimension(
     (tmp_path / "scene.toml").write_text(scene)
     monkeypatch.setattr(inference, "WEIGHTS", tmp_path)
     assert command_line.run(rollout, "rollout", [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert f"{model}: expected the weights of a model, there is no such file" in capsys.readouterr().err
+    assert f"{model}: expected whole weights of a model, there is none" in capsys.readouterr().err
 
 
 def test_a_series_for_paraview(files: dict[str, Path], tmp_path: Path) -> None:
@@ -137,9 +137,9 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
     deep.write_text(DEEP)
     cases = [
         ({**files, "model": short}, [], "short.safetensors: expected whole weights"),
-        ({**files, "model": tmp_path / "none.safetensors"}, [], "there is no such file"),
+        ({**files, "model": tmp_path / "none.safetensors"}, [], "expected whole weights of a model, there is none"),
         (files, ["--start", str(tmp_path / "other.npz")], "they are of another scene"),
-        (files, ["--start", str(tmp_path / "none.npz")], "expected a trajectory"),
+        (files, ["--start", str(tmp_path / "none.npz")], "there is none"),
         ({**files, "scene": deep}, [], "deep.toml: expected a 2D scene"),
         (files, ["--device", "tpu"], "tpu"),
     ]

@@ -44,7 +44,7 @@ def test_the_truth_is_found_in_few_runs(parameters: int) -> None:
     assert forward.runs == 1 + len(spread) + len(found) < 40
 
 
-def test_a_linear_forward_needs_its_sample_alone() -> None:
+def test_the_sample_suffices_for_a_linear_forward() -> None:
     forward, bounds = Curved(4, curvature=0.0), box(4)
     truth = np.array([1.5, 1.0, 0.5, 0.2])
     (target,) = forward.observe([truth])

@@ -254,8 +254,8 @@ def test_no_opengl_is_one_line_after_the_series(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["absent.npz"], "absent.npz: expected a trajectory"),
-        (["."], "trajectory.npz: expected a trajectory"),
+        (["absent.npz"], "absent.npz: expected a whole NPZ of plain arrays (a trajectory), there is none"),
+        (["."], "trajectory.npz: expected a whole NPZ of plain arrays (a trajectory), there is none"),
         (["flow.npz", "--time", "0.3"], "--time: expected a time from 0 to 0.2 s"),
         (["flow.npz", "--time", "-1"], "--time: expected a time from 0 to 0.2 s"),
         (["flow.npz", "--frames", "0"], "--frames: expected an integer of at least 1"),

@@ -25,7 +25,9 @@ def flow(tmp_path_factory: pytest.TempPathFactory) -> Flow:
 
 
 def test_what_the_adjoint_does_not_know_is_refused_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = files(tmp_path, scene="volume_correction = true\n" + SCENE)
+    softens = "softening_length = 0.004\nresidual_cohesion = 0.0\n"
+    scene = "volume_correction = true\n" + SCENE.replace("[material]\n", "[material]\n" + softens)
+    path = files(tmp_path, scene=scene)
     assert run(main, "inverse.fields", [path, "--out", str(tmp_path)]) == 2
     assert "volume_correction" in capfd.readouterr().err
 

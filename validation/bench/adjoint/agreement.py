@@ -155,8 +155,8 @@ def by_adjoint(scenes: Sequence[Scene], names: Sequence[str], observe: Observe) 
     kinds = [kind(name) for name in names]
     count = len(observe(torch.from_numpy(initial_particles(scenes[0]).positions)))
     tape = Tape(scenes, [scenes[0].frames - 1], precision="f32", memory_mib=TAPE_MIB, outputs=count)
-    bars = [slopes(tape.positions(index)[-1], observe) for index in range(len(scenes))]
-    adjoints = [[FlowAdjoints(own[row][None], np.zeros_like(own[row])[None]) for own in bars] for row in range(count)]
+    given = [slopes(tape.positions(index)[-1], observe) for index in range(len(scenes))]
+    adjoints = [[FlowAdjoints(own[row][None], np.zeros_like(own[row])[None]) for own in given] for row in range(count)]
     rows = pull_back_all(tape, adjoints)
     found = []
     for index, scene in enumerate(scenes):

@@ -110,12 +110,12 @@ def price_text(prices: list[dict[str, Any]]) -> str:
 
 def growth_text(grown: list[Usage]) -> str:
     """The smallest and the largest case, and whether the time of a particle's step stays what it was."""
-    least, most = min(grown, key=work), max(grown, key=work)
+    smallest, largest = min(grown, key=work), max(grown, key=work)
     each = [case.nanoseconds for case in grown]
     texts = [
         f"{case.particles:,} particles and {case.steps:,} steps take {case.extra / 2**20:,.0f} MiB (the whole process "
         f"{case.whole / 2**20:,.0f}) and {case.seconds:.0f} s"
-        for case in (least, most)
+        for case in (smallest, largest)
     ]
     return f"{'; '.join(texts)}: {min(each):.0f} to {max(each):.0f} ns for each particle and step."
 

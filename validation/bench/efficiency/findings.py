@@ -221,8 +221,8 @@ def by_gns(result: ProblemResult) -> list[MethodResult]:
 
 def spread(values: Sequence[float]) -> str:
     """The least and the greatest of `values`."""
-    least, most = rounded(min(values)), rounded(max(values))
-    return least if least == most else f"{least} to {most}"
+    lowest, highest = rounded(min(values)), rounded(max(values))
+    return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
 def conclusion(parts: Parts) -> list[str]:
