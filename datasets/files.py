@@ -17,6 +17,8 @@ from datasets.errors import InputError
 
 PART = ".part-"
 """What the names of files begin with that are still being written."""
+_being_written: set[Path] = set()
+"""Such files of this process."""
 
 
 @contextmanager
@@ -32,6 +34,7 @@ def replacing(path: Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{PART}{path.stem}-", suffix=path.suffix)
         os.close(handle)
         part = Path(name)
+        _being_written.add(part)
         yield part
         part.chmod(0o644)
         flush(part)
@@ -44,6 +47,13 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if part != path:
             part.unlink(missing_ok=True)
+            _being_written.discard(part)
+
+
+def remove_own_parts() -> None:
+    """Remove what this process has not finished writing, before it ends by a signal."""
+    for part in tuple(_being_written):
+        part.unlink(missing_ok=True)
 
 
 def flush(path: Path) -> None:

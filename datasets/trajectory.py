@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.compressed import SUFFIX, read_compressed, write_compressed
 from datasets.errors import InputError
 from datasets.files import replacing
 from datasets.particles import initial_volumes, particle_count
 from datasets.scene import Scene
 from datasets.untrusted.arrays import open_untrusted_npz
+from datasets.untrusted.hdf5 import open_hdf5, plain_array
 from datasets.untrusted.text import json_object
 
 Floats = NDArray[np.float32]
 
+SUFFIXES = (".npz", SUFFIX)
+"""Of the files of trajectories."""
 FARTHEST = 1.0e12
 """Positions [m] and velocities [m/s] beyond this are none: their squares would not fit into single precision."""
 FIELDS = {
@@ -111,24 +115,30 @@ class Trajectory:
         return None if self.solid_impulse is None else self.solid_impulse[:, : len(self.scene.baffles)]
 
     def save(self, path: Path) -> None:
-        """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are."""
+        """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are.
+
+        The same in HDF5, compressed (`datasets.compressed`), for a name in `.h5`: positions to a part of a cell.
+        """
         names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
         fields: dict[str, tuple[NDArray[Any] | None, type]] = {"mass": (self.mass, np.int32)}
         fields |= {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
         recorded: dict[str, Any] = {
             key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None
         }
+        arrays: dict[str, Any] = {
+            "positions": self.positions.astype(np.float32, copy=False),
+            "time": self.time.astype(np.float64, copy=False),
+            "velocity0": self.velocity0.astype(np.float32, copy=False),
+            "friction": self.friction.astype(np.float32, copy=False),
+            "scene": np.array(self.scene.to_json()),
+            "summary": np.array(json.dumps(self.summary)),
+            **recorded,
+        }
         with replacing(path) as part:
-            np.savez(
-                part,
-                positions=self.positions.astype(np.float32, copy=False),
-                time=self.time.astype(np.float64, copy=False),
-                velocity0=self.velocity0.astype(np.float32, copy=False),
-                friction=self.friction.astype(np.float32, copy=False),
-                scene=np.array(self.scene.to_json()),
-                summary=np.array(json.dumps(self.summary)),
-                **recorded,
-            )
+            if path.suffix == SUFFIX:
+                write_compressed(part, arrays, self.scene.domain.cell)
+            else:
+                np.savez(part, **arrays)
 
     @staticmethod
     def load(path: Path) -> "Trajectory":
@@ -246,7 +256,15 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def trajectory_file(path: str | Path) -> Path:
     """The file of a trajectory: at a path, or in the folder of a run."""
     path = Path(path)
-    return path / "trajectory.npz" if path.is_dir() else path
+    if not path.is_dir():
+        return path
+    found = path / f"trajectory{SUFFIX}"
+    return found if found.exists() else path / "trajectory.npz"
+
+
+def trajectory_files(folder: Path) -> list[Path]:
+    """The trajectories in a folder by name; parts of files that a killed process left begin with a dot."""
+    return sorted(path for suffix in SUFFIXES for path in folder.glob(f"[!.]*{suffix}"))
 
 
 def stored_scene(path: Path) -> Scene:
@@ -254,13 +272,24 @@ def stored_scene(path: Path) -> Scene:
     return scene_in(read_arrays(path, "scene")["scene"], path)
 
 
+def stored_shape(path: Path, key: str) -> tuple[int, ...]:
+    """The shape of an array of a saved trajectory, without reading it. Raises InputError."""
+    if path.suffix == SUFFIX:
+        with open_hdf5(path) as file:
+            return tuple(plain_array(file, key).shape)
+    with open_untrusted_npz(path) as archive:
+        return archive.shape(key)
+
+
 def read_arrays(
     path: Path, *names: str, optional: tuple[str, ...] = (), what: str = "a trajectory"
 ) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ and, where they are there, `optional`; all where none is named.
+    """The arrays `names` of an NPZ, or of a compressed trajectory, and, where they are there, `optional`; all where
 
-    Never runs a pickle. Raises InputError.
+    none is named. Never runs a pickle. Raises InputError.
     """
+    if path.suffix == SUFFIX:
+        return read_compressed(path, *names, optional=optional)
     with open_untrusted_npz(path, f"a whole NPZ of plain arrays ({what})") as file:
         there = [name for name in optional if name in file.keys]
         return {name: file.read(name) for name in (*names, *there) or file.keys}

@@ -24,6 +24,7 @@ from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.training.memory_mapped import open_trajectory
+from datasets.trajectory import trajectory_files
 from gns.inference import shipped
 from gns.model import checkpoint, rheology, traction
 from gns.model.context import channels
@@ -160,9 +161,9 @@ def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
     """The training scenes in folders that `python -m mpm.generate` made. Raises InputError."""
     found = {}
     for folder in datasets:
-        found[folder.name] = [open_trajectory(file).scene for file in sorted((folder / "train").glob("[!.]*.npz"))]
+        found[folder.name] = [open_trajectory(file).scene for file in trajectory_files(folder / "train")]
         if not found[folder.name]:
-            raise InputError("expected trajectories in train/*.npz, there are none", where=str(folder))
+            raise InputError("expected trajectories in train/*.npz or *.h5, there are none", where=str(folder))
     return found
 
 

@@ -44,12 +44,15 @@ class Footprint:
     """At least: a frame whose particles move fast has more."""
     bytes: int
     """Of memory, at the peak, of the whole process."""
+    disk: int = 0
+    """Bytes of the frames that are streamed to disk."""
 
     def __str__(self) -> str:
         nodes = " x ".join(map(str, self.nodes))
         return (
             f"{self.particles} particles, {nodes} nodes, {self.frames} frames, {self.steps} steps or more, "
             f"about {memory.spoken(self.bytes)} of memory"
+            f"{f', {memory.spoken(self.disk)} of frames on disk' if self.disk else ''}"
         )
 
 
@@ -63,9 +66,18 @@ class Planned:
 
 
 def footprint(
-    scene: Scene, *, record: Recording = ALL, precision: Precision = "f32", workers: int = 1, gpu: bool = False
+    scene: Scene,
+    *,
+    record: Recording = ALL,
+    precision: Precision = "f32",
+    workers: int = 1,
+    gpu: bool = False,
+    stream: bool = False,
 ) -> Footprint:
-    """What a run of `scene` on so many `workers` takes. Raises InputError for one that no machine could make."""
+    """What a run of `scene` on so many `workers` takes, its frames on disk with `stream`.
+
+    Raises InputError for one that no machine could make.
+    """
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
     volumes = set(mass_particle_volumes(scene).tolist())
     own = any(isinstance(mass.volume, tuple) for mass in scene.masses)
@@ -81,32 +93,39 @@ def footprint(
             key="duration",
         )
     count = sum(mass_counts(scene))
+    frames_size = size_of_frames(scene, features, count, record)
     nodes = tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
     return Footprint(
         particles=count,
         nodes=nodes,
         frames=scene.frames,
         steps=steps,
-        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), record, workers),
+        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), workers) + (0 if stream else frames_size),
+        disk=frames_size if stream else 0,
     )
 
 
-def size_of(scene: Scene, features: Features, count: int, nodes: int, record: Recording, workers: int) -> int:
-    """Bytes of the arrays of a run with so many particles and nodes."""
+def size_of(scene: Scene, features: Features, count: int, nodes: int, workers: int) -> int:
+    """Bytes of the arrays of a run with so many particles and nodes, but for those of `size_of_frames`."""
     real, dimension = (4 if features.precision == "f32" else 8), features.dimension
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
     state = real * features.block
-    kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
-    solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
     sizes = (
         count * BESIDE * (particle + state),
         nodes * workers * (real * features.node + (16 if features.contact else 0)),
-        # What is smoothed is there twice.
-        count * kept * 4 * (dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))),
-        scene.frames * 8 * (len(Energy) + 2 * solids * dimension),
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     return int(sum(sizes))
+
+
+def size_of_frames(scene: Scene, features: Features, count: int, record: Recording) -> int:
+    """Bytes of what is recorded of so many particles, and over time."""
+    dimension = features.dimension
+    kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
+    solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
+    # What is smoothed is there twice.
+    numbers = dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))
+    return count * kept * 4 * numbers + scene.frames * 8 * (len(Energy) + 2 * solids * dimension)
 
 
 def require_memory(footprints: list[Footprint]) -> None:
@@ -116,5 +135,5 @@ def require_memory(footprints: list[Footprint]) -> None:
     memory.require(
         extra,
         f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
-        f"{largest}; larger cells, fewer particles_per_axis, or fewer frames that are kept (--every, --last-frame)",
+        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --stream)",
     )

@@ -3,7 +3,7 @@
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -13,15 +13,17 @@ from itertools import islice
 from multiprocessing import get_context
 from operator import add
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed, disk_failed, run
+from datasets.compressed import SUFFIX
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Entry, Split, Storage
 from datasets.errors import InputError
-from datasets.files import write_json
+from datasets.files import remove_own_parts, write_json
 from datasets.lock import locked
 from datasets.particles import mass_counts
 from datasets.processes import end_with_parent
@@ -29,7 +31,7 @@ from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.training.thinning import thin
-from datasets.trajectory import Trajectory, stored_scene
+from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.process import processors
 
 GRACE = 0.5
@@ -49,6 +51,7 @@ def command(
     seed: int = 0,
     jobs: int | None = None,
     scheduler: str | None = None,
+    compress: bool = False,
 ) -> None:
     """Simulate the trajectories of a dataset definition with the MPM.
 
@@ -70,6 +73,8 @@ def command(
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers simulate instead;
         they need this version of Talus and the folder OUT in the same place.
+    compress
+        Write HDF5 of a quarter of the size, positions to a part of a cell, which are read more slowly.
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
@@ -80,11 +85,19 @@ def command(
         count=count,
         jobs=processors() if jobs is None else jobs,
         scheduler=scheduler,
+        suffix=SUFFIX if compress else ".npz",
     )
 
 
 def generate(
-    definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int, scheduler: str | None = None
+    definition: Definition,
+    out: Path,
+    *,
+    seed: int,
+    count: int | None,
+    jobs: int,
+    scheduler: str | None = None,
+    suffix: str = ".npz",
 ) -> None:
     """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
 
@@ -98,9 +111,10 @@ def generate(
     if len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     with locked(out), pool(jobs) if scheduler is None else cluster(scheduler) as workers:
-        missing = missing_entries(entries, out)
-        simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
-        statistics = statistics_of(workers.executor, (entry for entry in entries if entry.split is Split.TRAIN), out)
+        missing = missing_entries(entries, out, suffix)
+        simulate_all(workers, missing, out, total=len(entries), storage=definition.storage, suffix=suffix)
+        train = [trajectory_path(entry, out, suffix) for entry in entries if entry.split is Split.TRAIN]
+        statistics = statistics_of(workers.executor, train)
         write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
         write_json(
             out / "generation.json",
@@ -124,16 +138,15 @@ class Workers:
     """Raises WorkFailed where nobody is left to work."""
 
 
-def trajectory_path(entry: Entry, out: Path) -> Path:
+def trajectory_path(entry: Entry, out: Path, suffix: str = ".npz") -> Path:
     """The file of a trajectory in the dataset folder `out`."""
-    return out / entry.split.value / f"{entry.name}.npz"
+    return out / entry.split.value / f"{entry.name}{suffix}"
 
 
-def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
+def missing_entries(entries: Iterable[Entry], out: Path, suffix: str = ".npz") -> list[Entry]:
     """The entries without a file. Raises InputError for a file that is not of this dataset: nothing is overwritten."""
-    required = {trajectory_path(entry, out): entry for entry in entries}
-    # Parts of files that a killed process left begin with a dot.
-    found = {path: None for split in Split for path in sorted((out / split.value).glob("[!.]*.npz"))}
+    required = {trajectory_path(entry, out, suffix): entry for entry in entries}
+    found = {path: None for split in Split for path in trajectory_files(out / split.value)}
     for path in found:
         if path not in required:
             raise InputError("expected no trajectory but those of this definition, seed and count", where=str(path))
@@ -143,7 +156,13 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
 
 
 def simulate_all(
-    workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
+    workers: Workers,
+    entries: list[Entry],
+    out: Path,
+    *,
+    total: int,
+    storage: Storage | None = None,
+    suffix: str = ".npz",
 ) -> None:
     """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it.
 
@@ -156,7 +175,7 @@ def simulate_all(
         while True:
             # No more than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
             for entry in islice(waiting, max(0, workers.width() - len(running))):
-                task = workers.executor.submit(simulate_one, entry.scene, trajectory_path(entry, out), storage)
+                task = workers.executor.submit(simulate_one, entry.scene, trajectory_path(entry, out, suffix), storage)
                 running[task] = entry.name
             if not running:
                 break
@@ -214,9 +233,8 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     )
 
 
-def statistics_of(executor: Executor, entries: Iterable[Entry], out: Path) -> MotionStatistics:
-    """The statistics of all `entries` together, added in their order whoever is ready first."""
-    paths = [trajectory_path(entry, out) for entry in entries]
+def statistics_of(executor: Executor, paths: Sequence[Path]) -> MotionStatistics:
+    """The statistics of all trajectories together, added in their order whoever is ready first."""
     each = executor.map(statistics_of_one, paths)
     bar: Iterable[MotionStatistics] = tqdm(
         each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True
@@ -244,9 +262,20 @@ def pool(jobs: int) -> Iterator[Workers]:
 
 
 def begin_worker() -> None:
-    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal."""
+    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal.
+
+    A batch system's SIGTERM goes to all; whoever gets it leaves no unfinished file.
+    """
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, leave)
+
+
+def leave(number: int, _: FrameType | None) -> None:
+    """End this process by the signal `number`."""
+    remove_own_parts()
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import run
+from datasets.compressed import SUFFIX
 from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
 from datasets.exchange.vtkhdf import FILE as VTKHDF
@@ -38,6 +39,8 @@ def command(
     vtk: bool = False,
     vtkhdf: bool = False,
     forces: bool = False,
+    compress: bool = False,
+    stream: bool = False,
     checkpoint: bool = False,
     resume: bool = False,
 ) -> int:
@@ -73,6 +76,10 @@ def command(
         The same in one file: DIR/trajectory.vtkhdf.
     forces
         Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
+    compress
+        Write DIR/trajectory.h5, of a quarter of the size, positions to a part of a cell, instead of trajectory.npz.
+    stream
+        Keep frames on the disk of DIR while the scene runs, not in memory.
     checkpoint
         Leave DIR/checkpoint.npz at the end too: the state and all that was recorded.
     resume
@@ -98,11 +105,16 @@ def command(
         until_rest=until_rest or base.until_rest,
     )
     options: Options = {"arch": arch, "record": record, "progress": True}
+    if stream:
+        options["stream"] = out
     if precision or what:
         options["precision"] = precision or (what.precision if what else "f32")
     precise = options.get("precision") or (start.features.precision if start else "f32")
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
-    print(footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu"), flush=True)
+    print(
+        footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", stream=stream),
+        flush=True,
+    )
     try:
         with stopping() as stop:
             trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
@@ -113,7 +125,9 @@ def command(
         return stop.status
     except InputError as error:
         raise error.at(str(checkpoint_file)) if start is not None and not error.where else error from None
-    trajectory.save(out / "trajectory.npz")
+    trajectory.save(out / f"trajectory{SUFFIX if compress else '.npz'}")
+    # The folder holds one trajectory: that of this run.
+    (out / f"trajectory{'.npz' if compress else SUFFIX}").unlink(missing_ok=True)
     write_json(out / "summary.json", trajectory.summary)
     if checkpoint:
         end.save(checkpoint_file)

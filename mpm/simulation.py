@@ -10,18 +10,20 @@ What is recorded is a `mpm.Recording`: memory and compiled code are for that alo
 
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TypedDict, Unpack
 
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
+from datasets.errors import InputError
 from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import runtime
 from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of
-from mpm.arrays.layout import Precision
+from mpm.arrays.layout import FRAMES_PER_CALL, Precision
 from mpm.device import run_on_device
 from mpm.footprint import footprint, require_memory
 from mpm.kernel import Phase, kernel
@@ -30,8 +32,6 @@ from mpm.output.outcome import failure, trajectory
 from mpm.output.request import ALL, Recording
 from mpm.runtime import Arch
 
-FRAMES_PER_CALL = 20
-"""Frames of one call of the kernel; after each the progress bar moves and a run can be stopped."""
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
@@ -51,6 +51,8 @@ class Options(TypedDict, total=False):
     """What to record, and until when to run; the positions in all frames unless given."""
     progress: bool
     """Show a bar."""
+    stream: Path
+    """Folder on whose disk the positions are kept, not in memory; of one scene, on the CPU, without fields."""
 
 
 class ScenesFailed(WorkFailed):
@@ -128,6 +130,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
     of their summaries are those of all scenes together.
     """
+    if "stream" in options:
+        raise InputError("expected one scene whose frames are kept on disk, got others beside it", key="stream")
     for scene in scenes:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
@@ -171,7 +175,11 @@ def run_one(
     record = options.get("record") or (resume.recording if resume else ALL)
     threads = options.get("threads")
     workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
-    require_memory([footprint(scene, record=record, precision=precision, workers=workers, gpu=arch != "cpu")])
+    stream = options.get("stream")
+    if stream is not None and (arch != "cpu" or record.fields):
+        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="stream")
+    gpu, on_disk = arch != "cpu", stream is not None
+    require_memory([footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, stream=on_disk)])
     particles = particles_of([scene])
     runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
@@ -179,8 +187,9 @@ def run_one(
         precision=precision,
         workers=workers,
         record=record,
-        gpu=arch != "cpu",
+        gpu=gpu,
         particles=particles,
+        stream=stream,
     )
     if resume is not None:
         resume.restore(batch)
@@ -221,8 +230,10 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
             if first == start and len(particles.positions) >= SORTED:
                 batch.sort(index)
         batch.arrivals[:] = 0
+        batch.before_call(first)
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1
+        batch.after_call(last)
         bar.update(last - first)
 
 

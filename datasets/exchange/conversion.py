@@ -23,7 +23,7 @@ from datasets.files import write_json
 from datasets.geometry.plain import check_plain
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
-from datasets.trajectory import Trajectory, stored_scene
+from datasets.trajectory import Trajectory, stored_scene, stored_shape, trajectory_files
 from datasets.untrusted.arrays import open_untrusted_npz
 
 RECORD = "exchange.json"
@@ -51,7 +51,7 @@ def export(dataset: Path, to: str, out: Path) -> None:
     Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything else.
     """
     layout = LAYOUTS[to]
-    files = {split: sorted((dataset / split.value).glob("[!.]*.npz")) for split in Split}
+    files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = survey(dataset, files)
     begin(
         out,
@@ -81,10 +81,10 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
     for path in paths:
         scene = stored_scene(path)
         check_plain(scene, "the other code's format", str(path))
-        with open_untrusted_npz(path) as file:
-            if len(file.shape("positions")) != 3:
-                raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
-            frames, particles, _ = file.shape("positions")
+        shape = stored_shape(path, "positions")
+        if len(shape) != 3:
+            raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
+        frames, particles, _ = shape
         spacing = scene.particle_spacing
         this = (scene.domain.size, scene.frame_dt, frames, spacing)
         if shared is not None and this != shared:
@@ -133,7 +133,7 @@ def import_dataset(
     }
     begin(out, record)
     ours = {path for part in parts for path in part.files.values()}
-    for path in sorted(path for split in Split for path in (out / split.value).glob("[!.]*.npz")):
+    for path in (path for split in Split for path in trajectory_files(out / split.value)):
         if path not in ours:
             raise InputError("expected no trajectory but those of this dataset", where=str(path))
     estimate = None

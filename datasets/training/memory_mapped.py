@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.compressed import SUFFIX
 from datasets.errors import InputError
 from datasets.trajectory import Trajectory, check_numbers, checked_mass, read_arrays, scene_in
 from datasets.untrusted.arrays import open_untrusted_npz, read_header
@@ -59,8 +60,11 @@ def open_trajectory(path: Path) -> Trajectory:
 def mapped(path: Path, key: str, *, limit: int = LIMIT) -> NDArray[np.float32]:
     """The array `key` of the NPZ at `path` as float32: a read-only map of the file where it is stored so.
 
-    An array that is compressed or of another type is read whole if it has at most `limit` bytes. Raises InputError.
+    One that is compressed or of another type is read whole, from an NPZ if it has at most `limit` bytes. Raises
+    InputError.
     """
+    if path.suffix == SUFFIX:
+        return read_arrays(path, key)[key]
     with open_untrusted_npz(path, WHAT) as file:
         member = file.member(key)
     if member.compress_type == zipfile.ZIP_STORED:

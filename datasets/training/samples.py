@@ -17,7 +17,7 @@ from datasets.particles import mass_counts
 from datasets.scene import Scene
 from datasets.training.memory_mapped import open_trajectory
 from datasets.training.thinning import thin
-from datasets.trajectory import Floats, Trajectory
+from datasets.trajectory import Floats, Trajectory, trajectory_files
 
 MOVING = 0.02
 """Root mean square speed [m/s] above which a flow counts as moving."""
@@ -241,9 +241,9 @@ def load_flows(
 
     Each is opened once to see that it is whole. Raises InputError.
     """
-    files = sorted((dataset / split).glob("[!.]*.npz"))
+    files = trajectory_files(dataset / split)
     if not files:
-        raise InputError(f"expected trajectories in {split}/*.npz, there are none", where=str(dataset))
+        raise InputError(f"expected trajectories in {split}/*.npz or *.h5, there are none", where=str(dataset))
     flows = Flows(files, step=step, dimension=dimension, spacing=spacing)
     for _ in tqdm(flows, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
         pass

@@ -35,10 +35,21 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
-def read_array(file: h5py.File, key: str) -> NDArray[Any]:
-    """One array of numbers of the file itself. Raises InputError, which names the file."""
+def read_array(file: h5py.File, key: str, *, ratio: float = MOST_RATIO) -> NDArray[Any]:
+    """One array of numbers of the file itself, at most `ratio` times its bytes there.
+
+    Raises InputError, which names the file.
+    """
     path = Path(file.filename)
     with reading(path, WHAT, key):
+        array = plain_array(file, key)
+        check_size(array, path.stat().st_size, key, ratio)
+        return np.asarray(array[()])
+
+
+def plain_array(file: h5py.File, key: str) -> h5py.Dataset:
+    """An array of numbers of the file itself, unread. Raises InputError, which names the file."""
+    with reading(Path(file.filename), WHAT, key):
         parts = key.split("/")
         links = [file["/".join(parts[:depth]) or "/"].get(part, getlink=True) for depth, part in enumerate(parts)]
         if not all(isinstance(link, h5py.HardLink) for link in links):
@@ -46,16 +57,15 @@ def read_array(file: h5py.File, key: str) -> NDArray[Any]:
         array = file[key]
         if not isinstance(array, h5py.Dataset) or array.external or array.is_virtual or array.dtype.kind not in "biuf":
             raise InputError("expected an array of numbers in the file", key=key)
-        check_size(array, path.stat().st_size, key)
-        return np.asarray(array[()])
+        return array
 
 
-def check_size(array: h5py.Dataset, whole: int, key: str) -> None:
+def check_size(array: h5py.Dataset, whole: int, key: str, ratio: float) -> None:
     """Raise InputError for an array that swells to more than its bytes in a file of `whole` bytes could be."""
     size, stored = math.prod(array.shape) * array.dtype.itemsize, array.id.get_storage_size()
-    if size > LARGEST or size > max(SMALL, MOST_RATIO * min(stored, whole)):
+    if size > LARGEST or size > max(SMALL, ratio * min(stored, whole)):
         got = f"{memory.spoken(stored)} that swell to {memory.spoken(size)}"
-        raise InputError(f"expected an array of at most {MOST_RATIO} times its bytes in the file, got {got}", key=key)
+        raise InputError(f"expected an array of at most {ratio:g} times its bytes in the file, got {got}", key=key)
     plan = array.id.get_create_plist()
     filters = {plan.get_filter(index)[0] for index in range(plan.get_nfilters())}
     if filters - FILTERS:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from datasets.scene import DOMAIN_SIDES, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
+    FRAMES_PER_CALL,
     INDEX_LIMIT,
     PADDING,
     Barrier,
@@ -38,6 +40,7 @@ from mpm.arrays.properties import (
 from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
 from mpm.output import rest
 from mpm.output.request import ALL, Recording
+from mpm.output.stream import DiskFrames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
 Array = NDArray[Any]
@@ -47,8 +50,9 @@ class Batch:
     """The state of several scenes and what is recorded of it.
 
     `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
-    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. Raises
-    InputError for more particles times frames than can be counted.
+    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. With
+    `stream` the positions of one scene are kept on the disk of that folder, and `record` holds those of one call of the
+    kernel. Raises InputError for more particles times frames than can be counted.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class Batch:
         record: Recording = ALL,
         gpu: bool = False,
         particles: Sequence[Particles] | None = None,
+        stream: Path | None = None,
     ) -> None:
         self.scenes, self.recording = list(scenes), record
         self.particles = particles_of(scenes) if particles is None else list(particles)
@@ -104,7 +109,7 @@ class Batch:
                 node += math.prod(nodes)
                 impulse += solids * features.dimension
             block += blocks
-            recorded += count * len(kept)
+            recorded += count * (len(kept) if stream is None else min(len(kept), FRAMES_PER_CALL))
             line += scene.frames
             recorded_impulse += scene.frames * solids
         per_particle = max(features.dimension, features.recorded)
@@ -125,6 +130,9 @@ class Batch:
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.record = np.zeros(recorded * features.dimension, np.float32)
+        self.on_disk: DiskFrames | None = None
+        if stream is not None:
+            self.on_disk = DiskFrames(stream, (len(self.kept(0)), counts[0], features.dimension))
         self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
@@ -304,7 +312,20 @@ class Batch:
 
     def recorded(self, index: int) -> NDArray[np.float32]:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
+        if self.on_disk is not None:
+            return self.on_disk.positions
         return self.frames_of(self.record, index, self.features.dimension)
+
+    def before_call(self, first: int) -> None:
+        """Let `record` begin with what is kept from frame `first` on, where frames are streamed."""
+        if self.on_disk is not None:
+            self.offsets[0, Offset.FIRST_SLOT] = np.searchsorted(self.kept(0), first)
+
+    def after_call(self, last: int) -> None:
+        """Bring what is kept of the frames before `last` from `record` to the disk, where frames are streamed."""
+        if self.on_disk is not None:
+            begin, end = int(self.offsets[0, Offset.FIRST_SLOT]), int(np.searchsorted(self.kept(0), last))
+            self.on_disk.put(begin, self.record.reshape(-1, *self.on_disk.positions.shape[1:])[: end - begin])
 
     def recorded_fields(self, index: int) -> NDArray[np.float32]:
         """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""

@@ -66,6 +66,10 @@ class Property(Column):
     SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
 
 
+FRAMES_PER_CALL = 20
+"""Frames of one call of the kernel; after each the progress bar moves and a run can be stopped."""
+
+
 class Offset(Column):
     """Columns of `offsets`, integers, shape [scenes, len(Offset)]: where a scene lies in the flat arrays; counters."""
 
@@ -78,6 +82,7 @@ class Offset(Column):
     EVERY = auto()  # frames from one that is recorded to the next; 0 where the last is recorded alone
     LAST_FRAME = auto()  # the number of its last frame
     LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
+    FIRST_SLOT = auto()  # the recorded frame that its part of `record` begins with
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
     GEOMETRY = auto()  # its first entry in `cell_faces` and `fixed_nodes`

@@ -98,8 +98,8 @@ class Checkpoint:
             impulse=batch.recorded_impulse[first:][: (frame + 1) * solids]
             .reshape(frame + 1, solids, batch.features.dimension)
             .copy(),
-            positions=batch.recorded(0)[:kept].copy(),
-            fields=batch.recorded_fields(0)[:kept].copy(),
+            positions=batch.recorded(0)[:kept],
+            fields=batch.recorded_fields(0)[:kept],
             retained=batch.retained.copy(),
             settling=batch.settling.copy(),
         )

@@ -131,13 +131,15 @@ def record_block(scene, frame, block, arrays: ti.template()):
 
 @ti.func
 def slot_of(scene, frame, arrays: ti.template()):
-    """Where the particles of a frame are recorded, counted in recorded frames; -1 where they are not."""
+    """Where the particles of a frame are recorded, counted in frames of `record`; -1 where they are not."""
     slot, every = -1, arrays.offsets[scene, Offset.EVERY]
     if frame == arrays.offsets[scene, Offset.LAST_FRAME]:
         slot = arrays.offsets[scene, Offset.LAST_SLOT]
     elif every > 0:  # noqa: SIM102 (Taichi's `and` would divide by zero)
         if frame % every == 0:
             slot = frame // every
+    if slot >= 0:
+        slot -= arrays.offsets[scene, Offset.FIRST_SLOT]
     return slot
 
 

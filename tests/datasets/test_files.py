@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from datasets.files import PART, remove_parts, replacing, write_json, write_text
+from datasets.files import PART, remove_own_parts, remove_parts, replacing, write_json, write_text
 
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -58,6 +58,21 @@ def test_parts_that_a_killed_process_left_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).write_text("half")
     remove_parts(tmp_path)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "train" / "a.npz"]
+
+
+def test_a_process_that_is_ended_removes_what_it_was_writing_and_no_other_s(tmp_path: Path) -> None:
+    other = tmp_path / f"{PART}other.txt"
+    other.write_text("half")
+
+    def write() -> None:
+        with replacing(tmp_path / "a.txt") as part:
+            part.write_text("half")
+            remove_own_parts()
+            assert list(tmp_path.iterdir()) == [other]
+
+    with pytest.raises(FileNotFoundError):
+        write()
+    assert list(tmp_path.iterdir()) == [other]
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])

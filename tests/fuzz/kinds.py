@@ -268,6 +268,9 @@ KINDS = {
     ),
     "definition": Kind(read=read_definition, cases=definition_files, share=0.1),
     "trajectory": Kind(read=read_trajectory, cases=lambda: npz_files("flow.npz", seeds.trajectory()), share=0.2),
+    "compressed": Kind(
+        read=read_trajectory, cases=lambda: named("flow.h5", mutations.damaged((seeds.compressed(),))), share=0.1
+    ),
     "foreign": Kind(read=read_foreign, cases=foreign_files, share=0.2),
     "hdf5": Kind(read=read_hdf5, cases=hdf5_files, share=0.2),
     "metadata": Kind(read=read_metadata, cases=lambda: json_files("metadata.json", seeds.METADATA), share=0.05),

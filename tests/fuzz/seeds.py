@@ -183,8 +183,24 @@ def scene() -> Scene:
 @functools.cache
 def trajectory() -> dict[str, np.ndarray]:
     """The arrays of a trajectory of eight particles in three frames."""
+    with tempfile.TemporaryDirectory() as folder:
+        flow().save(Path(folder) / "flow.npz")
+        with np.load(Path(folder) / "flow.npz", allow_pickle=False) as file:
+            return dict(file)
+
+
+@functools.cache
+def compressed() -> bytes:
+    """The same, compressed."""
+    with tempfile.TemporaryDirectory() as folder:
+        flow().save(Path(folder) / "flow.h5")
+        return (Path(folder) / "flow.h5").read_bytes()
+
+
+def flow() -> Trajectory:
+    """A trajectory of eight particles in three frames."""
     count = 8
-    flow = Trajectory(
+    return Trajectory(
         positions=np.linspace(0.01, 0.1, 3 * count * 2, dtype=np.float32).reshape(3, count, 2),
         time=np.arange(3) * 0.005,
         velocity0=np.zeros((count, 2), np.float32),
@@ -195,10 +211,6 @@ def trajectory() -> dict[str, np.ndarray]:
         pressure=np.ones((3, count), np.float32),
         summary={"front": 0.1},
     )
-    with tempfile.TemporaryDirectory() as folder:
-        flow.save(Path(folder) / "flow.npz")
-        with np.load(Path(folder) / "flow.npz", allow_pickle=False) as file:
-            return dict(file)
 
 
 @functools.cache

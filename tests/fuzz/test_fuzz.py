@@ -71,6 +71,7 @@ def valid() -> dict[str, list[tuple[str, bytes]]]:
         "problem": [("problem.toml", mutations.toml(base)) for base in seeds.PROBLEMS],
         "definition": [("mine.toml", mutations.toml(seeds.DEFINITION))],
         "trajectory": [("flow.npz", mutations.npz(seeds.trajectory(), compressed=each)) for each in (False, True)],
+        "compressed": [("flow.h5", seeds.compressed())],
         "foreign": [("train.npz", seeds.foreign())],
         "hdf5": [("train.h5", seeds.hdf5(compressed=each)) for each in (False, True)],
         "metadata": [("metadata.json", json.dumps(seeds.METADATA).encode())],

@@ -44,7 +44,7 @@ def test_steps_and_frames_are_those_of_the_run() -> None:
     ("change", "message"),
     [
         ({"frame_dt": 1.0e4, "duration": 1.0e8}, "duration: expected at most 2147483647 steps"),
-        ({"frame_dt": 1.0e-4, "duration": 900.0}, "of memory that are free, got .* fewer frames that are kept"),
+        ({"frame_dt": 1.0e-4, "duration": 900.0}, "of memory that are free, got .* fewer particles_per_axis or frames"),
     ],
 )
 def test_what_no_machine_could_run_is_refused_at_once(

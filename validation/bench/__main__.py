@@ -103,6 +103,10 @@ BENCHES = {
         module="validation.bench.cluster.bench",
         summary="overhead of a scheduler for each trajectory; what 100,000 runs or 100 million particles would take",
     ),
+    "storage": Bench(
+        module="validation.bench.storage.bench",
+        summary="sizes and reading times of trajectories, memory of runs that stream them to disk",
+    ),
     "faults": Bench(
         module="validation.bench.faults.bench",
         summary="kills and full disks at many moments of every command that goes on after them",

@@ -10,6 +10,7 @@ import torch
 
 from datasets.library import read_scene
 from datasets.particles import particle_count
+from mpm.adjoint.checks import lone_particle_step
 from validation.bench.__main__ import main
 from validation.bench.adjoint.agreement import agreement, coarse, cosine, flows, slopes
 from validation.bench.adjoint.bench import agreement_texts, growth_row, growth_text, kept
@@ -38,18 +39,21 @@ def test_every_flow_has_its_parameters() -> None:
     assert {each.scene.dimension for each in found} == {2, 3}
     assert [len(each.names) for each in found] == [10, 10, 10, 10, 2]
     assert len(found[2].scene.masses) == 100
+    assert found[4].scene.step_fraction < lone_particle_step(found[4].scene.material, 3)
 
 
 @pytest.mark.slow
 def test_both_jacobians_agree_on_a_short_flow() -> None:
     """A quarter of a second of the coarse layers: the mean x of halves of the sand over ten velocities."""
     flow = flows(1, 2, quick=True)[1]
-    row = agreement(
+    rows = agreement(
         dataclasses.replace(flow, scene=dataclasses.replace(coarse(read_scene("layers-10")), duration=0.25))
     )
-    assert row["cut"] == 0.0
-    assert float(row["cosine"]) > 0.98
-    assert row["length"] == pytest.approx(1.0, rel=0.1)
+    assert [row["step"] for row in rows] == ["0.15 m/s", "0.015 m/s"]
+    for row in rows:
+        assert row["cut"] == 0.0
+        assert float(row["cosine"]) > 0.98
+        assert row["length"] == pytest.approx(1.0, rel=0.1)
 
 
 def test_sizes_grow_as_they_say() -> None:
@@ -80,14 +84,14 @@ def test_growth_follows_the_numbers() -> None:
 
 def test_what_agrees_is_counted() -> None:
     rows = [
-        {"Jacobian": "a", "cosine": 0.999, "length": 1.01},
-        {"Jacobian": "b", "cosine": 0.97, "length": 1.0},
-        {"Jacobian": "c", "cosine": 0.995, "length": 1.06},
+        {"Jacobian": "a", "step": "1 m", "cosine": 0.999, "length": 1.01},
+        {"Jacobian": "b", "step": "1 m", "cosine": 0.97, "length": 1.0},
+        {"Jacobian": "c", "step": "2 m", "cosine": 0.995, "length": 1.06},
     ]
     first, second = agreement_texts(rows)
-    assert "1 of 3 Jacobians have a cosine of at least 0.99" in first
-    assert "the least cosine is 0.9700, b" in first
-    assert "b: 0.9700, 1.000; c: 0.9950, 1.060" in second
+    assert "1 of 3 comparisons have a cosine of at least 0.99" in first
+    assert "the least cosine is 0.9700, b, 1 m" in first
+    assert "b, 1 m: 0.9700, 1.000; c, 2 m: 0.9950, 1.060" in second
     assert len(agreement_texts(rows[:1])) == 1
 
 

@@ -1,0 +1,1 @@
+"""What trajectories take on disk and in memory."""
