@@ -26,8 +26,8 @@ from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Kind, Vector, kind, with_kinds
 from inverse.parameters.masses import Velocity
 from inverse.problem import Problem
-from mpm.adjoint.gradient import Gradient, pull_back
-from mpm.adjoint.tape import MEMORY_MIB, Tape
+from mpm.adjoint.gradient import Gradient, pull_back_all
+from mpm.adjoint.tape import MEMORY_MIB, FlowAdjoints, Tape
 from mpm.arrays.layout import Precision
 
 
@@ -73,14 +73,24 @@ class Run:
 
     def flow(self, parameters: Tensor) -> Flow:
         """All that is observed at the frames, of parameters [U]."""
+        (flow,) = self.flows(parameters, [self.scene.seed])
+        return flow
+
+    def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
+        """The same for several seeds of the jitter, side by side on the threads.
+
+        Corners of one flow (contact that begins, friction that sticks) lie elsewhere in another: the gradient of a mean
+        over seeds is that of a smoother function.
+        """
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
-        tape = Tape([scene], self.frames, **self.options)
+        tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
 
-        def slopes(gradient: Gradient) -> Tensor:
-            return torch.from_numpy(self.derivatives(gradient, values))
+        def slopes(gradient: Gradient) -> tuple[Tensor]:
+            return (torch.from_numpy(self.derivatives(gradient, values)),)
 
-        return Flow(*_Flow.apply(tape, lambda gradient: (slopes(gradient),), parameters))  # type: ignore[no-untyped-call]
+        observed = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
+        return [Flow(*observed[first : first + 3]) for first in range(0, len(observed), 3)]
 
     def derivatives(self, gradient: Gradient, values: Vector) -> Vector:
         """dJ/d(parameters) at `values`, shape [U], from the gradient with respect to what the run begins with."""
@@ -92,7 +102,7 @@ class Run:
                 continue
 
             def scene_at(value: float, index: int = index) -> Scene:
-                return with_kinds(self.scene, self.kinds, np.where(np.arange(len(values)) == index, value, values))
+                return with_kinds(gradient.scene, self.kinds, np.where(np.arange(len(values)) == index, value, values))
 
             found[index] = gradient.along(scene_at, float(values[index]))
         return found
@@ -133,23 +143,25 @@ class ParticleRun:
 
 
 class _Flow(torch.autograd.Function):
-    """What a tape has observed; backwards its vector-Jacobian product."""
+    """What a tape has observed, three tensors of each scene; backwards its vector-Jacobian product."""
 
     @staticmethod
     def forward(
         ctx: Any, tape: Tape, slopes: Callable[[Gradient], tuple[Tensor, ...]], *inputs: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         ctx.tape, ctx.slopes, ctx.dtypes = tape, slopes, [each.dtype for each in inputs]
-        observed = tape.positions(), tape.velocities(), tape.impulses()
-        return torch.from_numpy(observed[0]), torch.from_numpy(observed[1]), torch.from_numpy(observed[2])
+        observed = (tape.positions, tape.velocities, tape.impulses)
+        return tuple(torch.from_numpy(each(index)) for index in range(len(tape.batch.scenes)) for each in observed)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
-        positions, velocities, impulses = (each.detach().numpy().astype(np.float64) for each in adjoints)
+        given = [each.detach().numpy().astype(np.float64) for each in adjoints]
+        positions, velocities, impulses = given[::3], given[1::3], given[2::3]
         # Most objectives depend on no force, and pay for none.
-        forces = [impulses] if impulses.any() else None
-        (gradient,) = pull_back(ctx.tape, [positions], [velocities], forces)
-        found = ctx.slopes(gradient)
+        forces: list[Any] = impulses if any(each.any() for each in impulses) else [None] * len(impulses)
+        flows = map(FlowAdjoints, positions, velocities, forces)
+        (gradients,) = pull_back_all(ctx.tape, [list(flows)])
+        found = [sum(parts) for parts in zip(*map(ctx.slopes, gradients), strict=True)]
         return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
 
 

@@ -316,6 +316,10 @@ class Batch:
             return self.on_disk.positions
         return self.frames_of(self.record, index, self.features.dimension)
 
+    def finite(self, index: int) -> bool:
+        """Whether all recorded positions of one scene are numbers."""
+        return bool(np.isfinite(self.recorded(index)).all()) if self.on_disk is None else self.on_disk.finite
+
     def before_call(self, first: int) -> None:
         """Let `record` begin with what is kept from frame `first` on, where frames are streamed."""
         if self.on_disk is not None:

@@ -21,7 +21,7 @@ from mpm.runtime import Arch
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    if frames == scene.frames and all(np.isfinite(each).all() for each in batch.recorded(index)):
+    if frames == scene.frames and batch.finite(index):
         return None
     count = len(batch.particles[index].positions)
     numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]

@@ -33,10 +33,13 @@ class DiskFrames:
             self._map = mmap.mmap(file.fileno(), size)
         self.positions: NDArray[np.float32] = np.frombuffer(self._map, np.float32).reshape(shape)
         """Of the kept frames [m], shape [T, N, D]."""
+        self.finite = True
+        """Whether all that was put there are numbers: nobody has to read it again to know."""
 
     def put(self, first: int, frames: NDArray[np.float32]) -> None:
         """Bring `frames`, the kept ones from number `first` on, to the disk."""
         self.positions[first : first + len(frames)] = frames
+        self.finite &= bool(np.isfinite(frames).all())
         if hasattr(mmap, "MADV_DONTNEED"):
             # The pages are the system's to write; this process no longer holds them.
             self._map.madvise(mmap.MADV_DONTNEED)
