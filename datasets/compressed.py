@@ -52,9 +52,8 @@ def how(shape: tuple[int, ...]) -> dict[str, Any]:
     """How an array is stored: in chunks, deflated, where it is more than a few numbers."""
     if math.prod(shape) < PARTICLES:
         return {}
-    # Frames before particles, particles alone, or frames alone.
-    sides = (GROUP, PARTICLES, *shape[2:]) if len(shape) > 1 else (PARTICLES,)
-    chunks = tuple(min(side, length) for side, length in zip(sides, shape, strict=True))
+    largest = (GROUP, PARTICLES, *shape[2:]) if len(shape) > 1 else (PARTICLES,)
+    chunks = tuple(map(min, largest, shape))
     return {"chunks": chunks, "compression": "gzip", "compression_opts": LEVEL, "shuffle": True}
 
 

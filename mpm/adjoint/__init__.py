@@ -20,5 +20,6 @@ very large scene are not sorted as the solver does, so that sums differ in their
 
 Taichi 1.7.4 differentiates a kernel that reads one array and writes another, vectors of lanes included. Where a loop
 overwrites what it has read, as each of our steps does, it silently takes the last value for all; hence the reverse by
-hand.
+hand. There is no tangent: a Jacobian of M numbers is one replay with M reverses, and for few unknowns differences and
+secants cost less than either (docs/efficiency.md).
 """
