@@ -50,6 +50,8 @@ def test_some(worker: Worker, kind: str) -> None:
 
 
 @pytest.mark.fuzz
+# Of the files that cases are made from, some are long.
+@pytest.mark.filterwarnings("ignore:Generating overly large repr")
 @pytest.mark.parametrize("kind", KINDS)
 def test_many(worker: Worker, kind: str, request: pytest.FixtureRequest) -> None:
     count = request.config.getoption("--fuzz")
