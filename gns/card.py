@@ -28,12 +28,11 @@ from datasets.trajectory import trajectory_files
 from gns.inference import shipped
 from gns.model import checkpoint, rheology, traction
 from gns.model.context import channels
-from gns.model.settings import ModelSettings
+from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.simulator import Simulator, conditions_count
 from gns.model.solids import feature_count
 from gns.ranges import Body, Range, outside, ranges_of
 from gns.training.convergence import SHORT, summary, total_updates
-from gns.units import GRAVITY
 
 LICENCE = "MIT"
 """That of the repository."""

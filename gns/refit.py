@@ -44,12 +44,11 @@ from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns.inference import member_path, model_path
 from gns.model import checkpoint
-from gns.model.settings import ModelSettings
+from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
 from gns.training.batch import Particles, batched
 from gns.training.flows import flows_of, stretch
-from gns.units import GRAVITY
 
 Floats = NDArray[np.float64]
 

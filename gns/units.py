@@ -16,10 +16,7 @@ from dataclasses import dataclass
 from datasets.errors import InputError
 from datasets.particles import released_volume
 from datasets.scene import Scene
-from gns.model.settings import ModelSettings
-
-GRAVITY = 9.81
-"""Gravitational acceleration of all training data [m/s^2]."""
+from gns.model.settings import GRAVITY, ModelSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,20 @@
 """Settings of a model: what a checkpoint needs to build it again."""
 
+import math
 from dataclasses import dataclass
 
 from datasets.errors import InputError
 from datasets.records import Record
 
+GRAVITY = 9.81
+"""Gravitational acceleration of all training data [m/s^2]."""
 SMALLEST, LARGEST = 1.0e-6, 1.0e6
 """Lengths [m], times [s], densities [kg/m^3] and speeds [m/s] of any model are between them."""
 MOST_CELLS = 32
 """Cells of the thinning over the cut-off radius, or a cell of the grid: a particle has as many neighbours, squared."""
 MOST = 10_000
+SHORTEST = 0.01
+"""Step over the time in which a grain falls half a cell: shorter ones say nothing and take for ever."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +74,9 @@ class ModelSettings(Record):
         require(0.0 <= self.rest_speed <= LARGEST, "rest_speed", "a speed of at least 0 m/s")
         for key in ("mlp_layers", "grid_layers"):
             require(0 <= getattr(self, key) <= MOST, key, f"an integer of at least 0, up to {MOST}")
+        fall = math.sqrt(self.cell / GRAVITY)
+        expected = f"steps of at least {SHORTEST:g} of the {fall:.3g} s in which a grain falls half a cell"
+        require(self.step >= SHORTEST * fall, "frame_dt", expected)
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds")
 
     @property

@@ -12,11 +12,10 @@ from gns.model.grid import REFERENCE_HEIGHT, UP, Stencil, column_features, stenc
 from gns.model.network import Network
 from gns.model.occupancy import occupancy
 from gns.model.rheology import internal_forces
-from gns.model.settings import ModelSettings
+from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.solids import feature_count, keep_out, solid_features
 from gns.model.state import Conditions, State
 from gns.model.traction import basal_friction, damped_motion, traction_features
-from gns.units import GRAVITY
 
 SLOW = 0.1
 """Displacement over the root mean square one below which the direction of motion fades from the features [-]."""

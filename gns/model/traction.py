@@ -24,8 +24,8 @@ import torch
 from torch import Tensor
 
 from gns.model.grid import UP
+from gns.model.settings import GRAVITY
 from gns.model.state import Conditions
-from gns.units import GRAVITY
 
 ROUNDED = 0.1
 """Change of the motion over `slow` below which its amount is rounded [-]: a sharp kink has no useful derivative."""

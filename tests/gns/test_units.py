@@ -12,9 +12,9 @@ from datasets.material import Material
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Domain, Mass, Scene
 from gns.inference import simulate
-from gns.model.settings import ModelSettings
+from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.simulator import Simulator
-from gns.units import GRAVITY, Units
+from gns.units import Units
 
 SCENE = Scene(
     domain=Domain(size=(0.6, 0.4), cell=0.01),

@@ -4,9 +4,8 @@ import math
 
 import torch
 
-from gns.model.settings import ModelSettings
+from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.state import Conditions, State
-from gns.units import GRAVITY
 
 ACROSS = {2: 40, 3: 16}
 """Nodes along the height, in 3D along the width too; 40 of them 10 mm apart are the paper's tall column."""

@@ -287,7 +287,9 @@ def test_the_whole_command_in_its_quick_form(tiny: Model, tmp_path: Path, monkey
     )
     family = Family(definition=definition, kinds=("column",), storage=storage, cell=0.01)
     monkeypatch.setattr(held_out, "family", lambda dimension: family if dimension == 2 else None)
-    monkeypatch.setattr(bench, "pool", lambda jobs: nullcontext((SimpleNamespace(map=map), jobs)))
+    monkeypatch.setattr(
+        bench, "pool", lambda jobs: nullcontext(SimpleNamespace(executor=SimpleNamespace(map=map), width=lambda: jobs))
+    )
     monkeypatch.setattr(velocities, "blocks_problem", lambda *cut, duration: blocks_problem(*cut, duration=0.05))
     monkeypatch.setattr(calibration, "shipped_bands", lambda: lambda scene, _: Band(low=0.0, high=1.0))
     monkeypatch.setattr(plots, "DPI", 30)
