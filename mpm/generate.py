@@ -149,6 +149,9 @@ def missing_entries(entries: Iterable[Entry], out: Path, suffix: str = ".npz") -
     found = {path: None for split in Split for path in trajectory_files(out / split.value)}
     for path in found:
         if path not in required:
+            if path.suffix != suffix and path.with_suffix(suffix) in required:
+                other = "with" if path.suffix == SUFFIX else "without"
+                raise InputError(f"expected {suffix}, the dataset was begun {other} --compress", where=str(path))
             raise InputError("expected no trajectory but those of this definition, seed and count", where=str(path))
         if stored_scene(path) != required[path].scene:
             raise InputError("expected the scene that this definition and seed give, found another", where=str(path))
