@@ -23,6 +23,8 @@ from validation.report.page import Page
 
 NAMES = ("generate", "scheduler", "train", "loop", "bench")
 MOMENTS, DISKS = 8, 4
+WORKERS, RESTART_S = 2, 10.0
+"""Of the scheduler; seconds in which one that was killed is back."""
 ENOUGH = 2**28
 """Bytes of a disk on which every command has room."""
 
@@ -152,11 +154,20 @@ def scheduler(asked: bool) -> Iterator[tuple[str, Callable[[], int]]]:
         return
     from distributed import Client, LocalCluster
 
+    def one_of_two() -> int:
+        # A nanny that its worker died under while it started gives up, now and then: another one takes over.
+        try:
+            client.wait_for_workers(WORKERS, timeout=RESTART_S)
+        except TimeoutError:
+            cluster.scale(len(cluster.workers) + WORKERS - len(client.nthreads()))
+            client.wait_for_workers(WORKERS)
+        return int(next(iter(client.run(os.getpid).values())))
+
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,  # type: ignore[no-untyped-call]
+        LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=":0") as cluster,  # type: ignore[no-untyped-call]
         Client(cluster) as client,  # type: ignore[no-untyped-call]
     ):
-        yield cluster.scheduler_address, lambda: next(iter(client.run(os.getpid).values()))
+        yield cluster.scheduler_address, one_of_two
 
 
 def page(found: Sequence[Found], flags: str = "", *, quick: bool) -> Page:
