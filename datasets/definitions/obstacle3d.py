@@ -1,137 +1,367 @@
-"""Obstacle3D: the paper's 3D training set, masses of sand thrown at one to three baffles.
+"""obstacle3d: the training set of the shipped 3D surrogate, ten kinds of flows of fine truth.
 
-The paper gives sizes and numbers, no places and no speeds. Here every flow goes along +x and meets its baffles: they
-stand close before the mass, and no mass begins above them. The ranges of the velocity are those of its authors' public
-input generator. The test scenes `baffles-2` and `baffles-5` are of other boxes, masses and baffles, so that nothing has
-to be held out for them.
+Every scene releases `VOLUME` of material, as in `flow2d`: a surrogate scales a scene to that size (`gns.units`). The
+MPM computes it on cells of `CELL`, 19 across the body; what is stored are `KEPT` of the particles of each cell of
+`KEPT_CELL`, from which a surrogate takes one of about four.
 """
 
-from collections.abc import Iterable, Sequence
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.definitions.definition import Definition, Split
+from datasets.definitions import flow2d
+from datasets.definitions.definition import Definition, Storage
 from datasets.definitions.flow2d import jitter_seed
+from datasets.definitions.held_out import boxes
+from datasets.definitions.variants import Rounds
+from datasets.errors import InputError
+from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 
-SIZE = 1000
-CELLS = 32
-"""Cells along each side of the domain of 1 m."""
-SIDE_CELLS = (8, 25)
-"""Smallest and largest side of a mass in cells: the paper's 0.25 to 0.80 m."""
-MOST_PARTICLES = 17_000
-PARTICLES_PER_AXIS = 2
-HIGHEST_START = 8
-"""Largest height of a lifted mass above the floor in cells: below the top of the baffles, so that it meets them."""
-SPEED = 3.0
-"""Largest initial velocity downstream [m/s]."""
-SIDE_SPEED = 0.5
-"""Largest component of the initial velocity across the flow, up, down or sideways [m/s]."""
-BAFFLE_COUNTS = (1, 2, 3)
-"""Repeated along the dataset."""
-BAFFLE_WIDTH = (0.10, 0.13)
-"""Extent of a baffle in x and in z [m]."""
-BAFFLE_HEIGHT = 0.30
-GAP = 3 / CELLS
+VOLUME = 0.032
+"""Released in every scene [m^3]: a body of length 0.32 m."""
+CELL = 1 / 60
+"""Of the MPM's grid [m]; all boxes are whole numbers of it."""
+KEPT_CELL, KEPT = 0.02, 1
+YOUNG = 0.9e6
+"""160 rho g l [Pa]."""
+FRAME_DT = 0.02
+DURATION = 1.2
+"""Of a scene that does not rest before [s]: 6.7 times sqrt(l / g)."""
+FRICTION_DEG = (15.0, 45.0)
+SPEED = 2.4
+"""Largest initial velocity of a thrown mass along x [m/s]: that of free fall through 0.9 of the body's length."""
+SIDE_SPEED = 0.4
+"""Largest component of it across the flow, up, down or sideways [m/s]."""
+LENGTHS = (1.2, 1.6, 2.0)
+WIDTHS = (0.4, 0.6, 0.8, 1.1)
+"""Of the box [m]."""
+MOST_BAFFLES = 6
+BAFFLE_LENGTH, BAFFLE_WIDTH, BAFFLE_HEIGHT = (0.04, 0.16), (0.04, 0.32), (0.05, 0.35)
+"""Extent of a baffle in x, z and y [m], uniform in its logarithm."""
+GAP = 3 * CELL
 """Least distance of a baffle from the mass and from other baffles [m]: narrower gaps do not flow as a continuum."""
-BAFFLE_RANGE = 0.25
-"""How much farther than that a baffle may stand before the mass [m]: what falls over from rest gets there too."""
-ROOM_CELLS = 8
-"""Cells behind the mass at least: a gap and a baffle."""
-TRIES = 20
-"""Sets of baffles tried before a mass; then comes another mass."""
-SPLIT_PERIOD = 20
-"""Of so many scenes, one is for validation and one for the test."""
+TURNED = 1 / 3
+"""Share of the scenes with baffles whose baffles are turned."""
+GRID = 0.1
+"""Distance between the elevations of a terrain [m]."""
+SIZE = 400
+TRIES = 200
+"""Draws of a baffle that stands apart from the others."""
+
+Stream = np.random.Generator
 
 
-def draw(stream: np.random.Generator, index: int) -> Scene:
-    """A cuboid of random sides, standing or in the air, with a random velocity, and the baffles before it.
+def variant(stream: Stream, scene: Scene) -> Scene:
+    """The scene with a baffle elsewhere, in half of those that have any, or another friction, velocity or cohesion."""
+    if scene.baffles and stream.random() < 0.5:
+        number = int(stream.integers(len(scene.baffles)))
+        first = scene.baffles[number]
+        shift = stream.uniform(0.015, 0.05, 2) * stream.choice([-1.0, 1.0], 2)
+        lower = (first.lower[0] + float(shift[0]), first.lower[1], first.lower[2] + float(shift[1]))
+        moved = list(scene.baffles)
+        moved[number] = dataclasses.replace(first, lower=lower)
+        return dataclasses.replace(scene, baffles=apart(scene.masses, moved))
+    changed = flow2d.variant(stream, dataclasses.replace(scene, baffles=()))
+    return dataclasses.replace(changed, baffles=scene.baffles)
 
-    Sides and places of the mass are whole numbers of cells, those of the baffles are continuous. The number of baffles
-    follows from `index`.
-    """
-    count = BAFFLE_COUNTS[index % len(BAFFLE_COUNTS)]
-    mass = draw_mass(stream)
-    while (baffles := draw_baffles(stream, mass, count)) is None:
-        mass = draw_mass(stream)
-    return thrown_at(mass, baffles, jitter_seed(stream), length=1.0, duration=0.875)
+
+def sheet(stream: Stream) -> Scene:
+    """A column over the whole width of a narrow channel, let go: nearly plane."""
+    width = float(stream.choice(WIDTHS[:3]))
+    aspect = log_uniform(stream, 0.3, 4.0)
+    length, height = math.sqrt(VOLUME / width / aspect), math.sqrt(VOLUME / width * aspect)
+    left = 0.0 if stream.random() < 0.6 else float(stream.uniform(0.05, 0.3))
+    return scene(stream, Mass(lower=(left, 0.0, 0.0), size=(length, height, width)), width=width)
 
 
-def thrown_at(mass: Mass, baffles: tuple[Baffle, ...], seed: int, *, length: float, duration: float) -> Scene:
-    """The paper's sand and time step in a box `length` [m] long, 1 m high and wide, for `duration` [s]."""
-    return Scene(
-        domain=Domain(size=(length, 1.0, 1.0), cell=1 / CELLS),
-        material=Material(friction_deg=35.0, density=1800.0, young=2.0e6, poisson=0.3),
-        masses=(mass,),
-        baffles=baffles,
-        duration=duration,
-        frame_dt=0.0025,
-        # Not stated in the paper; `scenes/baffles-2.toml` says why.
-        floor_friction=0.43,
-        wall_friction=0.43,
-        baffle_friction=0.43,
-        step_fraction=0.9,
-        particles_per_axis=PARTICLES_PER_AXIS,
-        seed=seed,
+def pile(stream: Stream) -> Scene:
+    """A box that is let go: in the middle of the floor, at a wall, or in a corner."""
+    size = cuboid(stream, (0.3, 4.0), (0.6, 1.7))
+    width = roomy(stream, size[2])
+    left = float(stream.uniform(0.0, 0.5)) * float(stream.random() < 0.6)
+    return scene(stream, Mass(lower=(left, 0.0, aside(stream, size[2], width)), size=size), width=width)
+
+
+def tower(stream: Stream) -> Scene:
+    """A block as high as long, standing or in the air, thrown at one to three baffles."""
+    return thrown(stream, cuboid(stream, (0.5, 2.0), (0.6, 1.8)), int(stream.integers(1, 4)))
+
+
+def slab(stream: Stream) -> Scene:
+    """A low and wide block thrown down a channel, nearly always at one to `MOST_BAFFLES` baffles."""
+    return thrown(
+        stream,
+        cuboid(stream, (0.3, 0.9), (1.3, 4.5)),
+        int(stream.integers(1, MOST_BAFFLES + 1)) * int(stream.random() < 0.85),
     )
 
 
-def draw_mass(stream: np.random.Generator) -> Mass:
-    """A cuboid with room for a baffle behind it."""
-    extents = draw_extents(stream)
-    spare = CELLS - extents
-    position = stream.integers(0, [spare[0] - ROOM_CELLS, min(spare[1], HIGHEST_START), spare[2]], endpoint=True)
-    # Half of the masses stand on the floor.
-    position[1] *= stream.integers(2)
-    velocity = stream.uniform([0.0, -SIDE_SPEED, -SIDE_SPEED], [SPEED, SIDE_SPEED, SIDE_SPEED])
-    return Mass(lower=vector(position / CELLS), size=vector(extents / CELLS), velocity=vector(velocity))
+def row(stream: Stream) -> Scene:
+    """A wide slab thrown at one or two rows of like baffles, the second behind the gaps of the first."""
+    size = cuboid(stream, (0.4, 0.9), (1.3, 3.5))
+    height = log_uniform(stream, 0.08, 0.3)
+    edge = (log_uniform(stream, 0.05, 0.14), log_uniform(stream, 0.05, 0.14))
+    count = int(stream.integers(2, 4))
+    width = roomy(stream, size[2])
+    left, z = float(stream.uniform(0.0, 0.2)), aside(stream, size[2], width)
+    pitch = float(stream.uniform(0.85, 1.15)) * size[2] / (count - 0.3)
+    first = left + size[0] + float(stream.uniform(GAP, 0.3))
+    between = edge[0] + float(stream.uniform(0.08, 0.3))
+    turned_deg = turn(stream) if stream.random() < TURNED else 0.0
+    baffles = [
+        Baffle(
+            lower=(first + line * between, 0.0, z + 0.5 * (size[2] - edge[1]) + pitch * (number - 0.5 * (members - 1))),
+            size=(edge[0], height, edge[1]),
+            turned_deg=turned_deg,
+        )
+        for line, members in enumerate((count, count - 1)[: int(stream.integers(1, 3))])
+        for number in range(members)
+    ]
+    mass = Mass(lower=(left, 0.0, z), size=size, velocity=throw(stream))
+    return scene(stream, mass, width=width, baffles=apart((mass,), baffles))
 
 
-def draw_extents(stream: np.random.Generator) -> NDArray[np.int64]:
-    """Sides of a mass in cells, shape [3]: not too many particles, and not too long for a baffle behind it."""
-    while True:
-        extents = stream.integers(*SIDE_CELLS, 3, endpoint=True)
-        if PARTICLES_PER_AXIS**3 * extents.prod() <= MOST_PARTICLES and extents[0] <= CELLS - ROOM_CELLS:
-            return extents
+def dam(stream: Stream) -> Scene:
+    """A column at rest that falls onto one to four baffles."""
+    size = cuboid(stream, (0.5, 2.5), (0.6, 2.5))
+    width = roomy(stream, size[2])
+    left = float(stream.uniform(0.0, 0.2)) * float(stream.random() < 0.4)
+    mass = Mass(lower=(left, 0.0, aside(stream, size[2], width)), size=size)
+    return scene(
+        stream, mass, width=width, baffles=obstacles(stream, mass, width, int(stream.integers(1, 5)), distance=0.25)
+    )
 
 
-def draw_baffles(stream: np.random.Generator, mass: Mass, count: int) -> tuple[Baffle, ...] | None:
-    """Baffles downstream of `mass`, the middle of each within its width; None where no room was found for them."""
+def slope(stream: Stream) -> Scene:
+    """A box that is let go or thrown on a slope, in half of the scenes above baffles."""
+    size = cuboid(stream, (0.3, 2.0), (0.6, 2.5))
+    width = roomy(stream, size[2])
+    left = float(stream.uniform(0.0, 0.25)) * float(stream.random() < 0.7)
+    mass = Mass(
+        lower=(left, 0.0, aside(stream, size[2], width)),
+        size=size,
+        velocity=throw(stream, 0.6) if stream.random() < 0.4 else None,
+    )
+    count = int(stream.integers(1, 5)) * int(stream.random() < 0.5)
+    degrees = float(stream.uniform(3.0, 30.0))
+    return scene(
+        stream, mass, width=width, length=LENGTHS[-1], slope_deg=degrees, baffles=obstacles(stream, mass, width, count)
+    )
+
+
+def terrain(stream: Stream) -> Scene:
+    """A layer or a box at the head of a valley, of a ramp with a run-out, or of a slope with bumps, or of all of it."""
+    length, width = float(stream.choice(LENGTHS[1:])), float(stream.choice(WIDTHS[1:]))
+    x = GRID * np.arange(-1, round(length / GRID) + 3)[:, None]
+    z = GRID * np.arange(-1, round(width / GRID) + 3)[None, :]
+    plateau = float(stream.uniform(0.2, 0.5)) * float(stream.random() < 0.4)
+    foot = plateau + float(stream.uniform(0.4, 1.2))
+    fall = float(stream.uniform(0.15, 0.55)) * (foot - plateau)
+    ground = fall * np.clip((foot - x) / (foot - plateau), 0.0, 1.0) + 0.0 * z
+    if stream.random() < 0.5:
+        ground = ground + float(stream.uniform(0.15, 0.6)) * np.abs(z - width * float(stream.uniform(0.4, 0.6)))
+    for _ in range(int(stream.integers(0, 4))):
+        at, radius = stream.uniform((0.2, 0.0), (length, width)), float(stream.uniform(0.12, 0.3))
+        bump = float(stream.uniform(-0.2, 0.3)) * radius
+        ground = ground + bump * np.exp(-((x - at[0]) ** 2 + (z - at[1]) ** 2) / (2.0 * (0.5 * radius) ** 2))
+    ground = ground - ground.min() + 0.05
+    friction = floor(stream)
+    solid = Solid(
+        kind="terrain",
+        origin=(-GRID, -GRID),
+        spacing=(GRID, GRID),
+        heights=tuple(tuple(float(value) for value in line) for line in ground),
+        friction=friction,
+    )
+    along = float(stream.uniform(0.3, 0.6))
+    across = min(float(stream.uniform(0.35, 0.8)), width - 0.04)
+    left, side = float(stream.uniform(0.02, 0.15)), aside(stream, across, width)
+    ends = ((left, side), (left + along, side), (left + along, side + across), (left, side + across))
+    mass = Mass(
+        kind="layer",
+        thickness=VOLUME / (along * across),
+        outline=ends,
+        velocity=throw(stream, 0.5) if stream.random() < 0.3 else None,
+    )
+    count = int(stream.integers(1, 4)) * int(stream.random() < 0.35)
+    box = Mass(lower=(left, 0.0, side), size=(along, 0.1, across))
+    level = float(ground[round(min(foot, length - 0.1) / GRID)].min())
+    baffles = tuple(
+        dataclasses.replace(each, size=(each.size[0], each.size[1] + level, each.size[2]))
+        for each in obstacles(stream, box, width, count, length=length)
+    )
+    return scene(
+        stream,
+        mass,
+        width=width,
+        length=length,
+        height=float(ground.max()) + VOLUME / (along * across) + 0.15,
+        solids=(solid,),
+        floor_friction=friction,
+        baffles=baffles,
+    )
+
+
+KINDS: tuple[Callable[[Stream], Scene], ...] = (slab, pile, tower, terrain, dam, slope, row, sheet, slab, tower)
+"""Repeated along the dataset."""
+
+
+def thrown(stream: Stream, size: tuple[float, float, float], count: int) -> Scene:
+    """A block of that size [m] thrown at `count` baffles, half of them from the floor."""
+    width = roomy(stream, size[2])
+    bottom = float(stream.uniform(0.02, 0.2)) * float(stream.random() < 0.5)
+    mass = Mass(
+        lower=(float(stream.uniform(0.0, 0.2)), bottom, aside(stream, size[2], width)),
+        size=size,
+        velocity=throw(stream),
+    )
+    return scene(stream, mass, width=width, baffles=obstacles(stream, mass, width, count))
+
+
+def cuboid(stream: Stream, heights: tuple[float, float], widths: tuple[float, float]) -> tuple[float, float, float]:
+    """Extent [m] of a box of the volume, its height and its width over its length in these ranges."""
+    height, width = log_uniform(stream, *heights), log_uniform(stream, *widths)
+    length = (VOLUME / (height * width)) ** (1.0 / 3.0)
+    if min(length, height * length) < 0.08 or width * length > 1.2:
+        raise InputError("expected a box of at least 0.08 m and at most 1.2 m across")
+    return length, height * length, width * length
+
+
+def roomy(stream: Stream, extent: float) -> float:
+    """Extent of the box across the flow [m], at least that of a mass."""
+    return max(float(stream.choice(WIDTHS[1:])), 0.1 * math.ceil(10.0 * extent))
+
+
+def aside(stream: Stream, extent: float, width: float) -> float:
+    """Where a mass begins across a channel [m]: in the middle, at a wall or anywhere."""
+    spare = width - extent
+    if spare < 0.0:
+        raise InputError("expected a mass within the channel")
+    chance = stream.random()
+    return 0.5 * spare if chance < 0.4 else 0.0 if chance < 0.6 else float(stream.uniform(0.0, spare))
+
+
+def throw(stream: Stream, part: float = 1.0) -> tuple[float, float, float]:
+    """An initial velocity [m/s], up to a part of `SPEED`."""
+    y, z = stream.uniform(-SIDE_SPEED, SIDE_SPEED, 2)
+    return float(stream.uniform(0.0, part * SPEED)), float(y), float(z)
+
+
+def turn(stream: Stream) -> float:
+    """Turn of a baffle [deg]: anything up to an eighth of a circle to either side."""
+    return float(stream.uniform(-45.0, 45.0))
+
+
+def obstacles(
+    stream: Stream, mass: Mass, width: float, count: int, *, distance: float = 0.6, length: float = LENGTHS[0]
+) -> tuple[Baffle, ...]:
+    """Baffles anywhere across the channel, up to `distance` [m] behind the least gap before the mass."""
     nearest = mass.lower[0] + mass.size[0] + GAP
+    is_turned = stream.random() < TURNED
+    baffles: list[Baffle] = []
     for _ in range(TRIES):
-        baffles = []
-        for length, width in stream.uniform(*BAFFLE_WIDTH, (count, 2)):
-            x = stream.uniform(nearest, min(nearest + BAFFLE_RANGE, 1.0 - length))
-            z = stream.uniform(mass.lower[2], mass.lower[2] + mass.size[2]) - 0.5 * width
-            z = min(max(z, 0.0), 1.0 - width)
-            baffles.append(Baffle(lower=vector((x, 0.0, z)), size=vector((length, BAFFLE_HEIGHT, width))))
-        if apart(baffles):
+        if len(baffles) == count:
             return tuple(baffles)
-    return None
+        x_size, y_size, z_size = (log_uniform(stream, *each) for each in (BAFFLE_LENGTH, BAFFLE_HEIGHT, BAFFLE_WIDTH))
+        x = float(stream.uniform(nearest, max(min(nearest + distance, length - x_size - 0.02), nearest)))
+        z = float(stream.uniform(0.0, max(width - z_size, 0.0)))
+        degrees = turn(stream) if is_turned else 0.0
+        another = Baffle(lower=(x, 0.0, z), size=(x_size, y_size, z_size), turned_deg=degrees)
+        if are_apart((mass,), (*baffles, another)):
+            baffles.append(another)
+    raise InputError("expected room for the baffles")
 
 
-def apart(baffles: Sequence[Baffle]) -> bool:
-    """Whether baffles keep their distance from each other, along x or along z."""
-    return all(max(distance(a, b, axis) for axis in (0, 2)) >= GAP for a, b in combinations(baffles, 2))
+def apart(masses: tuple[Mass, ...], baffles: Sequence[Baffle]) -> tuple[Baffle, ...]:
+    """The baffles, if `are_apart`, else InputError."""
+    if not are_apart(masses, baffles):
+        raise InputError("expected baffles before the mass and apart from each other")
+    return tuple(baffles)
 
 
-def distance(a: Baffle, b: Baffle, axis: int) -> float:
-    """Distance of two boxes along one axis [m], negative where they overlap."""
-    return max(a.lower[axis] - b.lower[axis] - b.size[axis], b.lower[axis] - a.lower[axis] - a.size[axis])
+def are_apart(masses: tuple[Mass, ...], baffles: Sequence[Baffle]) -> bool:
+    """Whether baffles keep `GAP` from each other and stand before the masses."""
+    around = boxes(tuple(baffles), 3)
+    front = max(mass.lower[0] + mass.size[0] for mass in masses)
+    return bool((around[:, 0, 0] >= front + 0.5 * GAP).all()) and all(
+        max(clearance(a, b, axis) for axis in (0, 2)) >= GAP for a, b in combinations(around, 2)
+    )
 
 
-def vector(values: Iterable[float]) -> tuple[float, float, float]:
-    """Three numbers of NumPy as plain floats."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+def clearance(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> float:
+    """Distance of two boxes [2, 3] along one axis [m], negative where they overlap."""
+    return float(max(a[0, axis] - b[1, axis], b[0, axis] - a[1, axis]))
 
 
-def split(index: int) -> Split:
-    """900 scenes for training, 50 for validation, 50 for the test."""
-    return {1: Split.VALID, 2: Split.TEST}.get(index % SPLIT_PERIOD, Split.TRAIN)
+def log_uniform(stream: Stream, low: float, high: float) -> float:
+    """A number uniform in its logarithm."""
+    return float(np.exp(stream.uniform(math.log(low), math.log(high))))
 
 
-OBSTACLE3D = Definition(name="obstacle3d", size=SIZE, connectivity_radius=0.030, split=split, draw=draw)
+def sand(stream: Stream) -> Material:
+    """As in `flow2d`: two of five dry, one of five with the paper's cohesion, the others with another one."""
+    given = flow2d.sand(stream)
+    return dataclasses.replace(given, friction_deg=float(stream.uniform(*FRICTION_DEG)), young=YOUNG)
+
+
+def floor(stream: Stream) -> float:
+    """Coulomb coefficient of the ground [-]; that of the paper's scenes in three of ten."""
+    return 0.43 if stream.random() < 0.3 else float(stream.uniform(0.1, 1.0))
+
+
+def scene(
+    stream: Stream,
+    mass: Mass,
+    *,
+    width: float,
+    length: float | None = None,
+    height: float | None = None,
+    baffles: tuple[Baffle, ...] = (),
+    solids: tuple[Solid, ...] = (),
+    slope_deg: float = 0.0,
+    floor_friction: float | None = None,
+) -> Scene:
+    """The scene of a mass, with random friction of its box and, in two of five scenes, damping."""
+    chance = stream.random()
+    damping = 0.0 if chance < 0.6 else 0.12 if chance < 0.75 else float(stream.uniform(0.02, 0.25))
+    walls = stream.random()
+    wall_friction = 0.0 if walls < 0.3 else 0.43 if walls < 0.6 else float(stream.uniform(0.0, 0.8))
+    on_baffles = 0.43 if stream.random() < 0.3 else float(stream.uniform(0.0, 0.8))
+    front = max([mass.lower[0] + mass.size[0] if mass.size else 0.0, *(boxes(baffles, 3)[:, 1, 0] + 0.1)])
+    length = length or float(stream.choice([each for each in LENGTHS if each > front] or LENGTHS[-1:]))
+    top = height or max(mass.lower[1] + mass.size[1] + 0.16, 0.48)
+    return Scene(
+        domain=Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL),
+        material=sand(stream),
+        masses=(mass,),
+        baffles=baffles,
+        solids=solids,
+        duration=DURATION,
+        frame_dt=FRAME_DT,
+        slope_deg=slope_deg,
+        floor_friction=floor(stream) if floor_friction is None else floor_friction,
+        wall_friction=wall_friction,
+        baffle_friction=on_baffles if baffles else 0.0,
+        damping=damping,
+        step_fraction=0.9,
+        seed=jitter_seed(stream),
+    )
+
+
+ROUNDS = Rounds(kinds=KINDS, variant=variant)
+
+OBSTACLE3D = Definition(
+    name="obstacle3d",
+    size=SIZE,
+    connectivity_radius=0.055,
+    split=ROUNDS.split,
+    draw=ROUNDS.draw,
+    stream=ROUNDS.stream,
+    storage=Storage(cell=KEPT_CELL, kept=KEPT),
+)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.definitions.flows2d import FRAME_DT
+from datasets.definitions.flow2d import FRAME_DT
 from datasets.library import read_scene
 from mpm.generate import pool
 from mpm.process import processors

@@ -1,0 +1,146 @@
+"""columns2d and baffles3d: what the paper inverts, columns, layers with velocities and masses thrown at baffles.
+
+`columns2d` has the sand, floor, walls and damping of the paper's 2D problems, `baffles3d` those of its 3D ones
+(datasets/scenes/column-short-21.toml and baffles-2.toml say which of them it does not state), at other shapes, sizes,
+friction angles and velocities than its own; scenes next to those that ship are held out (`held_out`).
+"""
+
+import dataclasses
+
+import numpy as np
+
+from datasets.definitions import flow2d, obstacle3d
+from datasets.definitions.definition import Definition, Storage
+from datasets.definitions.flow2d import Stream, jitter_seed
+from datasets.definitions.obstacle3d import log_uniform
+from datasets.definitions.variants import Rounds
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+
+AREAS = (0.05, 0.14)
+"""Released in a scene of columns2d [m^2]: the paper's columns have 0.08, its layers 0.1."""
+ASPECTS = (0.4, 2.5)
+FRICTION_DEG = (12.0, 52.0)
+SPEED = 2.0
+"""Largest velocity of a layer [m/s]."""
+LAYERS = (2, 10)
+CELL = 0.005
+FRAME_DT = 0.02
+
+FRICTION_DEG_3D = (25.0, 42.0)
+CELLS_3D = (1 / 48, 1 / 60)
+"""Edges of the grid's cells of baffles3d [m], each as likely."""
+
+
+def column(stream: Stream) -> Scene:
+    """A column that is let go at the left wall."""
+    length, height = size(stream)
+    return scene(stream, (Mass(lower=(0.0, 0.0), size=(length, height)),))
+
+
+def layers(stream: Stream) -> Scene:
+    """A column of layers, each with a velocity of its own: rising or falling evenly, or drawn one by one."""
+    length, height = size(stream)
+    count = int(stream.integers(*LAYERS, endpoint=True))
+    edges = height * np.linspace(0.0, 1.0, count + 1)
+    even = np.linspace(*stream.uniform(0.0, SPEED, 2), count)
+    velocities = even if stream.random() < 0.5 else stream.uniform(0.0, SPEED, count)
+    return scene(
+        stream,
+        tuple(
+            Mass(lower=(0.0, float(low)), size=(length, float(high - low)), velocity=(float(velocity), 0.0))
+            for low, high, velocity in zip(edges[:-1], edges[1:], velocities, strict=True)
+        ),
+    )
+
+
+def block(stream: Stream) -> Scene:
+    """A block that is thrown from somewhere in the left half of the box, as in the paper's training set."""
+    length, height = size(stream)
+    lower = (float(stream.uniform(0.0, 0.4)), float(stream.uniform(0.0, 0.3)) * float(stream.random() < 0.5))
+    velocity = (float(stream.uniform(-1.0, SPEED)), float(stream.uniform(-1.0, 1.0)))
+    return scene(stream, (Mass(lower=lower, size=(length, height), velocity=velocity),))
+
+
+def size(stream: Stream) -> tuple[float, float]:
+    """Length and height [m] of a mass."""
+    area, aspect = log_uniform(stream, *AREAS), log_uniform(stream, *ASPECTS)
+    return float(np.sqrt(area / aspect)), float(np.sqrt(area * aspect))
+
+
+def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
+    """Masses of the paper's sand in the box of its 2D problems, longer where they are fast or large, for 1.2 s."""
+    return Scene(
+        domain=Domain(size=(float(stream.choice([1.0, 1.4])), 1.0), cell=CELL),
+        material=Material(
+            friction_deg=float(stream.uniform(*FRICTION_DEG)),
+            density=1800.0,
+            young=2.0e6,
+            poisson=0.3,
+            cohesion=100.0,
+            tension_cutoff=50.0,
+        ),
+        masses=masses,
+        duration=1.2,
+        frame_dt=FRAME_DT,
+        floor_friction=0.385,
+        wall_friction=0.385,
+        damping=0.12,
+        step_fraction=0.9,
+        seed=jitter_seed(stream),
+    )
+
+
+def slab(stream: Stream) -> Scene:
+    """A slab thrown at one to six baffles, with the paper's friction of floor, walls and baffles."""
+    return as_paper(stream, obstacle3d.slab(stream))
+
+
+def tower(stream: Stream) -> Scene:
+    """A block thrown at one to three baffles, likewise."""
+    return as_paper(stream, obstacle3d.tower(stream))
+
+
+def row(stream: Stream) -> Scene:
+    """A slab thrown at one or two rows of baffles, likewise."""
+    return as_paper(stream, obstacle3d.row(stream))
+
+
+def as_paper(stream: Stream, drawn: Scene) -> Scene:
+    """The scene with the paper's dry sand and friction of floor, walls and baffles, undamped; on other cells."""
+    cell = float(stream.choice(CELLS_3D))
+    extent = tuple(cell * float(np.ceil(each / cell - 1e-6)) for each in drawn.domain.size)
+    return dataclasses.replace(
+        drawn,
+        domain=Domain(size=extent, cell=cell),
+        material=dataclasses.replace(
+            drawn.material, friction_deg=float(stream.uniform(*FRICTION_DEG_3D)), cohesion=0.0, tension_cutoff=0.0
+        ),
+        floor_friction=0.43,
+        wall_friction=0.43,
+        baffle_friction=0.43 if drawn.baffles else 0.0,
+        damping=0.0,
+    )
+
+
+_2D = Rounds(kinds=(column, layers, column, layers, block), variant=flow2d.variant)
+_3D = Rounds(kinds=(slab, tower, slab, row), variant=obstacle3d.variant)
+
+COLUMNS2D = Definition(
+    name="columns2d",
+    size=600,
+    connectivity_radius=0.025,
+    split=_2D.split,
+    draw=_2D.draw,
+    stream=_2D.stream,
+    storage=Storage(cell=CELL, kept=1),
+)
+BAFFLES3D = Definition(
+    name="baffles3d",
+    size=600,
+    connectivity_radius=0.055,
+    split=_3D.split,
+    draw=_3D.draw,
+    stream=_3D.stream,
+    storage=Storage(cell=obstacle3d.KEPT_CELL, kept=obstacle3d.KEPT),
+)
