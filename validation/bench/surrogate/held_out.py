@@ -29,7 +29,7 @@ from validation.runs import SHARE, Run, RunStore
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""
-DEFINITIONS = {2: ("datasets.definitions.flows2d", "FLOWS2D"), 3: ("datasets.definitions.flows3d", "FLOWS3D")}
+DEFINITIONS = {2: ("datasets.definitions.flow2d", "FLOW2D"), 3: ("datasets.definitions.obstacle3d", "OBSTACLE3D")}
 """Where the definition of the training data of each dimension stands, with `KINDS` of flows beside it."""
 OTHER_JITTER = 1000
 """Added to the seed of a scene."""
