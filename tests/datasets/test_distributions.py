@@ -122,5 +122,5 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_definition(str(tmp_path / "absent.toml"))
     with pytest.raises(InputError, match="names the trajectories"):
         definition(tmp_path, SMALL, "my set.toml")
-    with pytest.raises(InputError, match="one of flows2d"):
+    with pytest.raises(InputError, match="one of flow2d"):
         read_definition("flow3d")

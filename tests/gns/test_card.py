@@ -12,7 +12,7 @@ import torch
 
 from datasets import command_line
 from datasets.definitions.definition import Split
-from datasets.definitions.flows2d import FLOWS2D
+from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
 from datasets.geometry.solid import Solid
 from datasets.library import read_scene
@@ -29,9 +29,9 @@ from tests.gns.conftest import NORMALISATION
 ROOT = Path(__file__).parents[2]
 SCALED = ModelSettings(body_length=0.08**0.5, history=2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
 PROVENANCE = {
-    "command": "python -m gns.train data/flows2d --out runs/a",
+    "command": "python -m gns.train data/flow2d --out runs/a",
     "seed": 4,
-    "datasets": ["flows2d: 640 trajectories"],
+    "datasets": ["flow2d: 640 trajectories"],
     "log": {"updates": 3000},
 }
 
@@ -64,8 +64,8 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     assert found.graph["history"] == 2
     assert found.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
     assert found.units == {"body_length": SCALED.body_length, "density": 1800.0, "gravity": 9.81}
-    assert found.data.scenes == {"flows2d": 640}
-    assert found.data.cells_across["flows2d"][1] == pytest.approx(56.6, abs=0.1)
+    assert found.data.scenes == {"flow2d": 640}
+    assert found.data.cells_across["flow2d"][1] == pytest.approx(56.6, abs=0.1)
     assert (found.data.command, found.data.seed, found.data.updates) == (PROVENANCE["command"], 4, 3000)
     assert f'license = "{found.licence}"' in (ROOT / "pyproject.toml").read_text()
     assert found.scores == "| start | flows |\n"
@@ -179,7 +179,7 @@ def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: st
 
 
 def test_no_scene_drawn_as_the_training_data_is_warned_of(model: Path) -> None:
-    scenes = [each.scene for each in FLOWS2D.entries(seed=1, count=40)]
+    scenes = [each.scene for each in FLOW2D.entries(seed=1, count=40)]
     assert [card.warning(model, scene) for scene in scenes] == [None] * 40
 
 
@@ -283,5 +283,5 @@ def test_every_model_that_ships_has_a_card(weights: Path) -> None:
 
 @pytest.mark.skipif(not shipped(2).exists(), reason="no 2D model ships")
 def test_scenes_of_the_definition_are_within_the_shipped_card() -> None:
-    scenes = [each.scene for each in FLOWS2D.entries(seed=1, count=40) if each.split is Split.TRAIN]
+    scenes = [each.scene for each in FLOW2D.entries(seed=1, count=40) if each.split is Split.TRAIN]
     assert [known(shipped(2)).outside(scene) for scene in scenes] == [[]] * len(scenes)

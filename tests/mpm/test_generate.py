@@ -19,7 +19,6 @@ import pytest
 from datasets.command_line import WorkFailed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
-from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
 from datasets.lock import locked
 from datasets.material import Material
@@ -35,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
     """A small falling block on a coarse grid, for four frames."""
-    scene = FLOW2D.entries(seed=0, count=1)[0].scene
+    scene = read_definition("paper2d").entries(seed=0, count=1)[0].scene
     x, y = stream.uniform(0.2, 0.6, 2)
     return replace(
         scene,
@@ -272,12 +271,12 @@ def test_a_full_disk_ends_it_and_what_is_finished_stays(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["flow3d"], "one of flows2d, flow2d, flows3d, obstacle3d"),
+        (["flow3d"], "one of flow2d, columns2d, obstacle3d, baffles3d, paper2d, paper3d"),
         (["absent.toml"], "absent.toml: expected a TOML file"),
         (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
-        (["obstacle3d", "--count", "1001"], "1 to 1000"),
-        (["flow2d", "--count", "386"], "1 to 385"),
-        (["flow2d", "--count", "0"], "1 to 385"),
+        (["paper3d", "--count", "1001"], "1 to 1000"),
+        (["paper2d", "--count", "386"], "1 to 385"),
+        (["paper2d", "--count", "0"], "1 to 385"),
         (["flow2d", "--seed", "-1"], "seed"),
         (["flow2d", "--jobs", "0"], "at least 1 job"),
         (["flow2d", "--cuont", "3"], "--count"),

@@ -19,7 +19,7 @@ from validation.report.page import Page
 from validation.report.process import isolated
 
 SCENES = ("column-tall-42", "layers-10", "baffles-2")
-DATASET = "flows3d"
+DATASET = "obstacle3d"
 """A definition whose first scene is stored too."""
 STREAMED, QUICK = "baffles-2", "column-tall-42"
 SUFFIXES = {"NPZ": ".npz", "HDF5": ".h5"}
