@@ -23,7 +23,7 @@ TOLERANCE = 1.0e-9
 DOMAIN_SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """The sides of the box; y- is the floor."""
 RELAXATION = 0.5
-"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness and step (docs/transfer.md)."""
+"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)

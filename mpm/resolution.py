@@ -8,7 +8,7 @@ and thrown masses, dry and cohesive, damped and not. It covers the grid, the ste
 whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
-(docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml`; docs/tolerance.md, which
+(docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml` and
 tries the promise on other scenes).
 """
 

@@ -29,7 +29,7 @@ from datasets.errors import InputError
 from tests.fuzz import seeds
 from tests.fuzz.asking import MARK
 from tests.fuzz.kinds import KINDS
-from validation.report.memory import peak, reset_peak, resident
+from validation.report.measuring import peak, reset_peak, resident
 
 MOST_MEMORY = 2**30
 """Bytes above the start."""

@@ -36,37 +36,13 @@ class Bench:
 
 
 BENCHES = {
-    "contact": Bench(
-        module="validation.bench.contact.bench",
-        summary="contact with baffles, terrain and plates: rest, sliding, leaks, smoothness",
-    ),
     "experiments": Bench(
         module="validation.bench.experiments.bench",
         summary="measured experiments: forward with independently measured angles, backward from their fronts",
     ),
-    "case-history": Bench(
-        module="validation.bench.case_history.bench",
-        summary="the friction of a bed back-analysed from a runout at field scale",
-    ),
-    "transfer": Bench(
-        module="validation.bench.columns.transfer",
-        summary="fronts over stiffness, step, output interval, cell and transfer scheme",
-    ),
-    "columns": Bench(
-        module="validation.bench.columns.paper_columns",
-        summary="the reference paper's four columns beside its runouts",
-    ),
-    "scaling": Bench(
-        module="validation.bench.columns.scaling",
-        summary="runout and height of columns over the aspect ratio, beside experiments and other codes",
-    ),
     "accuracy": Bench(
         module="validation.bench.accuracy.bench",
         summary="error against cost of the MPM over cell, step and particles; what --tolerance reads",
-    ),
-    "tolerance": Bench(
-        module="validation.bench.accuracy.tolerance",
-        summary="whether --tolerance holds on scenes that it was not measured on",
     ),
     "stability": Bench(
         module="validation.bench.stability.bench",
@@ -83,29 +59,13 @@ BENCHES = {
     "speed": Bench(
         module="validation.bench.speed.mpm", summary="rates of the MPM, cost of its features, gain of shortcuts"
     ),
-    "speed-gns": Bench(
-        module="validation.bench.speed.gns",
-        summary="rates of the GNS beside a textbook's network: rollout, gradient, training step",
-    ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",
         summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
     ),
-    "adjoint": Bench(
-        module="validation.bench.adjoint.bench",
-        summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
-    ),
     "fields": Bench(
         module="validation.bench.fields.bench",
         summary="unknown fields of friction and velocity from profiles, by the MPM's adjoint, in twin experiments",
-    ),
-    "cluster": Bench(
-        module="validation.bench.cluster.bench",
-        summary="overhead of a scheduler for each trajectory; what 100,000 runs or 100 million particles would take",
-    ),
-    "storage": Bench(
-        module="validation.bench.storage.bench",
-        summary="sizes and reading times of trajectories, memory of runs that stream them to disk",
     ),
     "faults": Bench(
         module="validation.bench.faults.bench",

@@ -16,8 +16,7 @@ from validation.loop.pictures import draw_posterior, draw_predictive, draw_waves
 from validation.loop.result import Result
 from validation.loop.uncertainty_report import mix, uncertainty
 from validation.loop.verdict import Answer, unidentified
-from validation.report.machine import GNS, MPM
-from validation.report.page import Page
+from validation.report.page import GNS, MPM, Page
 
 NAMED = 4
 """With more parameters than these the conclusion gives the range of their half-widths."""

@@ -1,18 +1,24 @@
 """Pages of figures in Markdown: a conclusion, the command and the machine, then text, tables and pictures."""
 
 import math
+import os
+import platform
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from datetime import date
+from importlib.metadata import version
 from pathlib import Path
 
 from tabulate import tabulate
 
 from datasets.files import write_text
-from validation.report.machine import MPM, machine
 
 CONCLUSION = 5
 """Most sentences of a conclusion."""
+MPM = {"Taichi": "taichi", "NumPy": "numpy"}
+GNS = {"PyTorch": "torch", "Numba": "numba"}
+"""What a part of Talus computes with, by name, and its package."""
+CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object] | Sequence[object]
 """A row of a table: its cells by column heading, or in the order of the table's `formats`."""
@@ -66,7 +72,7 @@ class Page:
         measured: str = "",
         quick: bool = False,
     ) -> None:
-        """command: what measured the page. packages: those whose version matters, see `validation.report.machine`.
+        """command: what measured the page. packages: those whose version matters.
 
         measured: when and on what, of a page of kept measurements; today and here unless given.
         quick: the figures are of coarse cells or few runs, and the page says so.
@@ -102,3 +108,19 @@ class Page:
         """Write the page, beside its place and moved into it, and return its conclusion, for the terminal."""
         write_text(path, str(self))
         return self.conclusion
+
+
+def machine(packages: Mapping[str, str] = MPM) -> str:
+    """Processor, cores and versions in a line: what a figure was measured on."""
+    features = " with AVX-512" if "avx512f" in cpuinfo("flags").split() else ""
+    processor = cpuinfo("model name") or platform.processor() or platform.machine()
+    versions = ", ".join(f"{name} {version(package)}" for name, package in packages.items())
+    return f"{processor}{features}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}"
+
+
+def cpuinfo(key: str) -> str:
+    """The first value of `key` in Linux's description of its processors, empty elsewhere."""
+    if not CPUINFO.exists():
+        return ""
+    lines = (line.partition(":") for line in CPUINFO.read_text(encoding="utf-8").splitlines())
+    return next((value.strip() for name, _, value in lines if name.strip() == key), "")

@@ -45,7 +45,7 @@ def test_a_page_gets_its_flags(
 
 def test_runs_that_another_process_keeps_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with locked(tmp_path / "keep"):
-        assert main(["columns", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 1
+        assert main(["accuracy", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]) == 1
     assert "writes here since" in capsys.readouterr().err
 
 

@@ -19,7 +19,6 @@ from datasets.particles import particle_count
 from inverse.observations import Target, build
 from inverse.problem import Problem, read_problem
 from inverse.settings import Method
-from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import bench, columns, gradients, records
 from validation.bench.efficiency import page as efficiency_page
 from validation.bench.efficiency.columns import Size, Task, Usage, Work
@@ -54,8 +53,9 @@ from validation.bench.efficiency.records import (
     ProblemResult,
 )
 from validation.bench.efficiency.search import Iterate, Models, improvements, search, thinned
+from validation.bench.paper import read_paper
 from validation.report import plots
-from validation.report.process import isolated
+from validation.report.measuring import isolated
 
 TRUTH = 24.0
 ORIGIN = Origin(machine="a machine", date="2000-01-01", key="k")

@@ -6,8 +6,6 @@ import pytest
 
 from datasets.command_line import WorkFailed
 from validation.bench.__main__ import main
-from validation.bench.cluster import bench as cluster
-from validation.bench.cluster.bench import Generation, LargeRun, cells_of
 from validation.bench.faults.bench import Found, Worker, page
 from validation.bench.faults.breaking import Full, Killed, members, mounted, unfinished, used
 from validation.bench.faults.commands import timeless
@@ -68,14 +66,3 @@ def test_a_kill_of_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     said = capsys.readouterr().out
     assert "1 kills (SIGKILL) of 1 commands in the middle of their work: 1 had the same results" in said
     assert "Processes left 5 s after a kill: 0;" in said
-
-
-def test_what_large_work_takes_follows_from_what_was_measured(tmp_path: Path) -> None:
-    here, there = Generation(seconds=100.0, size=1), Generation(seconds=104.0, size=1)
-    spatial = Generation(seconds=36.0, size=10**8)
-    large = LargeRun(particles=10**6, rate=1e7, memory=5 * 10**8)
-    text = cluster.page({2: [(here, there)]}, 24, spatial, 10, large, 2, quick=False).conclusion
-    assert "2 workers on 2 cores: +4.0 % (+4.0 % to +4.0 %;" in text
-    # 36 s on two cores for ten; 10 MB each.
-    assert "take 200 core-hours and 1.00 TB" in text
-    assert cells_of(100_000_000) == 619

@@ -8,7 +8,7 @@ import pytest
 
 from inverse.problem import PROBLEMS, read_problem
 from validation.bench.__main__ import main
-from validation.bench.columns.paper import read_paper
+from validation.bench.paper import read_paper
 from validation.bench.problems import bench
 from validation.bench.problems.outcome import ORIGIN, Outcome
 from validation.bench.problems.targets import Criteria, compare, read_families

@@ -56,7 +56,7 @@ def write(out: Path, findings: Sequence[Findings], measured: Sequence[Measured],
         The **bound** is for {COVERAGE * 10:.0f} of 10 further scenes like these. The error of each scene is the largest
         over the jitters, on this and all finer grids; the bound is the upper prediction limit for one more scene
         ({100 * COVERAGE:.0f} %, Student's t), and no less than the largest of them. `--tolerance` selects the cheapest
-        resolution whose bound is within it; [tolerance.md](tolerance.md) tries it on scenes that were not measured.
+        resolution whose bound is within it.
     """)
     draw_cost(out / "accuracy.png", findings)
     page.picture("accuracy.png", "error against particle-steps")

@@ -13,8 +13,7 @@ from datasets.errors import InputError
 from datasets.files import write_json
 from mpm.cluster import connected
 from validation.bench.coverage.twins import FAMILIES, Family, Twin, path_of, read_twin, solve_twin
-from validation.report.machine import GNS, MPM
-from validation.report.page import Page
+from validation.report.page import GNS, MPM, Page
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.4, 0.6), 0.95: (0.9, 0.99)}

@@ -10,12 +10,12 @@ from gns.inference import shipped
 from gns.model import checkpoint
 from inverse.problem import Problem, read_problem
 from mpm.process import processors
-from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods
 from validation.bench.efficiency.page import write
 from validation.bench.efficiency.records import Origin, OverParticles, OverUnknowns, Part, Parts, ProblemResult
 from validation.bench.efficiency.search import CHECKS, Models, search_all
+from validation.bench.paper import read_paper
 
 LIMITS = {
     "friction-tall-42": 15.0,

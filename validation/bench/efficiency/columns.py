@@ -36,8 +36,7 @@ from validation.bench.efficiency.records import (
     OverParticles,
 )
 from validation.bench.efficiency.search import WARM_UP_S
-from validation.report.memory import peak, reset_peak, resident
-from validation.report.process import isolated
+from validation.report.measuring import isolated, peak, reset_peak, resident
 
 SCENE = "column-tall-42"
 STEP_DEG = 0.5

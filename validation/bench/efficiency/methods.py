@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from inverse.problem import Problem
 from inverse.settings import Method, OptimiserSettings, Parameter
-from validation.bench.columns.paper import Paper
+from validation.bench.paper import Paper
 
 PAPER_STEP_DEG = 0.05
 STEPS = {"deg": 2.0, "Pa": 100.0, "m/s": 0.15, "m": 0.02}

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from validation.bench.columns.paper import read_paper
 from validation.bench.efficiency import gradients
 from validation.bench.efficiency.columns import SOLID
 from validation.bench.efficiency.findings import PAPER_BYTES, PAPER_NODES, best_of, conclusion, costs_of, gradient_curve
@@ -22,6 +21,7 @@ from validation.bench.efficiency.records import (
     Parts,
     ProblemResult,
 )
+from validation.bench.paper import read_paper
 from validation.report.page import Page, Row
 from validation.report.plots import BLUE, GREEN, INK, ORANGE, RED, figure, pane
 

@@ -13,7 +13,7 @@ from datasets.files import write_json
 from datasets.records import Record, from_mapping
 from gns.inference import shipped
 from mpm.process import processors
-from validation.report.machine import GNS, MPM, machine
+from validation.report.page import GNS, MPM, machine
 
 FILE = "efficiency.json"
 AD, FD_GNS, FD_MPM, FD_JITTER = "AD, GNS", "differences, GNS", "differences, MPM", "differences, MPM, another jitter"

@@ -18,8 +18,7 @@ from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
 from validation.bench.faults.breaking import ORPHANS, Full, Killed, fill, finish, kill, kill_other, mounted, used
 from validation.bench.faults.commands import Command, Digest, commands
-from validation.report.machine import GNS, MPM
-from validation.report.page import Page
+from validation.report.page import GNS, MPM, Page
 
 NAMES = ("generate", "scheduler", "train", "loop", "bench")
 MOMENTS, DISKS = 8, 4

@@ -9,7 +9,7 @@ from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.processes import parent_environment
 from inverse.problem import PROBLEMS, Problem, read_problem
-from validation.bench.columns.paper import read_paper
+from validation.bench.paper import read_paper
 from validation.bench.problems.outcome import RESULT, Origin, Outcome, is_current, read, write_origin
 from validation.bench.problems.page import page
 from validation.bench.problems.targets import read_families

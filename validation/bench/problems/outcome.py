@@ -13,7 +13,7 @@ from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
 from gns.inference import shipped
 from inverse.problem import Problem
-from validation.report.machine import GNS, MPM, machine
+from validation.report.page import GNS, MPM, machine
 
 RESULT, ORIGIN = "result.json", "origin.json"
 

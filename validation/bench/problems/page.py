@@ -5,11 +5,10 @@ from pathlib import Path
 
 from datasets.files import replacing
 from inverse.parameters import Kind
-from validation.bench.columns.paper import Paper
+from validation.bench.paper import Paper
 from validation.bench.problems.outcome import Outcome
 from validation.bench.problems.targets import Family, compare
-from validation.report.machine import GNS, MPM
-from validation.report.page import Page
+from validation.report.page import GNS, MPM, Page
 
 PICTURES = "pictures"
 NAMED = 4
@@ -28,7 +27,7 @@ def page(out: Path, families: Sequence[Family], found: Mapping[str, Outcome], pa
         "Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM "
         "with another initial jitter than the inversion's. Loss and front error are those of the MPM at the answer. ± "
         "are 95 % half-widths; of a problem with several separate answers the heaviest is given. The paper's numbers "
-        "are in `validation/bench/columns/paper.toml`: "
+        "are in `validation/bench/paper.toml`: "
         "its targets are of its own MPM, its front is the largest x, here the x that 99.5 % of particles are behind."
     )
     missing = sorted(each for family in families for each in family.problems if each not in found)

@@ -7,8 +7,8 @@ from datasets.library import read_scene
 from datasets.scene import Baffle, Domain, Mass, Scene
 from mpm import ALL, WITH_FIELDS
 from validation.bench.speed.rates import column
+from validation.bench.speed.timing import TimedRun, Timing, ratio, spread
 from validation.report.page import Row
-from validation.report.timing import TimedRun, Timing, ratio, spread
 
 PLAIN = "nothing"
 ACTIVE, WHOLE = "active box", "whole grid"

@@ -10,8 +10,8 @@ from mpm.process import processors
 from validation.bench.speed import features, rates
 from validation.bench.speed.features import FULL, PLAIN, REST, SHORT, Features, Shortcuts
 from validation.bench.speed.rates import Rates
+from validation.bench.speed.timing import in_turn, ratio, seconds_of
 from validation.report.page import Page
-from validation.report.timing import in_turn, ratio, seconds_of
 
 MORE_ROUNDS = 2
 """Rounds of the features, whose differences are small, in one of the others."""

@@ -12,8 +12,8 @@ from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
+from validation.bench.speed.timing import Spread, TimedRun, Timing, spread
 from validation.report.page import Row
-from validation.report.timing import Spread, TimedRun, Timing, spread
 
 CUBE = 0.375
 """Edge of the 3D column [m]."""

@@ -10,7 +10,7 @@ from datasets.library import read_scene
 from mpm.generate import pool
 from mpm.process import processors
 from mpm.resolution import fitted_cell
-from validation.bench.columns.paper import read_paper
+from validation.bench.paper import read_paper
 from validation.bench.surrogate import accuracy, calibration, friction, held_out, pictures, price, rest, velocities
 from validation.bench.surrogate.accuracy import Accuracy, Map, spread_over_kinds
 from validation.bench.surrogate.held_out import Family, HeldOut, References, on_cell

@@ -16,8 +16,7 @@ from validation.bench.surrogate.price import Prices, said
 from validation.bench.surrogate.rest import Rest
 from validation.bench.surrogate.scores import Deposit, Score, mean, rms, worst
 from validation.bench.surrogate.velocities import CRITERIA, Gradients
-from validation.report.machine import GNS, MPM
-from validation.report.page import Page, Row, signed
+from validation.report.page import GNS, MPM, Page, Row, signed
 
 COMMAND = "python -m validation.bench surrogate --out docs"
 FRONT = {2: (0.01, 0.04), 3: (0.02, inf)}

@@ -1,1 +1,0 @@
-"""A case history at field scale: ground, release and runout in, the friction of the bed out, with its interval."""

@@ -1,1 +1,0 @@
-"""Column collapse beside the paper, other codes and experiments; what stiffness and step change."""

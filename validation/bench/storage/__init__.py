@@ -1,1 +1,0 @@
-"""What trajectories take on disk and in memory."""

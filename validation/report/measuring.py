@@ -1,0 +1,111 @@
+"""Seconds and memory that a piece of work takes: in turns, so that other load affects all alike, or in a process."""
+
+import ctypes
+import gc
+import re
+import resource
+import statistics
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from tqdm import tqdm
+
+from datasets.command_line import WorkFailed
+from datasets.processes import end_with_parent
+
+P = ParamSpec("P")
+Key = TypeVar("Key")
+Found = TypeVar("Found")
+STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+RESET_PEAK = "5"
+"""Written into CLEAR, it begins the record of the peak anew."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Minimum, median and maximum of some measurements."""
+
+    minimum: float
+    median: float
+    maximum: float
+
+    def written(self, digits: int) -> str:
+        """The median, and the range where there is one."""
+        middle = f"{self.median:.{digits}f}"
+        low, high = f"{self.minimum:.{digits}f}", f"{self.maximum:.{digits}f}"
+        return middle if low == high else f"{middle} ({low}-{high})"
+
+
+def spread(values: Iterable[float]) -> Spread:
+    """The spread of at least one value."""
+    values = list(values)
+    return Spread(minimum=min(values), median=statistics.median(values), maximum=max(values))
+
+
+def seconds_of(action: Callable[[], object]) -> float:
+    """Wall time of `action` [s]."""
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> dict[Key, list[Found]]:
+    """All work once, then all of it once more, `rounds` times in all."""
+    found: dict[Key, list[Found]] = {key: [] for key in work}
+    with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
+        for _ in range(rounds):
+            for key, each in work.items():
+                found[key].append(each())
+                progress.update()
+    return found
+
+
+def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> Found:
+    """`work(...)` in a new interpreter: memory that other work left behind does not count.
+
+    What it raises is raised here; WorkFailed where the system ended it.
+    """
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+        try:
+            return pool.submit(work, *args, **kwargs).result()
+        except BrokenProcessPool:
+            raise WorkFailed("killed, out of memory") from None
+
+
+def resident() -> int | None:
+    """Memory that this process holds now [bytes], where Linux records it."""
+    return status_bytes("VmRSS")
+
+
+def peak() -> int:
+    """The most that this process ever held, or held since `reset_peak` [bytes].
+
+    Elsewhere than on Linux by getrusage, which a process begins with the peak of the one that began it.
+    """
+    return status_bytes("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def status_bytes(key: str) -> int | None:
+    """A size in Linux's description of this process [bytes]."""
+    if not STATUS.exists():
+        return None
+    found = re.search(rf"^{key}:\s+(\d+) kB$", STATUS.read_text(encoding="utf-8"), re.MULTILINE)
+    return int(found[1]) * 1024 if found else None
+
+
+def reset_peak() -> bool:
+    """Give back what is free and begin the record of the peak anew; whether the system could."""
+    gc.collect()
+    try:
+        # Free memory that the process keeps would hide the same amount in use later.
+        ctypes.CDLL(None).malloc_trim(0)
+        CLEAR.write_text(RESET_PEAK, encoding="utf-8")
+    except (AttributeError, OSError):
+        return False
+    return True
