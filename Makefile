@@ -1,9 +1,7 @@
-# make demo | test | test-all | fuzz COUNT=... | lint | docs | wheel | bench NAME=...; the environment in .venv sets itself up.
+# make demo | test | test-all | lint | docs | wheel | bench NAME=...; the environment in .venv sets itself up.
 PYTHON ?= python3.11
 WORKERS ?= 2
 NAME ?= --list
-# Hostile scenes and problems of `make fuzz`, and a fifth of it of every other kind of file.
-COUNT ?= 10000
 BIN := .venv/bin
 # The constraints ask for torch's CPU build. Where the configured index has none, PyTorch's own one does.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -13,7 +11,7 @@ PARALLEL := -n $(WORKERS) --dist loadfile
 # Material for MkDocs announces its successor on every build.
 export NO_MKDOCS_2_WARNING := 1
 
-.PHONY: demo test test-all fuzz lint docs wheel bench
+.PHONY: demo test test-all lint docs wheel bench
 
 demo: .venv/stamp
 	$(BIN)/python -m validation.demo
@@ -22,10 +20,7 @@ test: .venv/stamp
 	$(BIN)/python -m pytest $(PARALLEL)
 
 test-all: .venv/stamp
-	$(BIN)/python -m pytest $(PARALLEL) -m "not fuzz"
-
-fuzz: .venv/stamp
-	$(BIN)/python -m pytest tests/fuzz -m fuzz --fuzz $(COUNT)
+	$(BIN)/python -m pytest $(PARALLEL) -m ""
 
 lint: .venv/stamp
 	$(BIN)/ruff check .

@@ -3,16 +3,12 @@
 import errno
 import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from cyclopts import App, CycloptsError
-
 from datasets.errors import InputError
-from datasets.processes import end_with_stated_parent
+from datasets.errors import WorkFailed as WorkFailed
+from datasets.processes import Terminated, end_with_stated_parent, terminable
 
 DISK_ERRORS = {
     getattr(errno, name)
@@ -20,14 +16,6 @@ DISK_ERRORS = {
     if hasattr(errno, name)
 }
 """What a disk says that is full, read-only or broken: no mistake of the program's."""
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM, which ends a command as Ctrl-C does."""
-
-
-class WorkFailed(RuntimeError):
-    """The input was right, the work did not succeed: exit status 1."""
 
 
 def listed(text: str, known: Sequence[str], key: str) -> tuple[str, ...]:
@@ -45,6 +33,9 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM. No traceback for a user's
     mistake, nor for a disk that is full or read-only.
     """
+    # Whoever needs an exception alone waits for no parser of flags.
+    from cyclopts import App, CycloptsError
+
     end_with_stated_parent()
     # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
     app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
@@ -80,20 +71,3 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
 def disk_failed(error: BaseException) -> bool:
     """Whether an error says that the disk is full, read-only or broken, so that no other file can be written either."""
     return isinstance(error, OSError) and error.errno in DISK_ERRORS
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """While this lasts, SIGTERM raises Terminated, unless somebody else handles it or this is not the main thread."""
-
-    def terminate(number: int, _: FrameType | None) -> None:
-        raise Terminated
-
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield
-        return
-    signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)

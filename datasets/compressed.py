@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import open_hdf5, read_array
 from datasets.errors import InputError
-from datasets.untrusted.files import reading
-from datasets.untrusted.hdf5 import open_hdf5, read_array
+from datasets.reading import reading
 
 SUFFIX = ".h5"
 FINENESS = 1.0e4
@@ -31,8 +31,6 @@ LEVEL = 4
 """Of deflate: higher ones take longer and save little."""
 MOST_QUANTA = 2**30
 """Positions beyond so many quanta are stored as they are."""
-DEFLATE_RATIO = 1100
-"""More than deflate can reach: deposits at rest come close."""
 TEXTS = ("scene", "summary")
 
 
@@ -85,7 +83,7 @@ def decoded(file: h5py.File, key: str) -> NDArray[Any]:
     """The array `key` as it was given. Raises InputError."""
     if key not in file:
         raise InputError("expected an array, the key is missing", where=file.filename, key=key)
-    array = read_array(file, key, ratio=DEFLATE_RATIO)
+    array = read_array(file, key)
     if key in TEXTS:
         if array.dtype != np.uint8:
             raise InputError("expected text, as bytes", where=file.filename, key=key)

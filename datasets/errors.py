@@ -1,4 +1,4 @@
-"""The one exception that means "the input is wrong" rather than "the program is"."""
+"""The exceptions that mean "the input is wrong" or "the work failed", rather than "the program is wrong"."""
 
 LONGEST = 1000
 """Characters of what is said: a file may be anybody's, and what it has in place of a number may be long."""
@@ -19,10 +19,14 @@ class InputError(ValueError):
         return InputError(self.message, where=where, key=self.key)
 
 
+class OutOfRange(InputError):
+    """Known keys and right types, but a value, or values together, that cannot be."""
+
+
+class WorkFailed(RuntimeError):
+    """The input was right, the work did not succeed: exit status 1."""
+
+
 def shortened(text: str) -> str:
     """The first LONGEST characters of a text."""
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-
-
-class OutOfRange(InputError):
-    """Known keys and right types, but a value, or values together, that cannot be."""

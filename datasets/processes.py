@@ -1,4 +1,4 @@
-"""Processes that end with the one that started them, however that ends."""
+"""Processes: how many run at a time, how they are stopped, and that none outlives the one that started it."""
 
 import ctypes
 import os
@@ -6,15 +6,103 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
+from types import FrameType
 
+import psutil
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+REPEAT = 1.0
+"""A signal more than this [s] after the first is a second one; before, it is the same, which torchrun hands on."""
 PARENT = "TALUS_PARENT"
 """Environment variable: a command ends with the process of this number if that has started it."""
 PR_SET_PDEATHSIG = 1
 """Of Linux's prctl(2): the signal that a process gets when its parent ends."""
 POLL = 0.5
 """Seconds between two looks at the parent's number."""
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as Ctrl-C does."""
+
+
+class Stop:
+    """Whether to stop: once one of SIGNALS has come. A second one, or one within `at_once`, is a KeyboardInterrupt."""
+
+    def __init__(self) -> None:
+        self.signal: signal.Signals | None = None
+        self.since = 0.0
+        self.breaks = False
+
+    def __call__(self) -> bool:
+        return self.signal is not None
+
+    @property
+    def status(self) -> int:
+        """The exit status that a shell reports for the signal: 130 after Ctrl-C, 143 after SIGTERM."""
+        return 0 if self.signal is None else 128 + self.signal
+
+    @property
+    def interrupt(self) -> KeyboardInterrupt:
+        """What to raise for the signal."""
+        return Terminated() if self.signal == signal.SIGTERM else KeyboardInterrupt()
+
+    def record(self, number: int, _: FrameType | None) -> None:
+        """Handle a signal."""
+        now = time.monotonic()
+        if self.signal is None:
+            self.signal, self.since = signal.Signals(number), now
+        if self.breaks or now - self.since > REPEAT:
+            raise self.interrupt
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """A block that may be broken off anywhere: what it would lose is saved."""
+        if self():
+            raise self.interrupt
+        self.breaks = True
+        try:
+            yield
+        finally:
+            self.breaks = False
+
+
+@contextmanager
+def stopping() -> Iterator[Stop]:
+    """While this lasts, a first Ctrl-C or SIGTERM is kept as a wish to stop, so that work ends where it is whole."""
+    stop = Stop()
+    former = {number: signal.signal(number, stop.record) for number in SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """While this lasts, SIGTERM raises Terminated, unless somebody else handles it or this is not the main thread."""
+
+    def terminate(number: int, _: FrameType | None) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    process = psutil.Process()
+    return len(process.cpu_affinity()) if hasattr(process, "cpu_affinity") else psutil.cpu_count() or 1
 
 
 def end_with_parent() -> None:

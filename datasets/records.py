@@ -3,7 +3,6 @@
 import difflib
 import json
 import math
-import warnings
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, ClassVar, TypeVar
@@ -11,24 +10,11 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange
-from datasets.untrusted.files import LONGEST_LINE, line_of
-from datasets.untrusted.text import read_json as read_json
-from datasets.untrusted.text import read_toml as read_toml
+from datasets.reading import LONGEST_LINE, line_of
+from datasets.reading import read_json as read_json
+from datasets.reading import read_toml as read_toml
 
 T = TypeVar("T")
-
-
-RENAMED = {
-    "points_per_axis": "particles_per_axis",
-    "hidden": "twin",
-    "least": "minimise",
-    "several_within": "joint_within",
-    "beyond": "explanation",
-    "course": "series",
-    "says": "comment",
-    "unsaid": "assumptions",
-}
-"""Keys of older files, at any depth, and what they are called now."""
 
 
 TYPES = ("float", "str")
@@ -56,9 +42,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
         try:
-            text = json.dumps(with_new_names(data), default=str)
-        except ValueError as error:  # of an integer of thousands of digits
-            raise InputError(f"expected numbers that are finite, {line_of(error)}") from None
+            text = json.dumps(data, default=str)
+        except (
+            ValueError,
+            RecursionError,
+        ) as error:  # of thousands of digits, or tables in tables
+            raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
         record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
     except ValidationError as error:
@@ -81,17 +70,6 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {shortened(first['input'])}", key=path) from None
-
-
-def with_new_names(data: Any) -> Any:
-    """`data` with the keys of `RENAMED` under their new names; a FutureWarning says so."""
-    if isinstance(data, Mapping):
-        for old in RENAMED.keys() & data.keys():
-            warnings.warn(f"the key {old} is now called {RENAMED[old]}", FutureWarning, stacklevel=2)
-        return {RENAMED.get(key, key): with_new_names(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [with_new_names(value) for value in data]
-    return data
 
 
 def fraction(text: str) -> float:

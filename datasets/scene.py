@@ -13,8 +13,8 @@ from datasets.errors import InputError
 from datasets.field import Field
 from datasets.geometry.solid import Rows, Solid, Triangles
 from datasets.material import Material
+from datasets.reading import json_object
 from datasets.records import Record, from_mapping
-from datasets.untrusted.text import json_object
 
 Vector = tuple[float, ...]
 

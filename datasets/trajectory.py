@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import open_hdf5, open_npz, plain_array
 from datasets.compressed import SUFFIX, read_compressed, write_compressed
 from datasets.errors import InputError
 from datasets.files import replacing
 from datasets.particles import initial_volumes, particle_count
+from datasets.reading import json_object
 from datasets.scene import Scene
-from datasets.untrusted.arrays import open_untrusted_npz
-from datasets.untrusted.hdf5 import open_hdf5, plain_array
-from datasets.untrusted.text import json_object
 
 Floats = NDArray[np.float32]
 
@@ -277,7 +276,7 @@ def stored_shape(path: Path, key: str) -> tuple[int, ...]:
     if path.suffix == SUFFIX:
         with open_hdf5(path) as file:
             return tuple(plain_array(file, key).shape)
-    with open_untrusted_npz(path) as archive:
+    with open_npz(path) as archive:
         return archive.shape(key)
 
 
@@ -290,7 +289,7 @@ def read_arrays(
     """
     if path.suffix == SUFFIX:
         return read_compressed(path, *names, optional=optional)
-    with open_untrusted_npz(path, f"a whole NPZ of plain arrays ({what})") as file:
+    with open_npz(path, f"a whole NPZ of plain arrays ({what})") as file:
         there = [name for name in optional if name in file.keys]
         return {name: file.read(name) for name in (*names, *there) or file.keys}
 

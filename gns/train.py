@@ -17,6 +17,7 @@ from tqdm import tqdm
 from datasets import command_line, files
 from datasets.errors import InputError
 from datasets.lock import locked
+from datasets.processes import stopping
 from datasets.training.samples import Flow, Flows
 from gns.card import length_of_training
 from gns.model import checkpoint
@@ -30,7 +31,6 @@ from gns.training.flows import flows_of
 from gns.training.log import Log
 from gns.training.objective import Curriculum, statistics, unrolled_steps
 from gns.training.progress import Bar
-from gns.training.stopping import Stop
 from gns.training.update import LAST, Run, TrainingSettings
 
 MODEL = ModelSettings()
@@ -206,12 +206,12 @@ def fit(run: Run, curriculum: Curriculum, budget: Budget, clock: Clock, outputs:
     started = clock.now() - position.seconds
     bar = Bar(budget, training.unroll, seconds=position.seconds, batch=training.batch, shown=processes.first)
     # Closed whatever happens: an open bar would be drawn again, after the line that says why the training ended.
-    with Stop().watching() as stop, closing(bar):
+    with stopping() as stop, closing(bar):
         while True:
             position.seconds = clock.now() - started
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
             own = (budget.progress(position.seconds, position.updates), validation_due(run, budget))
-            progress, validates, stops = processes.sums(*(own if processes.first else (0.0, 0.0)), stop.requested)
+            progress, validates, stops = processes.sums(*(own if processes.first else (0.0, 0.0)), stop())
             if stops or (progress >= 1.0 and not position.unscored):
                 break
             if validates:

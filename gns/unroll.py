@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
-from gns.kernels.memory import trimming
+from datasets.memory import trimming
 from gns.model.simulator import Simulator
 from gns.model.state import Conditions, State
 

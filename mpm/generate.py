@@ -26,13 +26,12 @@ from datasets.errors import InputError
 from datasets.files import remove_own_parts, write_json
 from datasets.lock import locked
 from datasets.particles import mass_counts
-from datasets.processes import end_with_parent
+from datasets.processes import end_with_parent, processors
 from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MotionStatistics, motion_statistics
 from datasets.training.thinning import thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
-from mpm.process import processors
 
 GRACE = 0.5
 """Seconds to wait for a signal of one's own when a process was killed: a batch system sends it to all of a job."""

@@ -13,11 +13,11 @@ from datasets.files import write_json
 from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
 from datasets.particles import particle_count
+from datasets.processes import stopping
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.request import ALL, FIELDS, Recording
-from mpm.process import stopping
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, workers_for
 from mpm.simulation import Interrupted, Options, simulate_resumably

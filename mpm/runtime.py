@@ -7,8 +7,8 @@ from typing import Any, Literal
 import taichi as ti
 
 from datasets.errors import InputError
+from datasets.processes import processors
 from mpm.arrays.layout import Precision
-from mpm.process import processors
 
 Arch = Literal["cpu", "cuda"]
 ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}

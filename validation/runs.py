@@ -18,11 +18,11 @@ from datasets import __version__
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.particles import particle_count
+from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import ALL, LAST, Recording, ScenesFailed, simulate_many
 from mpm.arrays.layout import Precision
-from mpm.process import processors
 from mpm.resolution import particle_steps
 from mpm.simulation import LARGE
 

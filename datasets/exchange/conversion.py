@@ -13,6 +13,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 from tqdm import tqdm
 
+from datasets.arrays import open_npz
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements, lagrangebench
@@ -24,7 +25,6 @@ from datasets.geometry.plain import check_plain
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory, stored_scene, stored_shape, trajectory_files
-from datasets.untrusted.arrays import open_untrusted_npz
 
 RECORD = "exchange.json"
 """What a conversion is from, and with which options; written first, so that the same command can finish it."""
@@ -248,7 +248,7 @@ def digest(paths: Sequence[Path], folder: Path) -> str:
     total = hashlib.sha256()
     for path in paths:
         if path.suffix == ".npz":
-            with open_untrusted_npz(path) as file:
+            with open_npz(path) as file:
                 content = json.dumps(file.checksums)
         else:
             with path.open("rb") as raw:

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from datasets.arrays import open_npz
 from datasets.errors import InputError
 from datasets.exchange.cloud import Cloud, Described, checked_cloud
 from datasets.files import replacing
-from datasets.untrusted.arrays import open_untrusted_npz
 
 SUFFIX = ".npz"
 ALL = "gns_data"
@@ -86,7 +86,7 @@ def metadata(described: Described) -> dict[str, Any]:
 
 def names(path: Path) -> list[str]:
     """The trajectories of a split, in order, without reading them. Raises InputError."""
-    with open_untrusted_npz(path) as file:
+    with open_npz(path) as file:
         if ALL not in file.keys:
             return file.keys
         shape = file.shape(ALL)
@@ -100,7 +100,7 @@ def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
 
     Never executes a pickle. Raises InputError, which names the file and the trajectory.
     """
-    with open_untrusted_npz(path) as file:
+    with open_npz(path) as file:
         together = ALL in file.keys
         entries = (
             ((f"{index:05d}", parts) for index, parts in enumerate(file.read(ALL, objects=True)))

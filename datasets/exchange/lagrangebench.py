@@ -12,11 +12,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from datasets.arrays import WHOLE_HDF5, open_hdf5, read_array
 from datasets.exchange import geoelements
 from datasets.exchange.cloud import Cloud, Described, checked_cloud
 from datasets.files import replacing
-from datasets.untrusted.files import reading
-from datasets.untrusted.hdf5 import WHAT, open_hdf5, read_array
+from datasets.reading import reading
 
 SUFFIX = ".h5"
 
@@ -64,7 +64,7 @@ def metadata(described: Described) -> dict[str, Any]:
 
 def names(path: Path) -> list[str]:
     """The trajectories of a split, in order, without reading them. Raises InputError."""
-    with open_hdf5(path) as file, reading(path, WHAT):
+    with open_hdf5(path) as file, reading(path, WHOLE_HDF5):
         return list(file)
 
 
@@ -73,7 +73,7 @@ def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
     with open_hdf5(path) as file:
         for name in names(path):
             if name in requested:
-                with reading(path, WHAT, name):
+                with reading(path, WHOLE_HDF5, name):
                     cloud = _cloud(file, name)
                 yield cloud
 

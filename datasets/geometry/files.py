@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import open_npz
 from datasets.errors import InputError
 from datasets.geometry.ground import interpolated
 from datasets.geometry.margins import BEYOND
 from datasets.geometry.meshes import read_mesh
 from datasets.geometry.rasters import RASTERS, UNITS, Field, read_field
-from datasets.untrusted.arrays import open_untrusted_npz
-from datasets.untrusted.tables import read_columns
+from datasets.reading import read_columns
 
 Floats = NDArray[np.float64]
 Entry = dict[str, Any]
@@ -291,7 +291,7 @@ def read_particles(path: Path, dimension: int) -> Entry:
 
 def read_arrays(path: Path) -> dict[str, Floats]:
     """The arrays of an NPZ of particles. Raises InputError."""
-    with open_untrusted_npz(path, "an NPZ of plain numbers") as file:
+    with open_npz(path, "an NPZ of plain numbers") as file:
         arrays = {name: file.read(name) for name in file.keys}
     unknown = arrays.keys() - {"positions", "velocities", "volume"}
     if unknown or "positions" not in arrays:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.memory import at_most
-from datasets.untrusted.files import file_size, reading
+from datasets.reading import file_size, reading
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -35,9 +34,6 @@ READ = {
 """Endings of files that are read, as which format of meshio: those that hold all they need and name no other file."""
 LARGEST = 2**28
 """Bytes of a file."""
-SMALL_MEMORY = 2**28
-"""Bytes that reading may take, and `PER_BYTE` times those of the file."""
-PER_BYTE = 30
 FARTHEST = 1.0e9
 """Coordinates [m] beyond this are none."""
 IGNORED = ("vertex", "line", "line3")
@@ -59,7 +55,7 @@ def load(path: Path) -> tuple[Floats, dict[str, Integers]]:
     """Points and cells by their kind as they stand in the file. Raises InputError."""
     import meshio
 
-    size = file_size(path, "a mesh", most=LARGEST)
+    file_size(path, "a mesh", most=LARGEST)
     if path.suffix.lower() not in READ:
         raise InputError(f"expected a mesh, a file that ends in {' '.join(READ)}")
     output = io.StringIO()
@@ -69,7 +65,6 @@ def load(path: Path) -> tuple[Floats, dict[str, Integers]]:
         warnings.catch_warnings(),
         redirect_stdout(output),
         redirect_stderr(output),
-        at_most(SMALL_MEMORY + PER_BYTE * size),
     ):
         warnings.simplefilter("ignore", RuntimeWarning)
         mesh = meshio.read(path, file_format=READ[path.suffix.lower()])

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.memory import require, spoken
-from datasets.untrusted.archives import MOST_RATIO, SMALL
-from datasets.untrusted.files import file_size, reading
-from datasets.untrusted.tables import read_columns
+from datasets.memory import require
+from datasets.reading import file_size, read_columns, reading
 
 Floats = NDArray[np.float64]
 
@@ -89,14 +87,14 @@ def read_raster(path: Path) -> Field:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
-    size = file_size(path, "a raster", most=LARGEST)
+    file_size(path, "a raster", most=LARGEST)
     with path.open("rb") as raw:
         head = raw.read(2)
     with reading(path, "a readable raster"), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
         with rasterio.open(path.resolve(), driver="GTiff" if head in (b"II", b"MM") else "AAIGrid") as file:
-            check_size(file.width, file.height, file.block_shapes, size)
+            require(VALUE * file.width * file.height, "a raster", "cut it to the box")
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
             masked = file.read(1, masked=True).astype(np.float64)
@@ -121,14 +119,6 @@ def read_raster(path: Path) -> Field:
         corner=(float(transform.c), float(transform.f + rows * transform.e)),
         crs=crs.to_string() if crs else None,
     )
-
-
-def check_size(columns: int, rows: int, blocks: list[tuple[int, int]], size: int) -> None:
-    """Raise InputError for a raster that swells to more than a file of `size` bytes could hold, or than is free."""
-    values = max(columns * rows, *(height * width for height, width in blocks))
-    if values > max(SMALL, MOST_RATIO * size) / VALUE:
-        raise InputError(f"expected a raster as large as its file, got {columns} x {rows} values in {spoken(size)}")
-    require(VALUE * values, "a raster", "cut it to the box")
 
 
 def check_units(crs: object, unit: str | None) -> None:

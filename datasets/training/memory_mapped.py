@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import open_npz, read_header
 from datasets.compressed import SUFFIX
 from datasets.errors import InputError
+from datasets.reading import reading
 from datasets.trajectory import Trajectory, check_numbers, checked_mass, read_arrays, scene_in
-from datasets.untrusted.arrays import open_untrusted_npz, read_header
-from datasets.untrusted.files import reading
 
 LIMIT = 2**30
 """Largest array [bytes] that is read into memory because it cannot be mapped: compressed, or not float32."""
@@ -65,7 +65,7 @@ def mapped(path: Path, key: str, *, limit: int = LIMIT) -> NDArray[np.float32]:
     """
     if path.suffix == SUFFIX:
         return read_arrays(path, key)[key]
-    with open_untrusted_npz(path, WHAT) as file:
+    with open_npz(path, WHAT) as file:
         member = file.member(key)
     if member.compress_type == zipfile.ZIP_STORED:
         with reading(path, WHAT, key):

@@ -22,10 +22,8 @@ from torch import Tensor
 
 from datasets import files
 from datasets.errors import InputError
+from datasets.reading import file_size, json_object, reading
 from datasets.records import from_mapping
-from datasets.untrusted.files import reading
-from datasets.untrusted.tensors import WHAT, check_tensors
-from datasets.untrusted.text import json_object
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 
@@ -79,8 +77,8 @@ def load(path: Path) -> Model:
 
 def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors and metadata of a file of safetensors. Raises InputError."""
-    check_tensors(path)
-    with reading(path, WHAT), safe_open(path, framework="pt") as file:
+    file_size(path, "whole weights of a model")
+    with reading(path, "whole weights of a model"), safe_open(path, framework="pt") as file:
         return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 

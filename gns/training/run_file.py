@@ -11,7 +11,7 @@ from torch import Tensor
 
 from datasets import files
 from datasets.errors import InputError
-from datasets.untrusted.text import json_object
+from datasets.reading import json_object
 from gns.model import checkpoint
 
 FORMAT = "run-1"

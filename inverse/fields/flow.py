@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.particles import initial_volumes
+from datasets.processes import processors
 from inverse.fields.problem import FieldProblem
 from inverse.observations import Observation, Rollout
 from inverse.observations.sampling import brackets
@@ -24,7 +25,6 @@ from mpm.adjoint.gradient import pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.batch import particles_of
 from mpm.arrays.features import features_of
-from mpm.process import processors
 
 Floats = NDArray[np.float64]
 

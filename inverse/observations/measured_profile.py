@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from datasets import reading
 from datasets.errors import InputError
-from datasets.untrusted import tables
 from inverse.settings import Heights, LengthUnit
 
 Floats = NDArray[np.float64]
@@ -123,7 +123,7 @@ def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = 
 
     Raises InputError, which names the file.
     """
-    found = tables.read_columns(path, tuple(names), tuple(optional), others=True)
+    found = reading.read_columns(path, tuple(names), tuple(optional), others=True)
     if len(found[names[0]]) < 2:
         raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
     return [found[name] for name in (*names, *optional) if name in found]

@@ -142,7 +142,7 @@ def test_a_table_of_trajectories(tmp_path: Path) -> None:
         ((POSITIONS, TYPES, 1e300), "a tan(phi)"),
         ((POSITIONS, TYPES, 10**30), "a tan(phi)"),
         ((POSITIONS, 10**30), "types as integers"),
-        ((POSITIONS, TYPES, np.array(["a"] * 5)), "not of plain numbers"),
+        ((POSITIONS, TYPES, np.array(["a"] * 5)), "found the dtype"),
     ],
 )
 def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected: str) -> None:

@@ -1,20 +1,16 @@
 """The memory that is free, and what is refused for want of it."""
 
-import resource
-import sys
 from pathlib import Path
 
-import numpy as np
+import psutil
 import pytest
 
 from datasets import memory
 from datasets.errors import InputError
 
-LINUX = pytest.mark.skipif(sys.platform != "linux", reason="limits of addresses are Linux's")
-
 
 def test_some_is_free_and_no_more_than_there_is() -> None:
-    assert 0 < memory.free() <= memory.whole()
+    assert 0 < memory.free() <= psutil.virtual_memory().total
 
 
 def test_a_container_has_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,11 +31,3 @@ def test_more_than_is_free_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         memory.require(2**20, "a thing", "less", key="key")
     with pytest.raises(InputError):
         memory.require(float("nan"), "a thing", "less")
-
-
-@LINUX
-def test_no_more_than_asked_for() -> None:
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    with memory.at_most(2**27), pytest.raises(MemoryError):
-        np.ones(2**28)
-    assert resource.getrlimit(resource.RLIMIT_AS) == before

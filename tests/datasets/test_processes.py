@@ -1,13 +1,15 @@
-"""A process that is to end with its parent does, by Linux's signal and by the watching thread alone."""
+"""A process ends with its parent, by Linux's signal and by the watching thread alone; a signal waits, or breaks off."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 
-from validation.bench.faults.breaking import wait_for_orphans
+from datasets.processes import Terminated, stopping
 
 ROOT = Path(__file__).parents[2]
 CHILD = """
@@ -48,7 +50,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("platform", ["linux", "elsewhere"])
-@pytest.mark.parametrize("kind", ["end_with_parent", "end_with_stated_parent", "spawned"])
+@pytest.mark.parametrize("kind", ["end_with_stated_parent", "spawned"])
 def test_a_child_ends_with_a_killed_parent(kind: str, platform: str, tmp_path: Path) -> None:
     if kind == "spawned":
         text = SPAWNED.format(platform=platform)
@@ -57,18 +59,14 @@ def test_a_child_ends_with_a_killed_parent(kind: str, platform: str, tmp_path: P
     (tmp_path / "parent.py").write_text(text)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        [sys.executable, str(tmp_path / "parent.py")],
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
+        [sys.executable, str(tmp_path / "parent.py")], env=environment, stdout=subprocess.PIPE, text=True
     ) as parent:
         assert parent.stdout is not None
-        child = int(parent.stdout.readline())
-        os.kill(child, 0)
-        session = os.getsid(child)
+        child = psutil.Process(int(parent.stdout.readline()))
+        assert child.is_running()
         parent.kill()
-    assert wait_for_orphans(session) == (0, pytest.approx(0.0, abs=4.0))
+    _, alive = psutil.wait_procs([child], timeout=10.0)
+    assert all(process.status() == psutil.STATUS_ZOMBIE for process in alive)
 
 
 def test_another_parent_than_the_stated_one_is_not_followed() -> None:
@@ -76,3 +74,33 @@ def test_another_parent_than_the_stated_one_is_not_followed() -> None:
     code += "import threading; assert len(threading.enumerate()) == 1"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TALUS_PARENT": "1"}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time that `stopping` sees [s]."""
+    now = [0.0]
+    monkeypatch.setattr("datasets.processes.time.monotonic", lambda: now[0])
+    return now
+
+
+def test_a_signal_is_kept_and_a_second_one_breaks_off(clock: list[float]) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with stopping() as stop:
+        assert (stop(), stop.status) == (False, 0)
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)  # The same one, handed on.
+        assert (stop(), stop.status) == (True, 143)
+        clock[0] = 2.0
+        with pytest.raises(Terminated):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_is_saved_is_broken_off_at_once() -> None:
+    with stopping() as stop:
+        with pytest.raises(KeyboardInterrupt), stop.at_once():
+            signal.raise_signal(signal.SIGINT)
+        # Asked before it began: it does not begin.
+        with pytest.raises(KeyboardInterrupt), stop.at_once():
+            pytest.fail("began")

@@ -71,14 +71,6 @@ def test_missing_truncated_and_foreign_files_are_input_errors(file: Path, tmp_pa
         checkpoint.load(file)
 
 
-def test_files_of_torch_are_refused_with_what_to_do(lively: Simulator, tmp_path: Path) -> None:
-    file = tmp_path / "flow2d.pt"
-    torch.save({"format": 3, "state": lively.state_dict()}, file)
-    with pytest.raises(InputError, match=r"flow2d\.pt: expected a model as \.safetensors.*train anew") as caught:
-        checkpoint.load(file)
-    assert "\n" not in str(caught.value)
-
-
 def put(**settings: Any) -> Change:
     return lambda _, known: known.update(settings)
 

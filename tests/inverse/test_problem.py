@@ -63,11 +63,6 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
 
 
 def test_keys_of_older_files_are_read(tmp_path: Path) -> None:
-    design = GOOD.replace("value = 0.55", "least = true") + "[loop]\nseveral_within = 2.0\n"
-    with pytest.warns(FutureWarning, match="now called"):
-        assert read_problem(written(tmp_path, design)).target.minimise
-    with pytest.warns(FutureWarning, match="hidden is now called twin"):
-        assert read_problem(written(tmp_path, GOOD.replace("value = 0.55", "hidden = true"))).target.twin
     with pytest.warns(FutureWarning, match=r"optimiser\.start is no longer used"):
         old = read_problem(written(tmp_path, GOOD + '[optimiser]\nmax_iterations = 7\nstart = "frames"\n'))
     assert old.optimiser.max_iterations == 7

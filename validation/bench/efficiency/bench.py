@@ -6,10 +6,10 @@ from pathlib import Path
 
 import torch
 
+from datasets.processes import processors
 from gns.inference import shipped
 from gns.model import checkpoint
 from inverse.problem import Problem, read_problem
-from mpm.process import processors
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods
 from validation.bench.efficiency.page import write

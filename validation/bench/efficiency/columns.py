@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from datasets.library import read_scene
 from datasets.particles import particle_count
+from datasets.processes import processors
 from datasets.scene import Domain, Mass, Scene
 from gns.inference import shipped
 from gns.model import checkpoint
@@ -22,7 +23,6 @@ from inverse.jacobian import automatic
 from inverse.observations import build
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, Parameter, TargetSettings
-from mpm.process import processors
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import (
     AD,

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.files import write_json
+from datasets.processes import processors
 from datasets.records import Record, from_mapping
 from gns.inference import shipped
-from mpm.process import processors
 from validation.report.page import GNS, MPM, machine
 
 FILE = "efficiency.json"

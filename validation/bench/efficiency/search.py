@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from tqdm import tqdm
 
+from datasets.processes import processors
 from gns.model.simulator import Simulator
 from inverse.bounds import Bounds
 from inverse.forward.adjoint import AdjointForward
@@ -22,7 +23,6 @@ from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.secants import sample
 from inverse.settings import Method
-from mpm.process import processors
 from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.methods import ForwardModel, GradientBy, SearchMethod
 from validation.bench.efficiency.records import CheckedLoss, MethodResult

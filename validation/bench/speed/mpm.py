@@ -5,8 +5,8 @@ from pathlib import Path
 
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.errors import InputError
+from datasets.processes import processors
 from mpm.generate import generate
-from mpm.process import processors
 from validation.bench.speed import features, rates
 from validation.bench.speed.features import FULL, PLAIN, REST, SHORT, Features, Shortcuts
 from validation.bench.speed.rates import Rates

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from datasets.definitions.flow2d import FRAME_DT
 from datasets.library import read_scene
+from datasets.processes import processors
 from mpm.generate import pool
-from mpm.process import processors
 from mpm.resolution import fitted_cell
 from validation.bench.paper import read_paper
 from validation.bench.surrogate import accuracy, calibration, friction, held_out, pictures, price, rest, velocities

@@ -19,12 +19,12 @@ from datasets.command_line import WorkFailed
 from datasets.definitions.definition import Definition, Storage
 from datasets.errors import InputError
 from datasets.files import write_json
+from datasets.processes import processors
 from datasets.scene import Domain, Scene
 from datasets.trajectory import Trajectory
 from mpm import Recording, ScenesFailed, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.generate import thinned
-from mpm.process import processors
 from validation.runs import SHARE, Run, RunStore
 
 SEED = 1
