@@ -1,8 +1,11 @@
 # make demo | test | test-all | lint | docs | wheel | bench NAME=...; the environment in .venv sets itself up.
-PYTHON ?= python3.11
+# The first of these that is there; without any, uv brings one.
+PYTHON ?= $(shell for v in 3.11 3.12 3.13; do python$$v -c "" 2>/dev/null && echo python$$v && break; done)
 WORKERS ?= 2
 NAME ?= --list
 BIN := .venv/bin
+VENV = $(if $(PYTHON),$(PYTHON) -m venv,$(if $(shell command -v uv),uv venv --quiet --seed --python 3.12,\
+	$(info expected Python 3.11, 3.12 or 3.13 on the path, or uv, found none; name one by PYTHON=...)false))
 # The constraints ask for torch's CPU build. Where the configured index has none, PyTorch's own one does.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 INSTALL := $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,docs]'
@@ -36,13 +39,13 @@ wheel: build/venv/bin/twine
 	rm -rf dist build/installed
 	build/venv/bin/python -m build --outdir dist .
 	build/venv/bin/twine check --strict dist/*
-	$(PYTHON) -m venv build/installed
+	$(VENV) build/installed
 	build/installed/bin/pip install --quiet --constraint constraints.txt dist/*.whl || \
 		build/installed/bin/pip install --quiet --constraint constraints.txt dist/*.whl --extra-index-url $(TORCH_INDEX)
 	cd build && installed/bin/python -P ../tests/installed.py
 
 build/venv/bin/twine: pyproject.toml
-	$(PYTHON) -m venv build/venv
+	$(VENV) build/venv
 	build/venv/bin/pip install --quiet build twine
 	touch $@
 
@@ -50,6 +53,6 @@ bench: .venv/stamp
 	$(BIN)/python -m validation.bench $(NAME) $(if $(filter --list,$(NAME)),,--out docs)
 
 .venv/stamp: pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	test -x $(BIN)/python || $(VENV) .venv
 	$(INSTALL) || $(INSTALL) --extra-index-url $(TORCH_INDEX)
 	touch $@

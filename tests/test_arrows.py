@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator, Set
 from pathlib import Path
 
+import networkx
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -115,6 +116,37 @@ def test_what_is_allowed_is_no_breach() -> None:
     assert breaches("import torch\nfrom datasets.scene import Scene\nfrom . import graph", "gns") == []
     assert breaches("import pickle\npickle.UnpicklingError", "gns") == []
     assert breaches("import numpy as np\nnp.load('x.npz', allow_pickle=False)", "datasets") == []
+
+
+def import_graph(root: Path) -> networkx.DiGraph:
+    """Which file imports which, at the top or later; what only a type checker reads does not count."""
+    names = {".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
+    graph = networkx.DiGraph()
+    for name, path in names.items():
+        tree = ast.parse(path.read_text())
+        checked = {
+            id(node)
+            for block in ast.walk(tree)
+            if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+            for node in ast.walk(block)
+        }
+        for node in ast.walk(tree):
+            if id(node) in checked:
+                continue
+            if isinstance(node, ast.Import):
+                targets = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                inner = [f"{node.module}.{alias.name}" for alias in node.names]
+                targets = [each for each in inner if each in names] or [node.module]
+            else:
+                continue
+            graph.add_edges_from((name, target) for target in targets if target in names and target != name)
+    return graph
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    circles = [sorted(each) for each in networkx.strongly_connected_components(import_graph(ROOT)) if len(each) > 1]
+    assert circles == []
 
 
 @pytest.mark.parametrize(("folder", "banned"), [("datasets", "torch taichi"), ("mpm", "torch"), ("gns", "taichi")])

@@ -117,3 +117,17 @@ def test_where_it_errs_more_than_it_states_its_variance_grows() -> None:
     assert calm == pytest.approx(0.9)
     assert wild > 1.3
     assert made.variance_ratio(np.array([[50.0]]))[0, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("unknowns", [1, 4, 10])
+def test_the_last_digits_of_runs_do_not_move_its_lengths(unknowns: int) -> None:
+    """Decompositions differ in their last digits from processor to processor: no sample and no run may depend on it."""
+    points = spread(40, unknowns)
+    numbers = np.sin(3.0 * points) @ np.random.default_rng(1).normal(size=(unknowns, 3))
+    numbers += 0.05 * np.random.default_rng(2).normal(size=numbers.shape)
+    one = fitted(points, numbers, np.full(3, 0.05))
+    for seed in range(3):
+        rounding = 1.0 + 1e-13 * np.random.default_rng(seed).normal(size=numbers.shape)
+        other = fitted(points, numbers * rounding, np.full(3, 0.05))
+        np.testing.assert_array_equal(one.lengths, other.lengths)
+        np.testing.assert_allclose(one.mean(points), other.mean(points), rtol=1e-9, atol=1e-9)
