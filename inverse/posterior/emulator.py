@@ -269,8 +269,8 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
     """The logarithms of the correlation lengths of highest likelihood, in whole numbers of the smallest step, [U].
 
     By a pattern search over a lattice (Hooke & Jeeves, "Direct search" solution of numerical and statistical problems,
-    J. ACM 8 (1961) 212-229): the likelihood is flat at its top, where the end of a descent is decided by the last digits
-    of its slopes, which differ from processor to processor, and with it every sample and run that follow.
+    J. ACM 8 (1961) 212-229): the likelihood is flat at its top, where the last digits of its slopes decide where a
+    descent ends; they differ from processor to processor, and with them would every sample and run that follow.
     """
     found, value = start.copy(), log_likelihood(start)
     smallest, largest = (round(math.log(each) / LENGTH_STEPS[-1]) for each in (SHORTEST, LONGEST))
