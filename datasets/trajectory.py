@@ -1,4 +1,4 @@
-"""Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ file."""
+"""Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ or HDF5 file."""
 
 import json
 from collections.abc import Mapping
@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import open_hdf5, open_npz, plain_array
-from datasets.compressed import SUFFIX, read_compressed, write_compressed
 from datasets.errors import InputError
-from datasets.files import replacing
+from datasets.frames import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.particles import initial_volumes, particle_count
 from datasets.reading import json_object
 from datasets.scene import Scene
 
 Floats = NDArray[np.float32]
 
-SUFFIXES = (".npz", SUFFIX)
+SUFFIXES = (".npz", HDF5)
 """Of the files of trajectories."""
 FARTHEST = 1.0e12
 """Positions [m] and velocities [m/s] beyond this are none: their squares would not fit into single precision."""
@@ -33,6 +31,7 @@ FIELDS = {
     "solid_impulse": np.float64,
 }
 """What a simulation may have recorded besides the positions, and as what it is stored."""
+REQUIRED = ("positions", "time", "velocity0", "friction", "scene")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +41,7 @@ class Trajectory:
     For example:
 
         flow = mpm.simulate(scene)
-        flow.save(Path("flow.npz"))
+        flow.save("flow.npz")
         flow = read_trajectory("flow.npz")
         x = flow.positions[-1, :, 0]  # of every particle of the deposit [m]
     """
@@ -108,136 +107,108 @@ class Trajectory:
             raise InputError("expected frames evenly spaced in time, they are not", key="time")
         return float((self.time[-1] - self.time[0]) / len(steps))
 
-    @property
-    def baffle_impulse(self) -> NDArray[np.float64] | None:
-        """Of `solid_impulse` that of the baffles, which come first, shape [T, B, D]."""
-        return None if self.solid_impulse is None else self.solid_impulse[:, : len(self.scene.baffles)]
+    def arrays(self) -> dict[str, NDArray[Any] | str]:
+        """What a file holds besides the positions: the fields that there are; `scene` and `summary` as JSON."""
+        kinds = {"time": np.float64, "velocity0": np.float32, "friction": np.float32, "mass": np.int32, **FIELDS}
+        found = {key: getattr(self, key) for key in kinds}
+        stored = {key: array.astype(kinds[key], copy=False) for key, array in found.items() if array is not None}
+        return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
-    def save(self, path: Path) -> None:
-        """Write an NPZ of plain arrays; `scene` and `summary` as JSON strings; of the fields those that there are.
-
-        The same in HDF5, compressed (`datasets.compressed`), for a name in `.h5`: positions to a part of a cell.
-        """
-        names = {key: key for key in FIELDS} | {"solid_impulse": impulse_key(self.scene)}
-        fields: dict[str, tuple[NDArray[Any] | None, type]] = {"mass": (self.mass, np.int32)}
-        fields |= {names[key]: (getattr(self, key), kind) for key, kind in FIELDS.items()}
-        recorded: dict[str, Any] = {
-            key: array.astype(kind, copy=False) for key, (array, kind) in fields.items() if array is not None
-        }
-        arrays: dict[str, Any] = {
-            "positions": self.positions.astype(np.float32, copy=False),
-            "time": self.time.astype(np.float64, copy=False),
-            "velocity0": self.velocity0.astype(np.float32, copy=False),
-            "friction": self.friction.astype(np.float32, copy=False),
-            "scene": np.array(self.scene.to_json()),
-            "summary": np.array(json.dumps(self.summary)),
-            **recorded,
-        }
-        with replacing(path) as part:
-            if path.suffix == SUFFIX:
-                write_compressed(part, arrays, self.scene.domain.cell)
-            else:
-                np.savez(part, **arrays)
+    def save(self, path: str | Path) -> None:
+        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.frames`)."""
+        path, arrays = Path(path), self.arrays()
+        if path.suffix != HDF5:
+            positions = np.asarray(self.positions, np.float32)
+            write_npz(path, {"positions": positions, **{key: np.asarray(each) for key, each in arrays.items()}})
+            return
+        with FrameWriter(path) as file:
+            for frame in range(len(self.time)):
+                file.append(positions=np.asarray(self.positions[frame : frame + 1], np.float32))
+            file.put(**arrays)
 
     @staticmethod
-    def load(path: Path) -> "Trajectory":
+    def load(path: str | Path) -> "Trajectory":
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file and the key."""
-        arrays = read_arrays(path)
-        for key in ("positions", "time", "velocity0", "friction", "scene"):
-            if key not in arrays:
-                raise InputError("expected an array, the key is missing", where=str(path), key=key)
-        positions = arrays["positions"]
-        if positions.ndim != 3 or positions.shape[2] not in (2, 3) or positions.size == 0:
-            expected = "shape [T, N, 2 or 3], at least one frame of one particle"
-            raise InputError(f"expected {expected}, got {positions.shape}", where=str(path), key="positions")
-        frames, particles, dimension = positions.shape
-        scene = scene_in(arrays["scene"], path)
-        shapes: dict[str, tuple[int, ...]] = {
-            "positions": positions.shape,
-            "time": (frames,),
-            "velocity0": (particles, dimension),
-            "friction": (particles,),
-            "volume": (particles,),
-            "velocities": positions.shape,
-            "stress": (frames, particles, 4 if dimension == 2 else 6),
-            "pressure": (frames, particles),
-            "density": (frames, particles),
-            "plastic_strain": (frames, particles),
-            impulse_key(scene): (frames, len(solid_names(scene)), dimension),
-        }
-        for key, shape in shapes.items():
-            if key not in arrays:
-                continue
-            if arrays[key].shape != shape:
-                raise InputError(f"expected shape {shape}, got {arrays[key].shape}", where=str(path), key=key)
-            if not np.issubdtype(arrays[key].dtype, np.floating):
-                raise InputError(f"expected floating-point numbers, got {arrays[key].dtype}", where=str(path), key=key)
-        if scene.dimension != dimension:
-            raise InputError(
-                f"expected {scene.dimension}D positions as in the scene, got {dimension}D",
-                where=str(path),
-                key="positions",
-            )
-        check_numbers(arrays, path)
-        mass = checked_mass(arrays.get("mass"), particles, scene, path)
-        try:
-            summary = json_object(str(arrays["summary"])) if "summary" in arrays else {}
-        except InputError as error:
-            raise InputError(error.message, where=str(path), key="summary") from None
-        return Trajectory(
-            positions=positions.astype(np.float32, copy=False),
-            time=arrays["time"].astype(np.float64, copy=False),
-            velocity0=arrays["velocity0"].astype(np.float32, copy=False),
-            friction=arrays["friction"].astype(np.float32, copy=False),
-            scene=scene,
-            summary=summary,
-            mass=mass,
-            **{
-                key: arrays[name].astype(kind, copy=False)
-                for key, kind in FIELDS.items()
-                if (name := impulse_key(scene) if key == "solid_impulse" else key) in arrays
-            },
-        )
+        return _checked(read_arrays(Path(path)), Path(path))
 
 
-def check_numbers(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Raise InputError for numbers of the NPZ at `path`, those that are there, that are none of any motion."""
+def open_trajectory(path: str | Path) -> Trajectory:
+    """The trajectory at `path`, its positions read when they are used, without the recorded fields and the summary.
 
-    def require(ok: bool, key: str, expected: str) -> None:
+    Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
+    """
+    path = Path(path)
+    arrays = read_arrays(path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass"))
+    return _checked({**arrays, "positions": open_frames(path, "positions")}, path, lazily=True)
+
+
+def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = False) -> Trajectory:
+    """The trajectory of these arrays of the file `path`. Raises InputError."""
+
+    def require(ok: bool, key: str, expected: str, got: object = "others") -> None:
         if not ok:
-            raise InputError(f"expected {expected}, got others", where=str(path), key=key)
+            raise InputError(f"expected {expected}, got {got}", where=str(path), key=key)
 
-    for key in ("positions", "velocity0"):
+    for key in REQUIRED:
+        if key not in arrays:
+            raise InputError("expected an array, the key is missing", where=str(path), key=key)
+    positions, scene = arrays["positions"], scene_in(arrays["scene"], path)
+    known = positions.ndim == 3 and positions.shape[2] in (2, 3) and positions.size > 0
+    require(known, "positions", "shape [T, N, 2 or 3], at least one frame of one particle", positions.shape)
+    frames, particles, dimension = positions.shape
+    shapes: dict[str, tuple[int, ...]] = {
+        "positions": positions.shape,
+        "time": (frames,),
+        "velocity0": (particles, dimension),
+        "friction": (particles,),
+        "volume": (particles,),
+        "velocities": positions.shape,
+        "stress": (frames, particles, 4 if dimension == 2 else 6),
+        "pressure": (frames, particles),
+        "density": (frames, particles),
+        "plastic_strain": (frames, particles),
+        "solid_impulse": (frames, len(solid_names(scene)), dimension),
+    }
+    for key, shape in shapes.items():
         if key in arrays:
-            require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers")
-    time, friction = arrays["time"], arrays["friction"]
+            require(arrays[key].shape == shape, key, f"shape {shape}", arrays[key].shape)
+            is_float = np.issubdtype(arrays[key].dtype, np.floating)
+            require(is_float, key, "floating-point numbers", arrays[key].dtype)
+    require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
+    for key in ("velocity0",) if lazily else ("velocity0", "positions"):
+        require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers")
+    time, friction, volume, mass = (arrays.get(key) for key in ("time", "friction", "volume", "mass"))
+    assert time is not None
+    assert friction is not None
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
     require(bool(ascending), "time", "ascending times of at least 0 s")
     require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0")
-    if (volume := arrays.get("volume")) is not None:
+    if volume is not None:
         require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes")
-
-
-def checked_mass(array: NDArray[Any] | None, particles: int, scene: Scene, path: Path) -> NDArray[np.int32] | None:
-    """The index of the mass of each particle, as the NPZ at `path` has it. Raises InputError."""
-    if array is None:
-        return None
-    whole = np.issubdtype(array.dtype, np.integer) and array.shape == (particles,)
-    if not whole or array.min() < 0 or array.max() >= len(scene.masses):
-        expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
-        raise InputError(f"expected {expected}", where=str(path), key="mass")
-    return array.astype(np.int32, copy=False)
+    if mass is not None:
+        whole = np.issubdtype(mass.dtype, np.integer) and mass.shape == (particles,)
+        known = bool(whole and mass.min() >= 0 and mass.max() < len(scene.masses))
+        require(known, "mass", f"the index of one of {len(scene.masses)} masses for each of {particles} particles")
+    try:
+        summary = json_object(str(arrays["summary"])) if "summary" in arrays else {}
+    except InputError as error:
+        raise InputError(error.message, where=str(path), key="summary") from None
+    return Trajectory(
+        positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
+        time=time.astype(np.float64, copy=False),
+        velocity0=arrays["velocity0"].astype(np.float32, copy=False),
+        friction=friction.astype(np.float32, copy=False),
+        scene=scene,
+        summary=summary,
+        mass=None if mass is None else mass.astype(np.int32, copy=False),
+        **{key: arrays[key].astype(kind, copy=False) for key, kind in FIELDS.items() if key in arrays},
+    )
 
 
 def solid_names(scene: Scene) -> tuple[str, ...]:
     """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
     baffles = (f"baffles[{index}]" for index in range(len(scene.baffles)))
     return (*baffles, *(solid.name or f"solids[{index}]" for index, solid in enumerate(scene.solids)))
-
-
-def impulse_key(scene: Scene) -> str:
-    """The key in an NPZ of `Trajectory.solid_impulse`: that of older files where there are no solids but baffles."""
-    return "solid_impulse" if scene.solids else "baffle_impulse"
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -257,7 +228,7 @@ def trajectory_file(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_dir():
         return path
-    found = path / f"trajectory{SUFFIX}"
+    found = path / f"trajectory{HDF5}"
     return found if found.exists() else path / "trajectory.npz"
 
 
@@ -269,29 +240,6 @@ def trajectory_files(folder: Path) -> list[Path]:
 def stored_scene(path: Path) -> Scene:
     """The scene of a saved trajectory, without reading its positions. Raises InputError."""
     return scene_in(read_arrays(path, "scene")["scene"], path)
-
-
-def stored_shape(path: Path, key: str) -> tuple[int, ...]:
-    """The shape of an array of a saved trajectory, without reading it. Raises InputError."""
-    if path.suffix == SUFFIX:
-        with open_hdf5(path) as file:
-            return tuple(plain_array(file, key).shape)
-    with open_npz(path) as archive:
-        return archive.shape(key)
-
-
-def read_arrays(
-    path: Path, *names: str, optional: tuple[str, ...] = (), what: str = "a trajectory"
-) -> dict[str, NDArray[Any]]:
-    """The arrays `names` of an NPZ, or of a compressed trajectory, and, where they are there, `optional`; all where
-
-    none is named. Never runs a pickle. Raises InputError.
-    """
-    if path.suffix == SUFFIX:
-        return read_compressed(path, *names, optional=optional)
-    with open_npz(path, f"a whole NPZ of plain arrays ({what})") as file:
-        there = [name for name in optional if name in file.keys]
-        return {name: file.read(name) for name in (*names, *there) or file.keys}
 
 
 def scene_in(array: NDArray[Any], path: Path) -> Scene:

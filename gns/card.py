@@ -23,8 +23,7 @@ from datasets.definitions.definition import Split
 from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
-from datasets.training.memory_mapped import open_trajectory
-from datasets.trajectory import trajectory_files
+from datasets.trajectory import open_trajectory, trajectory_files
 from gns.inference import shipped
 from gns.model import checkpoint, rheology, traction
 from gns.model.context import channels

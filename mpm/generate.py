@@ -19,11 +19,11 @@ import numpy as np
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed, disk_failed, run
-from datasets.compressed import SUFFIX
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Entry, Split, Storage
 from datasets.errors import InputError
 from datasets.files import remove_own_parts, write_json
+from datasets.frames import HDF5 as SUFFIX
 from datasets.lock import locked
 from datasets.particles import mass_counts
 from datasets.processes import end_with_parent, processors

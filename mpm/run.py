@@ -4,13 +4,13 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import run
-from datasets.compressed import SUFFIX
 from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
 from datasets.exchange.vtkhdf import FILE as VTKHDF
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
+from datasets.frames import HDF5 as SUFFIX
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import stopping

@@ -43,7 +43,8 @@ def layers(stream: Stream) -> Scene:
     length, height = size(stream)
     count = int(stream.integers(*LAYERS, endpoint=True))
     edges = height * np.linspace(0.0, 1.0, count + 1)
-    even = np.linspace(*stream.uniform(0.0, SPEED, 2), count)
+    first, last = stream.uniform(0.0, SPEED, 2).tolist()
+    even = np.linspace(first, last, count)
     velocities = even if stream.random() < 0.5 else stream.uniform(0.0, SPEED, count)
     return scene(
         stream,

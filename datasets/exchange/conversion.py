@@ -24,7 +24,7 @@ from datasets.files import write_json
 from datasets.geometry.plain import check_plain
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
-from datasets.trajectory import Trajectory, stored_scene, stored_shape, trajectory_files
+from datasets.trajectory import Trajectory, open_trajectory, stored_scene, trajectory_files
 
 RECORD = "exchange.json"
 """What a conversion is from, and with which options; written first, so that the same command can finish it."""
@@ -81,7 +81,7 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
     for path in paths:
         scene = stored_scene(path)
         check_plain(scene, "the other code's format", str(path))
-        shape = stored_shape(path, "positions")
+        shape = open_trajectory(path).positions.shape
         if len(shape) != 3:
             raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
         frames, particles, _ = shape

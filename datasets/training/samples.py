@@ -15,9 +15,8 @@ from datasets.geometry.ground import ground_raster
 from datasets.geometry.plain import check_plain
 from datasets.particles import mass_counts
 from datasets.scene import Scene
-from datasets.training.memory_mapped import open_trajectory
 from datasets.training.thinning import thin
-from datasets.trajectory import Floats, Trajectory, trajectory_files
+from datasets.trajectory import Floats, Trajectory, open_trajectory, trajectory_files
 
 MOVING = 0.02
 """Root mean square speed [m/s] above which a flow counts as moving."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import replacing
+from datasets.frames import read_arrays
 from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
-from datasets.trajectory import read_arrays
 from mpm.arrays.batch import Batch
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Contact, Energy, Offset, Retained

@@ -162,9 +162,9 @@ def test_baffles_are_closed_and_know_what_hit_them(tmp_path: Path, flow: Traject
             assert surface.n_open_edges == 0
             assert surface.volume == pytest.approx(np.prod(baffle.size))
             np.testing.assert_allclose(surface.bounds[::2], baffle.lower, atol=1e-7)
-        np.testing.assert_array_equal(baffles["impulse"][[0, 6]], flow.baffle_impulse[frame])
-        before = flow.baffle_impulse[max(frame - 1, 0)]
-        np.testing.assert_allclose(baffles["force"][[0, 6]], (flow.baffle_impulse[frame] - before) / 0.01, atol=1e-12)
+        np.testing.assert_array_equal(baffles["impulse"][[0, 6]], flow.solid_impulse[frame])
+        before = flow.solid_impulse[max(frame - 1, 0)]
+        np.testing.assert_allclose(baffles["force"][[0, 6]], (flow.solid_impulse[frame] - before) / 0.01, atol=1e-12)
 
 
 def test_fewer_frames_lose_no_impulse(tmp_path: Path, flow: Trajectory) -> None:
@@ -172,7 +172,7 @@ def test_fewer_frames_lose_no_impulse(tmp_path: Path, flow: Trajectory) -> None:
     series = read(tmp_path)
     assert list(series) == [0.0, 0.03, 0.04]
     given = sum(took * parts[1]["force"] for took, parts in zip([0.0, 0.03, 0.01], series.values(), strict=True))
-    np.testing.assert_allclose(given[[0, 6]], flow.baffle_impulse[-1])
+    np.testing.assert_allclose(given[[0, 6]], flow.solid_impulse[-1])
 
 
 def test_two_dimensions(tmp_path: Path, flow: Trajectory) -> None:

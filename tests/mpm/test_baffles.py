@@ -95,11 +95,11 @@ def test_three_baffles_in_three_dimensions() -> None:
     trajectory = simulate(scene)
     mirrored = simulate(dataclasses.replace(scene, seed=5))
     assert inside(trajectory) == 0
-    assert trajectory.baffle_impulse is not None
-    assert mirrored.baffle_impulse is not None
-    push = trajectory.baffle_impulse[-1]
+    assert trajectory.solid_impulse is not None
+    assert mirrored.solid_impulse is not None
+    push = trajectory.solid_impulse[-1]
     assert np.all(push[:, 0] > 0.0)
     # The scene is symmetric about its middle: the two in front take alike, and push each other's mirror image sideways.
     assert push[0, 0] == pytest.approx(push[1, 0], rel=0.15)
     assert push[0, 2] == pytest.approx(-push[1, 2], abs=0.15 * push[0, 0])
-    assert np.abs(mirrored.baffle_impulse[-1, :, 0] / push[:, 0] - 1).max() < 0.3
+    assert np.abs(mirrored.solid_impulse[-1, :, 0] / push[:, 0] - 1).max() < 0.3

@@ -352,7 +352,7 @@ def test_compressed_files_are_those_of_the_dataset_and_are_learned_from(dataset:
     for name in FILES:
         whole, found = Trajectory.load(dataset / name), Trajectory.load((tmp_path / name).with_suffix(".h5"))
         assert found.scene == whole.scene
-        np.testing.assert_allclose(found.positions, whole.positions, rtol=0.0, atol=0.05 / 2.0e4 + 1.0e-7)
+        np.testing.assert_allclose(found.positions, whole.positions, rtol=0.0, atol=0.0)
     flows = load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.05)
     assert len(flows) == 2
     with pytest.raises(InputError, match=r"expected \.npz, the dataset was begun with --compress"):

@@ -56,7 +56,7 @@ def test_fewer_frames_are_those_of_the_whole_run() -> None:
     for frames, kept in ((7, [*range(0, 60, 7), 60]), ("last", [60])):
         few = simulate(scene, record=dataclasses.replace(EVERYTHING, frames=frames))  # type: ignore[arg-type]
         np.testing.assert_array_equal(few.time, whole.time[kept])
-        for key in ("positions", "velocities", "stress", "pressure", "density", "plastic_strain", "baffle_impulse"):
+        for key in ("positions", "velocities", "stress", "pressure", "density", "plastic_strain", "solid_impulse"):
             np.testing.assert_array_equal(getattr(few, key), getattr(whole, key)[kept])
         for key in ("energy", "wall_impulse", "front", "steps"):
             assert few.summary[key] == whole.summary[key]
@@ -86,7 +86,7 @@ def test_only_what_was_asked_for_is_there() -> None:
     assert flow.stress.shape == (5, 400, 4)
     assert [getattr(flow, key) for key in ("velocities", "pressure", "density", "plastic_strain")] == [None] * 4
     # What a solid takes is recorded wherever there is one.
-    assert flow.baffle_impulse is not None
+    assert flow.solid_impulse is not None
     assert "wall_impulse" not in flow.summary
     assert flow.summary["relaxation_time"] == scene.relaxation > 0.0
 

@@ -68,7 +68,7 @@ def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
     scene.write_text(SCENE + "[[baffles]]\nlower = [0.12, 0.0]\nsize = [0.1, 0.1]\n")
     assert run(command, "mpm.run", [str(scene), "--out", str(out), "--vtk", "--forces"]) == 0
     trajectory = Trajectory.load(out / "trajectory.npz")
-    assert trajectory.baffle_impulse is not None
+    assert trajectory.solid_impulse is not None
     assert trajectory.pressure is not None
     assert (out / "vtk" / "trajectory.pvd").is_file()
     forces = np.genfromtxt(out / "forces.csv", delimiter=",", skip_header=1)

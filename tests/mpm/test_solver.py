@@ -308,8 +308,8 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
-            assert alone.baffle_impulse is not None
-            np.testing.assert_allclose(shared.baffle_impulse, alone.baffle_impulse, rtol=1e-3, atol=1e-6)
+            assert alone.solid_impulse is not None
+            np.testing.assert_allclose(shared.solid_impulse, alone.solid_impulse, rtol=1e-3, atol=1e-6)
 
 
 def test_fields_are_what_the_points_carry() -> None:
@@ -363,8 +363,8 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
             walls = (flow.summary["wall_impulse"] for flow in (other, one))
             np.testing.assert_allclose(*walls, rtol=1e-3, atol=1e-5)
             np.testing.assert_allclose(other.plastic_strain, one.plastic_strain, atol=1e-3)
-            if one.baffle_impulse is not None:
-                np.testing.assert_allclose(other.baffle_impulse, one.baffle_impulse, rtol=1e-3, atol=1e-6)
+            if one.solid_impulse is not None:
+                np.testing.assert_allclose(other.solid_impulse, one.solid_impulse, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from datasets.command_line import WorkFailed
 from datasets.files import write_text
-from datasets.trajectory import read_arrays
+from datasets.frames import read_arrays
 
 BLOCKS = """
 count = 10

@@ -275,8 +275,8 @@ def wall_stops(flow: Trajectory) -> float:
 @check("baffle impulse / M v", maximum=2.0)
 def baffle_stops(flow: Trajectory) -> float:
     """Largest momentum given to the baffles along x, over that of the thrown mass."""
-    assert flow.baffle_impulse is not None
-    return share_of_throw(flow, flow.baffle_impulse.sum(axis=1))
+    assert flow.solid_impulse is not None
+    return share_of_throw(flow, flow.solid_impulse.sum(axis=1))
 
 
 @check("speed kept", minimum=0.98, maximum=1.001)

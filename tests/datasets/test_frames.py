@@ -1,0 +1,171 @@
+"""Frames in files: an NPZ is mapped, HDF5 grows and is read frame by frame; foreign files are refused in one line."""
+
+import dataclasses
+import zipfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.frames import FrameWriter, open_frames
+from datasets.trajectory import FIELDS, Trajectory, open_trajectory, read_trajectory, stored_scene, trajectory_files
+
+
+@pytest.fixture
+def flow(trajectory: Trajectory) -> Trajectory:
+    """Particles that move on from frame to frame, with all that can be recorded."""
+    stream = np.random.default_rng(1)
+    frames, count = 37, 2000
+    steps = stream.normal(0.0, 0.002, (frames, count, 2))
+    shapes = {"volume": (count,), "velocities": (frames, count, 2), "stress": (frames, count, 4)}
+    shapes |= dict.fromkeys(("pressure", "density", "plastic_strain"), (frames, count))
+    shapes |= {"solid_impulse": (frames, 0, 2)}
+    return dataclasses.replace(
+        trajectory,
+        positions=(0.5 + np.cumsum(steps, axis=0)).astype(np.float32),
+        time=0.0025 * np.arange(frames),
+        velocity0=stream.random((count, 2), np.float32),
+        friction=np.full(count, 0.5, np.float32),
+        mass=np.zeros(count, np.int32),
+        **{key: (0.1 + stream.random(shape)).astype(FIELDS[key]) for key, shape in shapes.items()},
+    )
+
+
+@pytest.fixture(params=["trajectory.npz", "trajectory.h5"])
+def saved(flow: Trajectory, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A trajectory on disk, in either format."""
+    path = tmp_path / str(request.param)
+    flow.save(str(path))
+    return path
+
+
+def test_everything_comes_back_to_the_bit(flow: Trajectory, saved: Path) -> None:
+    for read in (Trajectory.load(str(saved)), read_trajectory(str(saved.parent))):
+        for key in ("positions", "time", "velocity0", "friction", "mass", *FIELDS):
+            np.testing.assert_array_equal(getattr(read, key), getattr(flow, key))
+            assert getattr(read, key).dtype == getattr(flow, key).dtype
+        assert (read.scene, read.summary) == (flow.scene, flow.summary)
+    assert stored_scene(saved) == flow.scene
+
+
+def test_saving_what_was_read_changes_nothing(saved: Path, tmp_path: Path) -> None:
+    Trajectory.load(saved).save(tmp_path / f"again{saved.suffix}")
+    assert (tmp_path / f"again{saved.suffix}").read_bytes() == saved.read_bytes()
+
+
+def test_an_opened_trajectory_has_the_frames_that_are_asked_for(flow: Trajectory, saved: Path) -> None:
+    opened = open_trajectory(saved)
+    for key in ("velocity0", "friction", "time", "volume", "mass"):
+        np.testing.assert_array_equal(getattr(opened, key), getattr(flow, key))
+    assert (opened.scene, opened.frame_dt, opened.velocities) == (flow.scene, flow.frame_dt, None)
+    ours, theirs = opened.positions, flow.positions
+    assert (ours.shape, ours.ndim, len(ours), ours.size) == (theirs.shape, 3, len(theirs), theirs.size)
+    few = np.array([3, 1, 4])
+    for key in (0, -1, np.int64(5), slice(2, 5), slice(None, None, 7), (-1, slice(None), 0), (slice(4, 9), few)):
+        np.testing.assert_array_equal(ours[key], theirs[key])
+    np.testing.assert_array_equal(ours[::3][2:5][:, few], theirs[::3][2:5][:, few])
+    np.testing.assert_array_equal(ours[1] - ours[0], theirs[1] - theirs[0])
+    with pytest.raises(IndexError):
+        ours[len(theirs)]
+
+
+def test_nothing_is_read_before_it_is_used(flow: Trajectory, tmp_path: Path) -> None:
+    flow.save(tmp_path / "flow.npz")
+    positions = open_trajectory(tmp_path / "flow.npz").positions
+    assert not positions.flags.owndata
+    assert not positions.flags.writeable
+    # What happens to the file is seen through the map.
+    content = (tmp_path / "flow.npz").read_bytes()
+    with (tmp_path / "flow.npz").open("r+b") as file:
+        file.seek(content.index(flow.positions[2].tobytes()))
+        file.write(np.float32(7.0).tobytes())
+    assert positions[2, 0, 0] == 7.0
+
+
+def test_a_file_grows_by_frames_and_appears_at_the_end(flow: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "flow.h5"
+    with FrameWriter(path) as file:
+        file.put(scene=flow.scene.to_json(), velocity0=flow.velocity0, friction=flow.friction)
+        for first in range(0, len(flow.time), 5):
+            part = slice(first, first + 5)
+            file.append(time=flow.time[part], positions=flow.positions[part])
+        np.testing.assert_array_equal(file.frames("positions")[-1], flow.positions[-1])
+        assert not path.exists()
+    np.testing.assert_array_equal(Trajectory.load(path).positions, flow.positions)
+    with pytest.raises(TypeError), FrameWriter(tmp_path / "lost.h5") as file:
+        file.put(scene=object())  # type: ignore[arg-type]
+    assert [each.name for each in tmp_path.iterdir()] == ["flow.h5"]
+
+
+def test_a_deposit_at_rest_takes_little(flow: Trajectory, tmp_path: Path) -> None:
+    rows = np.repeat(np.round(flow.positions[:1], 2), len(flow.time), axis=0)
+    resting = dataclasses.replace(flow, positions=rows, **dict.fromkeys(FIELDS))
+    resting.save(tmp_path / "resting.h5")
+    assert (tmp_path / "resting.h5").stat().st_size < 0.4 * resting.positions.nbytes
+
+
+def test_trajectories_of_both_kinds_are_found_and_parts_of_none(trajectory: Trajectory, tmp_path: Path) -> None:
+    for name in ("b.h5", "a.npz"):
+        trajectory.save(tmp_path / name)
+    (tmp_path / ".part-c.h5").write_bytes(b"")
+    assert [path.name for path in trajectory_files(tmp_path)] == ["a.npz", "b.h5"]
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_either_order_is_mapped(tmp_path: Path, order: str) -> None:
+    array = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    np.savez(tmp_path / "a.npz", other=np.arange(3), positions=np.asarray(array, order=order))
+    assert np.array_equal(open_frames(tmp_path / "a.npz", "positions"), array)
+
+
+def test_what_cannot_be_mapped_is_read(tmp_path: Path, trajectory: Trajectory) -> None:
+    trajectory.save(tmp_path / "flow.npz")
+    arrays = dict(np.load(tmp_path / "flow.npz"))
+    np.savez_compressed(tmp_path / "small.npz", **arrays)
+    np.savez(tmp_path / "double.npz", **{**arrays, "positions": arrays["positions"].astype(np.float64)})
+    for name in ("small.npz", "double.npz"):
+        positions = open_trajectory(tmp_path / name).positions
+        assert positions.dtype == np.float32
+        np.testing.assert_array_equal(positions, trajectory.positions)
+
+
+@pytest.mark.parametrize(("key", "change"), [("time", None), ("scene", np.zeros(3)), ("positions", np.zeros((3, 5)))])
+def test_a_broken_file_is_one_line(trajectory: Trajectory, tmp_path: Path, key: str, change: np.ndarray | None) -> None:
+    trajectory.save(tmp_path / "flow.h5")
+    with h5py.File(tmp_path / "flow.h5", "a") as file:
+        del file[key]
+        if change is not None:
+            file[key] = change
+    for read in (Trajectory.load, open_trajectory):
+        with pytest.raises(InputError, match=rf"flow\.h5: {key}: expected"):
+            read(tmp_path / "flow.h5")
+
+
+def test_damaged_files_are_one_line(trajectory: Trajectory, tmp_path: Path) -> None:
+    trajectory.save(tmp_path / "flow.npz")
+    whole = (tmp_path / "flow.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[:-100])
+    with zipfile.ZipFile(tmp_path / "flow.npz") as archive:
+        begin = archive.getinfo("positions.npy").header_offset
+    (tmp_path / "lost.npz").write_bytes(whole[:begin] + b"none" + whole[begin + 4 :])
+    (tmp_path / "text.h5").write_text("no HDF5")
+    np.savez(tmp_path / "object.npz", positions=np.array([{}], dtype=object))
+    for name in ("cut.npz", "lost.npz", "text.h5", "object.npz", "absent.npz", "absent.h5"):
+        with pytest.raises(InputError, match=name) as caught:
+            open_trajectory(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_damage_within_a_frame_is_one_line_when_it_is_read(flow: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "flow.h5"
+    flow.save(path)
+    with h5py.File(path) as file:
+        place = file["positions"].id.get_chunk_info(5)
+    content = bytearray(path.read_bytes())
+    content[place.byte_offset : place.byte_offset + 64] = bytes(64)
+    path.write_bytes(content)
+    positions = open_trajectory(path).positions
+    with pytest.raises(InputError, match=r"flow\.h5: positions: expected a trajectory"):
+        _ = [positions[frame] for frame in range(len(positions))]
