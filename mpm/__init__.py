@@ -27,9 +27,7 @@ if TYPE_CHECKING:
     from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
 
-_MODULES = dict.fromkeys(("ScenesFailed", "simulate", "simulate_each", "simulate_many"), "mpm.simulation") | (
-    dict.fromkeys(("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording"), "mpm.output.request")
-)
+_RECORDINGS = ("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording")
 
 __all__ = [
     "ALL",
@@ -46,6 +44,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import on first use: processes that only read scenes or resolutions need no Taichi."""
-    if name not in _MODULES:
+    if name not in __all__:
         raise AttributeError(f"module 'mpm' has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+    return getattr(import_module("mpm.output.request" if name in _RECORDINGS else "mpm.simulation"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

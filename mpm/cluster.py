@@ -1,28 +1,36 @@
-"""Work on many machines: simulations by the workers of a Dask scheduler, which share the file system.
+"""Who simulates: processes of this machine, or the workers of a Dask scheduler, which share the file system.
 
-    with connected("tcp://10.0.0.1:8786") as cluster:
-        trajectories = cluster(scenes, record=LAST)                 # stands in for mpm.simulate_many
-        futures = [cluster.submit(function, argument) for ...]      # of concurrent.futures
+    with connected("tcp://10.0.0.1:8786") as workers:
+        trajectories = workers(scenes, record=LAST)                 # stands in for mpm.simulate_many
+        for number, result in workers.finished(function, tasks):    # whichever is ready first
 
-A worker that dies loses nothing but its present task, which another one makes again; so does a task that was broken off
-by an error of the network. A scene that blows up does so everywhere and is not tried again.
+A Dask worker that dies loses nothing but its present task, which another one makes again; so does a task that was
+broken off by an error of the network. A scene that blows up does so everywhere and is not tried again.
 """
 
+import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from itertools import islice
+from multiprocessing import get_context
+from types import FrameType
+from typing import Any, TypeVar
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
+from datasets.files import remove_own_parts
+from datasets.processes import end_with_parent
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.arrays.layout import Precision
 from mpm.output.request import ALL, Recording
 
+GRACE = 0.5
+"""Seconds to wait for a signal of one's own when a process was killed: a batch system sends it to all of a job."""
 CONNECT = 10.0
 """Seconds in which a scheduler must answer."""
 RETRIES = 2
@@ -32,38 +40,44 @@ PATIENCE = 3600.0
 POLL = 2.0
 """Seconds after which one looks whether there are workers."""
 QUEUED = 2
-"""Tasks for each worker: the next one is there when it has finished one."""
+"""Tasks for each Dask worker: the next one is there when it has finished one."""
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 
-@dataclass(kw_only=True)
-class Cluster:
-    """The workers of a scheduler; called with scenes, it stands in for `mpm.simulate_many`."""
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Processes that simulate; called with scenes, they stand in for `mpm.simulate_many`."""
 
-    address: str
-    client: Any
     executor: Executor
-    seen: float
-    """When there were workers last, on the monotonic clock [s]."""
+    width: Callable[[], int]
+    """How many tasks to hand out at a time."""
+    check: Callable[[], object] = lambda: None
+    """Raises WorkFailed where nobody is left to work."""
 
-    waiting: bool = False
-    """That there is none was said."""
+    def completed(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Future[T]]]:
+        """`work(*task)` of each task with its number, whichever has ended first. Raises WorkFailed as `check`.
 
-    @property
-    def workers(self) -> int:
-        """How many workers there are now."""
-        return len(self.client.nthreads())
+        No more are handed out than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
+        """
+        waiting, running = enumerate(tasks), dict[Future[T], int]()
+        while True:
+            for number, task in islice(waiting, max(0, self.width() - len(running))):
+                running[self.executor.submit(work, *task)] = number
+            if not running:
+                return
+            ended = wait(running, timeout=POLL, return_when=FIRST_COMPLETED).done
+            if not ended:
+                self.check()
+            for future in ended:
+                if future.cancelled():
+                    self.check()
+                    raise WorkFailed("the scheduler has gone; what was finished is kept")
+                yield running.pop(future), future
 
-    @property
-    def width(self) -> int:
-        """How many tasks to hand out at a time."""
-        return QUEUED * max(self.workers, 1)
-
-    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """`work(...)` by one of the workers."""
-        return self.executor.submit(work, *args, **kwargs)
+    def finished(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
+        """The results of `completed`; what a task raised is raised."""
+        return ((number, future.result()) for number, future in self.completed(work, tasks))
 
     def __call__(
         self, scenes: Sequence[Scene], /, *, record: Recording = ALL, precision: Precision = "f32"
@@ -72,52 +86,15 @@ class Cluster:
 
         Raises ScenesFailed where one blew up, and WorkFailed where there are no workers any more.
         """
-        from mpm.simulation import ScenesFailed
+        from mpm.simulation import whole
 
-        futures = [self.submit(outcome_of, scene, record, precision) for scene in scenes]
-        outcomes = [self.result(future) for future in futures]
-        whole = [each for each in outcomes if isinstance(each, Trajectory)]
-        if len(whole) < len(outcomes):
-            raise ScenesFailed(outcomes)
-        return whole
-
-    def finished(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, T]]:
-        """`work(*task)` of each task with its number, whichever is ready first; errors as `result`."""
-        numbers = {self.submit(work, *task): number for number, task in enumerate(tasks)}
-        running = set(numbers)
-        while running:
-            ended, running = wait(running, timeout=POLL, return_when=FIRST_COMPLETED)
-            if not ended:
-                self.check()
-            for future in ended:
-                yield numbers[future], self.result(future)
-
-    def result(self, future: Future[T]) -> T:
-        """The result of a task, once it is there; what it raised is raised. Raises WorkFailed as `check`."""
-        while not wait([future], timeout=POLL).done:
-            self.check()
-        try:
-            return future.result()
-        except CancelledError:
-            raise WorkFailed(f"{self.address}: the scheduler has gone; what was finished is kept") from None
-
-    def check(self) -> None:
-        """Raise WorkFailed where the scheduler has gone, or had no workers for PATIENCE seconds."""
-        now = time.monotonic()
-        try:
-            if self.workers:
-                self.seen, self.waiting = now, False
-            elif not self.waiting:
-                self.waiting = True
-                print(f"talus: {self.address}: no worker; waiting for one", file=sys.stderr)
-        except (OSError, ValueError):
-            raise WorkFailed(f"{self.address}: the scheduler has gone; what was finished is kept") from None
-        if now - self.seen > PATIENCE:
-            raise WorkFailed(f"{self.address}: no worker for {PATIENCE:g} s; what was finished is kept")
+        outcomes = dict(self.finished(outcome_of, [(scene, record, precision) for scene in scenes]))
+        return whole([outcomes[number] for number in range(len(scenes))])
 
 
 def outcome_of(scene: Scene, record: Recording, precision: Precision) -> Trajectory | WorkFailed:
     """The trajectory of a scene on one thread, or why there is none; by a worker."""
+    # Taichi belongs to the processes that simulate: the one that directs them does not import it.
     from mpm.simulation import simulate
 
     try:
@@ -127,10 +104,40 @@ def outcome_of(scene: Scene, record: Recording, precision: Precision) -> Traject
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Cluster]:
+def pool(jobs: int) -> Iterator[Workers]:
+    """`jobs` processes started afresh. When the block ends early they finish their present task and begin no other."""
+    executor = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=begin_worker)
+    try:
+        yield Workers(executor=executor, width=lambda: jobs)
+    except BrokenProcessPool:
+        time.sleep(GRACE)
+        raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def begin_worker() -> None:
+    """Make a process of the pool end with its director, who alone answers a Ctrl-C: it goes to the whole terminal.
+
+    A batch system's SIGTERM goes to all; whoever gets it leaves no unfinished file.
+    """
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, leave)
+
+
+def leave(number: int, _: FrameType | None) -> None:
+    """End this process by the signal `number`."""
+    remove_own_parts()
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Workers]:
     """The workers of the Dask scheduler at `address`, or of that which wrote the JSON file of that name.
 
-    Raises InputError.
+    Raises InputError, and WorkFailed where no worker comes.
     """
     try:
         from distributed import Client
@@ -143,17 +150,35 @@ def connected(address: str) -> Iterator[Cluster]:
         raise InputError(
             f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"
         ) from None
+    seen, waiting = time.monotonic(), False
+
+    def count() -> int:
+        """How many workers there are now. Raises WorkFailed where there was none for PATIENCE seconds."""
+        nonlocal seen, waiting
+        try:
+            workers = len(client.nthreads())
+        except (OSError, ValueError):
+            raise WorkFailed(f"{address}: the scheduler has gone; what was finished is kept") from None
+        if workers:
+            seen, waiting = time.monotonic(), False
+            return workers
+        if not waiting:
+            waiting = True
+            print(f"talus: {address}: no worker; waiting for one", file=sys.stderr)
+        if time.monotonic() - seen > PATIENCE:
+            raise WorkFailed(f"{address}: no worker for {PATIENCE:g} s; what was finished is kept")
+        return 0
+
     with client:
         # Those of a batch job come one by one.
-        threads = client.nthreads()
-        if not threads:
-            print(f"talus: {address}: no worker; waiting for the first", file=sys.stderr)
-            with suppress(TimeoutError):
-                client.wait_for_workers(1, timeout=PATIENCE)
-            threads = client.nthreads()
+        while not count():
+            time.sleep(POLL)
         # Taichi holds one simulation per process.
-        if not threads or set(threads.values()) != {1}:
+        if (threads := set(client.nthreads().values())) != {1}:
             expected = "expected workers of one thread each (dask worker --nthreads 1)"
-            raise InputError(f"{expected}, got {sorted(threads.values())}", where=address, key="--scheduler")
-        executor = client.get_executor(pure=False, retries=RETRIES)
-        yield Cluster(address=address, client=client, executor=executor, seen=time.monotonic())
+            raise InputError(f"{expected}, got {sorted(threads)}", where=address, key="--scheduler")
+        yield Workers(
+            executor=client.get_executor(pure=False, retries=RETRIES),
+            width=lambda: QUEUED * max(count(), 1),
+            check=count,
+        )

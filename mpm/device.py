@@ -13,13 +13,12 @@ from tqdm import tqdm
 from mpm.arrays.batch import Array, Batch
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset, Setting, StepControl
+from mpm.arrays.table import VIEWS
 from mpm.kernel import Phase
 
-ALIASES = {"lanes": "state", "scratch_lanes": "scratch", "impulse_lanes": "impulse"}
-"""With one lane a vector of lanes is a number: the second view of such memory is the first."""
 RETURNED = (
     "state",
-    "recorded_positions",
+    "positions",
     "fields",
     "energy",
     "recorded_impulse",
@@ -73,14 +72,14 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
     """The arrays of a batch on the device, by name and in the same order."""
     device: dict[str, ti.Ndarray] = {}
     for name, array in arguments.items():
-        if name in ALIASES:
-            device[name] = device[ALIASES[name]]
+        if name in VIEWS:
+            device[name] = device[VIEWS[name]]
             continue
         kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
         if name == "grid":
             device[name] = ti.Vector.ndarray(features.node, kind, array.shape[0])
         else:
-            flat = array.reshape(-1) if name in ALIASES.values() else array
+            flat = array.reshape(-1) if name in VIEWS.values() else array
             device[name] = ti.ndarray(kind, flat.shape)
             array = flat
         device[name].from_numpy(np.ascontiguousarray(array))

@@ -135,5 +135,5 @@ def require_memory(footprints: list[Footprint]) -> None:
     memory.require(
         extra,
         f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
-        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --stream)",
+        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame)",
     )

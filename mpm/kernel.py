@@ -14,13 +14,13 @@ inside it.
 from collections.abc import Callable
 from enum import Enum, auto
 from functools import cache
-from typing import Any
 
 import taichi as ti
 
 from mpm.arrays.access import node_strides
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset, Setting, StepControl, Worker
+from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
 from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
 from mpm.physics.particles import update_block, update_particles
@@ -41,15 +41,6 @@ class Phase(Enum):
     """One step of every scene whose dt is not zero; `last` is the largest number of nodes of a scene."""
     RECORD = auto()
     """Record frame `first` of every scene that still moves."""
-
-
-@ti.data_oriented
-class Arrays:
-    """The arrays of a batch by name, as the kernel passes them on; `mpm.arrays.batch` describes each."""
-
-    def __init__(self, features: Features, **arrays: Any) -> None:
-        self.features = features
-        vars(self).update(arrays)
 
 
 @ti.func
@@ -95,6 +86,52 @@ def advance_worker(worker, first, last, arrays: ti.template()):
         synchronise(arrays)
 
 
+@ti.func
+def advance(arrays: ti.template(), first, last, phase: ti.template()):
+    """What a call of the kernel does; see `Phase`."""
+    if ti.static(phase == Phase.FRAMES):
+        ti.loop_config(block_dim=ITERATIONS)
+        for iteration in range(arrays.workers.shape[0] * ITERATIONS):
+            if iteration % ITERATIONS == 0:
+                advance_worker(iteration // ITERATIONS, first, last, arrays)
+    if ti.static(phase == Phase.SPEED):
+        for scene in range(arrays.offsets.shape[0]):
+            arrays.step_control[scene, StepControl.SPEED] = 0.0
+        for block in range(arrays.owner.shape[0]):
+            ti.atomic_max(
+                arrays.step_control[arrays.owner[block], StepControl.SPEED], ti.sqrt(squared_speed(block, arrays))
+            )
+        for scene in range(arrays.offsets.shape[0]):
+            arrays.step_control[scene, StepControl.STEPS] = steps_at_speed(
+                scene, arrays.step_control[scene, StepControl.SPEED], arrays
+            )
+    if ti.static(phase == Phase.STEP):
+        for n in range(arrays.grid.shape[0]):
+            arrays.grid[n] = 0.0 * arrays.grid[n]
+        for block in range(arrays.owner.shape[0]):
+            scene = arrays.owner[block]
+            dt = arrays.step_control[scene, StepControl.DT]
+            if dt > 0.0:
+                at, strides = arrays.workers[scene, Worker.NODE], node_strides(scene, arrays)
+                block_to_grid(at, scene, block, block * arrays.features.scratch, dt, strides, arrays)
+        for q in range(last * arrays.offsets.shape[0]):
+            update_node(q % last, q // last, arrays)
+        for block in range(arrays.owner.shape[0]):
+            scene = arrays.owner[block]
+            dt = arrays.step_control[scene, StepControl.DT]
+            if dt > 0.0:
+                at = arrays.workers[scene, Worker.NODE]
+                kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
+                update_block(scene, at, scene, block, block * arrays.features.scratch, dt, kappa, strides, arrays)
+    if ti.static(phase == Phase.RECORD):
+        for block in range(arrays.owner.shape[0]):
+            if arrays.step_control[arrays.owner[block], StepControl.STEPS] > 0.0:
+                record_block(arrays.owner[block], first, block, arrays)
+        for scene in range(arrays.offsets.shape[0]):
+            if arrays.step_control[scene, StepControl.STEPS] > 0.0:
+                record_scene(scene, first, arrays)
+
+
 @cache
 def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
@@ -103,132 +140,4 @@ def kernel(features: Features) -> Callable[..., None]:
     and record the frames [first, last). The others are parts of a frame, each on as many threads as there are
     particles, for a GPU: see `mpm.device`.
     """
-    real = ti.f32 if features.precision == "f32" else ti.f64
-    numbers = ti.types.ndarray(dtype=real, ndim=1)
-    blocks = numbers if features.gpu else ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
-    nodes = ti.types.ndarray(dtype=ti.types.vector(features.node, real), ndim=1)
-    table = ti.types.ndarray(dtype=real, ndim=2)
-    integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    integer_table = ti.types.ndarray(dtype=ti.i32, ndim=2)
-    singles = ti.types.ndarray(dtype=ti.f32, ndim=1)
-    doubles = ti.types.ndarray(dtype=ti.f64, ndim=1)
-    double_table = ti.types.ndarray(dtype=ti.f64, ndim=2)
-
-    @ti.kernel
-    def advance(
-        state: blocks,
-        lanes: numbers,
-        grid: nodes,
-        scratch: blocks,
-        scratch_lanes: numbers,
-        impulse: blocks,
-        impulse_lanes: numbers,
-        settings: table,
-        properties: table,
-        faces: table,
-        cell_faces: integers,
-        near_faces: integers,
-        fixed_nodes: integers,
-        node_contacts: table,
-        offsets: integer_table,
-        workers: integer_table,
-        order: integers,
-        recorded_positions: singles,
-        fields: singles,
-        energy: doubles,
-        recorded_impulse: double_table,
-        arrivals: integers,
-        clamped: integers,
-        owner: integers,
-        step_control: table,
-        barriers: integer_table,
-        retained: integer_table,
-        settling: double_table,
-        first: ti.i32,
-        last: ti.i32,
-        phase: ti.template(),
-    ):
-        # `ti.static` makes the object while the kernel is compiled.
-        arrays = ti.static(
-            [
-                Arrays(
-                    features,
-                    state=state,
-                    lanes=lanes,
-                    grid=grid,
-                    scratch=scratch,
-                    scratch_lanes=scratch_lanes,
-                    impulse=impulse,
-                    impulse_lanes=impulse_lanes,
-                    settings=settings,
-                    properties=properties,
-                    faces=faces,
-                    cell_faces=cell_faces,
-                    near_faces=near_faces,
-                    fixed_nodes=fixed_nodes,
-                    node_contacts=node_contacts,
-                    offsets=offsets,
-                    workers=workers,
-                    order=order,
-                    recorded_positions=recorded_positions,
-                    fields=fields,
-                    energy=energy,
-                    recorded_impulse=recorded_impulse,
-                    arrivals=arrivals,
-                    clamped=clamped,
-                    owner=owner,
-                    step_control=step_control,
-                    barriers=barriers,
-                    retained=retained,
-                    settling=settling,
-                )
-            ]
-        )[0]
-        if ti.static(phase == Phase.FRAMES):
-            ti.loop_config(block_dim=ITERATIONS)
-            for iteration in range(workers.shape[0] * ITERATIONS):
-                if iteration % ITERATIONS == 0:
-                    advance_worker(iteration // ITERATIONS, first, last, arrays)
-        if ti.static(phase == Phase.SPEED):
-            for scene in range(offsets.shape[0]):
-                step_control[scene, StepControl.SPEED] = 0.0
-            for block in range(owner.shape[0]):
-                ti.atomic_max(step_control[owner[block], StepControl.SPEED], ti.sqrt(squared_speed(block, arrays)))
-            for scene in range(offsets.shape[0]):
-                step_control[scene, StepControl.STEPS] = steps_at_speed(
-                    scene, step_control[scene, StepControl.SPEED], arrays
-                )
-        if ti.static(phase == Phase.STEP):
-            for n in range(grid.shape[0]):
-                grid[n] = 0.0 * grid[n]
-            for block in range(owner.shape[0]):
-                scene = owner[block]
-                if step_control[scene, StepControl.DT] > 0.0:
-                    at = workers[scene, Worker.NODE]
-                    block_to_grid(
-                        at,
-                        scene,
-                        block,
-                        block * features.scratch,
-                        step_control[scene, StepControl.DT],
-                        node_strides(scene, arrays),
-                        arrays,
-                    )
-            for q in range(last * offsets.shape[0]):
-                update_node(q % last, q // last, arrays)
-            for block in range(owner.shape[0]):
-                scene = owner[block]
-                dt = step_control[scene, StepControl.DT]
-                if dt > 0.0:
-                    at = workers[scene, Worker.NODE]
-                    kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
-                    update_block(scene, at, scene, block, block * features.scratch, dt, kappa, strides, arrays)
-        if ti.static(phase == Phase.RECORD):
-            for block in range(owner.shape[0]):
-                if step_control[owner[block], StepControl.STEPS] > 0.0:
-                    record_block(owner[block], first, block, arrays)
-            for scene in range(offsets.shape[0]):
-                if step_control[scene, StepControl.STEPS] > 0.0:
-                    record_scene(scene, first, arrays)
-
-    return advance
+    return kernel_of(STEP | RECORD | DEVICE, advance, features)

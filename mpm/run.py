@@ -10,17 +10,15 @@ from datasets.exchange.vtkhdf import FILE as VTKHDF
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
-from datasets.frames import HDF5 as SUFFIX
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import stopping
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.request import ALL, FIELDS, Recording
+from mpm.output.request import FIELDS, Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, workers_for
-from mpm.simulation import Interrupted, Options, simulate_resumably
 
 
 def command(
@@ -39,14 +37,12 @@ def command(
     vtk: bool = False,
     vtkhdf: bool = False,
     forces: bool = False,
-    compress: bool = False,
-    stream: bool = False,
     checkpoint: bool = False,
-    resume: bool = False,
 ) -> int:
     """Simulate a scene and write its trajectory and a summary.
 
-    Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which --resume goes on.
+    Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which the same command goes on, the same to the bit as without the
+    break.
 
     Parameters
     ----------
@@ -76,61 +72,51 @@ def command(
         The same in one file: DIR/trajectory.vtkhdf.
     forces
         Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
-    compress
-        Write DIR/trajectory.h5, of a quarter of the size, positions to a part of a cell, instead of trajectory.npz.
-    stream
-        Keep frames on the disk of DIR while the scene runs, not in memory.
     checkpoint
-        Leave DIR/checkpoint.npz at the end too: the state and all that was recorded.
-    resume
-        Go on from DIR/checkpoint.npz, the same to the bit as without the break: the scene may have a longer duration
-        and is the same otherwise; what is recorded, the precision and --until-rest are the checkpoint's.
+        Leave DIR/checkpoint.npz at the end too: the same scene for a longer duration goes on from it.
     """
-    given, what = read_scene(scene), None
+    from mpm.simulation import Interrupted, simulate_resumably
+
+    given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))
-        given = what.scene
+        given, precise = what.scene, precision or what.precision
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    checkpoint_file = out / "checkpoint.npz"
-    start = Checkpoint.load(checkpoint_file) if resume else None
-    base = start.recording if start else ALL
     fields = fields or raw_fields or vtk or vtkhdf
     record = Recording(
-        frames="last" if last_frame else base.frames if every is None else every,
-        fields=frozenset(FIELDS) if fields else base.fields,
-        wall_forces=fields or forces or base.wall_forces,
-        raw=raw_fields or base.raw,
-        until_rest=until_rest or base.until_rest,
+        frames="last" if last_frame else "all" if every is None else every,
+        fields=frozenset(FIELDS if fields else ()),
+        wall_forces=fields or forces,
+        raw=raw_fields,
+        until_rest=until_rest,
     )
-    options: Options = {"arch": arch, "record": record, "progress": True}
-    if stream:
-        options["stream"] = out
-    if precision or what:
-        options["precision"] = precision or (what.precision if what else "f32")
-    precise = options.get("precision") or (start.features.precision if start else "f32")
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
-    print(
-        footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", stream=stream),
-        flush=True,
-    )
+    print(footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu"), flush=True)
+    file = out / "checkpoint.npz"
+    start = Checkpoint.load(file) if file.exists() else None
+    if start is not None and (key := start.difference(given, record, precise)):
+        print(f"talus: {file}: {key}: that of another run; beginning anew", file=sys.stderr)
+        start = None
     try:
         with stopping() as stop:
-            trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
+            trajectory, end = simulate_resumably(
+                given, resume=start, stop=stop, arch=arch, record=record, precision=precise, progress=True
+            )
     except Interrupted as interrupted:
-        interrupted.checkpoint.save(checkpoint_file)
-        end_time = given.frame_dt * interrupted.checkpoint.frame
-        print(f"talus: interrupted at t = {end_time:g} s; --resume goes on from {checkpoint_file}", file=sys.stderr)
+        interrupted.checkpoint.save(file)
+        end_time = given.frame_dt * interrupted.checkpoint.run.frame
+        print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
         return stop.status
     except InputError as error:
-        raise error.at(str(checkpoint_file)) if start is not None and not error.where else error from None
-    trajectory.save(out / f"trajectory{SUFFIX if compress else '.npz'}")
-    # The folder holds one trajectory: that of this run.
-    (out / f"trajectory{'.npz' if compress else SUFFIX}").unlink(missing_ok=True)
+        raise error.at(str(file)) if start is not None and not error.where else error from None
+    trajectory.save(out / "trajectory.npz")
     write_json(out / "summary.json", trajectory.summary)
     if checkpoint:
-        end.save(checkpoint_file)
+        end.save(file)
+    else:
+        file.unlink(missing_ok=True)
     if vtk:
         write_vtk(trajectory, out / "vtk", progress=True)
     if vtkhdf:

@@ -2,16 +2,15 @@
 
 from contextlib import redirect_stdout
 from io import StringIO
-from typing import Any, Literal
-
-import taichi as ti
+from typing import Literal
 
 from datasets.errors import InputError
 from datasets.processes import processors
 from mpm.arrays.layout import Precision
 
 Arch = Literal["cpu", "cuda"]
-ARCHES: dict[Arch, Any] = {"cpu": ti.cpu, "cuda": ti.cuda}
+ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}
+"""By the names of Taichi."""
 
 PARTICLES_PER_WORKER = 10_000
 """The fewest particles for which another thread pays off."""
@@ -33,10 +32,13 @@ def start(
         return
     if enough is not None and _running is not None and _running[0::2] == (precision, arch) and _running[1] >= enough:
         return
+    # Imported here: who plans a run, or asks for help, needs no compiler.
+    import taichi as ti
+
     # Taichi greets on standard output, where commands print what they found.
     with redirect_stdout(StringIO()):
         ti.init(
-            arch=ARCHES[arch],
+            arch=getattr(ti, ARCHES[arch]),
             default_fp=ti.f32 if precision == "f32" else ti.f64,
             cpu_max_num_threads=threads,
             # NaNs must stay visible: a run that blows up has to say so.
@@ -48,7 +50,7 @@ def start(
         )
     _running = (precision, threads, arch)
     # Where there is no GPU, Taichi quietly takes the CPU instead.
-    if arch != "cpu" and ti.cfg.arch != ARCHES[arch]:
+    if arch != "cpu" and ti.cfg.arch != getattr(ti, ARCHES[arch]):
         _running = None
         raise InputError(f"expected a GPU that Taichi can use with {arch}, found none", key="--arch")
 

@@ -23,7 +23,7 @@ from datasets.trajectory import Trajectory
 from mpm import runtime
 from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of
-from mpm.arrays.layout import FRAMES_PER_CALL, Precision
+from mpm.arrays.layout import FRAMES_PER_CALL, Offset, Precision
 from mpm.device import run_on_device
 from mpm.footprint import footprint, require_memory
 from mpm.kernel import Phase, kernel
@@ -35,7 +35,9 @@ from mpm.runtime import Arch
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
-"""Particles from which they are sorted by cell at every call of the kernel."""
+"""Particles from which they are sorted by cell every FRAMES_PER_CALL frames."""
+PARTICLE_STEPS_PER_CALL = 5.0e6
+"""About what a thread does in a second or two; a call of the kernel, which a stop waits for, has a frame at least."""
 
 
 class Options(TypedDict, total=False):
@@ -104,7 +106,7 @@ def simulate_resumably(
     """
     batch, wall_s, compile_s = run_one(scene, options, resume, stop or never_stop)
     checkpoint = Checkpoint.from_batch(batch, wall_s=wall_s)
-    if batch.computed < scene.frames - 1 and not checkpoint.rest and failure(batch, 0) is None:
+    if batch.computed < scene.frames - 1 and not checkpoint.run.rest and failure(batch, 0) is None:
         raise Interrupted(checkpoint)
     outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
     return finished(outcome), checkpoint
@@ -117,11 +119,15 @@ def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     """
     if len(scenes) == 1:
         return [simulate(scenes[0], **options)]
-    outcomes = simulate_each(scenes, **options)
-    whole = [each for each in outcomes if isinstance(each, Trajectory)]
-    if len(whole) < len(scenes):
+    return whole(simulate_each(scenes, **options))
+
+
+def whole(outcomes: Sequence[Trajectory | WorkFailed]) -> list[Trajectory]:
+    """The trajectories of scenes. Raises ScenesFailed where one has none."""
+    found = [each for each in outcomes if isinstance(each, Trajectory)]
+    if len(found) < len(outcomes):
         raise ScenesFailed(outcomes)
-    return whole
+    return found
 
 
 def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory | WorkFailed]:
@@ -195,7 +201,7 @@ def run_one(
         resume.restore(batch)
     with progress_bar(scene.frames - 1, batch.computed, options) as bar:
         wall_s, compile_s = run_batch(batch, arch, bar, stop)
-    return batch, wall_s + (0.0 if resume is None else resume.wall_s), compile_s
+    return batch, wall_s + (0.0 if resume is None else resume.run.wall_s), compile_s
 
 
 def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool]) -> tuple[float, float]:
@@ -217,17 +223,16 @@ def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bo
 def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
-    Launches begin at the same frames wherever a run was interrupted, and with them the sorting.
+    Particles are sorted in the same frames wherever a run was interrupted and however many frames a call computes.
     """
-    frames = max(scene.frames for scene in batch.scenes)
-    for start in range(1, frames, FRAMES_PER_CALL):
-        first, last = max(start, batch.computed + 1), min(start + FRAMES_PER_CALL, frames)
-        if first >= last:
-            continue
-        if batch.ended(first).all() or stop():
-            break
+    end = max(scene.frames for scene in batch.scenes)
+    steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
+    most = max(1, int(PARTICLE_STEPS_PER_CALL * len(batch.workers) / steps))
+    while (first := batch.computed + 1) < end and not batch.ended(first).all() and not stop():
+        since_sorted = (first - 1) % FRAMES_PER_CALL
+        last = min(first + most, first + FRAMES_PER_CALL - since_sorted, end)
         for index, particles in enumerate(batch.particles):
-            if first == start and len(particles.positions) >= SORTED:
+            if since_sorted == 0 and len(particles.positions) >= SORTED:
                 batch.sort(index)
         batch.arrivals[:] = 0
         batch.before_call(first)

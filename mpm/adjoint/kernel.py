@@ -21,7 +21,8 @@ from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
 from mpm.arrays.access import maximum, minimum, node_strides
 from mpm.arrays.layout import Setting, Worker
-from mpm.kernel import ITERATIONS, Arrays, synchronise
+from mpm.arrays.table import ADJOINT, STEP, kernel_of
+from mpm.kernel import ITERATIONS, synchronise
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid
 from mpm.physics.particles import set_box, update_particles
@@ -152,112 +153,23 @@ def reverse_start(worker, arrays: ti.template()):
             found_reverse(worker, block, scratch, state_before(0, block, arrays), False, scene, arrays)
 
 
+@ti.func
+def walk(arrays: ti.template(), first, last, direction: ti.template()):
+    """What a call of the kernel does; see `Pass`."""
+    ti.loop_config(block_dim=ITERATIONS)
+    for iteration in range(arrays.workers.shape[0] * ITERATIONS):
+        if iteration % ITERATIONS == 0:
+            if ti.static(direction == Pass.REPLAY):
+                replay(iteration // ITERATIONS, first, last, arrays)
+            if ti.static(direction == Pass.REVERSE):
+                reverse(iteration // ITERATIONS, arrays)
+            if ti.static(direction == Pass.START):
+                reverse_start(iteration // ITERATIONS, arrays)
+
+
 @cache
 def kernel(layout: Layout) -> Callable[..., None]:
-    """The kernel for scenes with `features`: the arrays of `mpm.arrays.batch.Batch.arguments` that a step reads, those
-
-    of `mpm.adjoint.tape.Tape`, then `first`, `last` and the pass.
+    """The kernel for scenes with `features`: the arrays that a step reads, those of `mpm.adjoint.tape.Tape`, then
+    `first`, `last` and the pass.
     """
-    features = layout.features
-    real = ti.f32 if features.precision == "f32" else ti.f64
-    numbers = ti.types.ndarray(dtype=real, ndim=1)
-    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
-    nodes = ti.types.ndarray(dtype=ti.types.vector(features.node, real), ndim=1)
-    table = ti.types.ndarray(dtype=real, ndim=2)
-    integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    integer_table = ti.types.ndarray(dtype=ti.i32, ndim=2)
-    double_table = ti.types.ndarray(dtype=ti.f64, ndim=2)
-
-    @ti.kernel
-    def walk(
-        state: blocks,
-        lanes: numbers,
-        grid: nodes,
-        scratch: blocks,
-        scratch_lanes: numbers,
-        impulse: blocks,
-        impulse_lanes: numbers,
-        settings: table,
-        properties: table,
-        faces: table,
-        cell_faces: integers,
-        near_faces: integers,
-        fixed_nodes: integers,
-        node_contacts: table,
-        offsets: integer_table,
-        workers: integer_table,
-        arrivals: integers,
-        clamped: integers,
-        barriers: integer_table,
-        retained: integer_table,
-        settling: double_table,
-        kept: nodes,
-        grid_adjoints: nodes,
-        adjoints: blocks,
-        adjoint_lanes: numbers,
-        history: blocks,
-        history_lanes: numbers,
-        face_adjoints: double_table,
-        node_contact_adjoints: double_table,
-        impulse_adjoints: numbers,
-        cuts: table,
-        sums: double_table,
-        step_times: table,
-        step_counts: integers,
-        first: ti.i32,
-        last: ti.i32,
-        direction: ti.template(),
-    ):
-        arrays = ti.static(
-            [
-                Arrays(
-                    features,
-                    layout=layout,
-                    state=state,
-                    lanes=lanes,
-                    grid=grid,
-                    scratch=scratch,
-                    scratch_lanes=scratch_lanes,
-                    impulse=impulse,
-                    impulse_lanes=impulse_lanes,
-                    settings=settings,
-                    properties=properties,
-                    faces=faces,
-                    cell_faces=cell_faces,
-                    near_faces=near_faces,
-                    fixed_nodes=fixed_nodes,
-                    node_contacts=node_contacts,
-                    offsets=offsets,
-                    workers=workers,
-                    arrivals=arrivals,
-                    clamped=clamped,
-                    barriers=barriers,
-                    retained=retained,
-                    settling=settling,
-                    kept=kept,
-                    grid_adjoints=grid_adjoints,
-                    adjoints=adjoints,
-                    adjoint_lanes=adjoint_lanes,
-                    history=history,
-                    history_lanes=history_lanes,
-                    face_adjoints=face_adjoints,
-                    node_contact_adjoints=node_contact_adjoints,
-                    impulse_adjoints=impulse_adjoints,
-                    cuts=cuts,
-                    sums=sums,
-                    step_times=step_times,
-                    step_counts=step_counts,
-                )
-            ]
-        )[0]
-        ti.loop_config(block_dim=ITERATIONS)
-        for iteration in range(workers.shape[0] * ITERATIONS):
-            if iteration % ITERATIONS == 0:
-                if ti.static(direction == Pass.REPLAY):
-                    replay(iteration // ITERATIONS, first, last, arrays)
-                if ti.static(direction == Pass.REVERSE):
-                    reverse(iteration // ITERATIONS, arrays)
-                if ti.static(direction == Pass.START):
-                    reverse_start(iteration // ITERATIONS, arrays)
-
-    return walk
+    return kernel_of(STEP | ADJOINT, walk, layout.features, layout=layout)

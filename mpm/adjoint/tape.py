@@ -26,6 +26,7 @@ from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
+from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import Phase
 from mpm.kernel import kernel as step_kernel
 from mpm.output.outcome import failure
@@ -47,12 +48,6 @@ MOST_CUT = 0.02
 """Share of all bars of particles and steps from which a gradient with cuts is none."""
 SPARE = 1.25
 """More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
-ARGUMENTS = (
-    *("state", "lanes", "grid", "scratch", "scratch_lanes", "impulse", "impulse_lanes", "settings", "properties"),
-    *("faces", "cell_faces", "near_faces", "fixed_nodes", "node_contacts", "offsets", "workers", "arrivals", "clamped"),
-    *("barriers", "retained", "settling"),
-)
-"""The arrays of a batch that the adjoint's kernel takes, in its order."""
 
 
 class Adjoints(NamedTuple):
@@ -205,7 +200,7 @@ class Tape:
 
     def run(self) -> None:
         """Forwards, by the solver's kernel."""
-        run, arguments = step_kernel(self.features), self.batch.arguments
+        run, own = step_kernel(self.features), self.batch.arguments
         self.restore(self.start)
         self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
         self.batch.retained[:], self.batch.settling[:] = self.barriers
@@ -214,7 +209,7 @@ class Tape:
         steps = [self.batch.offsets[:, Offset.STEPS].copy()]
         for first, last in zip(self.boundaries, self.boundaries[1:], strict=False):
             self.checkpoints.append(self.checkpoint())
-            run(*arguments.values(), first + 1, last + 1, Phase.FRAMES)
+            run(*own.values(), first + 1, last + 1, Phase.FRAMES)
             steps.append(self.batch.offsets[:, Offset.STEPS].copy())
             if last in self.frames:
                 self.observed[last] = self.motion()
@@ -285,9 +280,13 @@ class Tape:
             raise InputError(
                 f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
             )
-        kept, grid_adjoints = aligned(batch.grid.shape, real), aligned(batch.grid.shape, real)
-        step_times = np.zeros((len(batch.scenes), len(history)), real)
-        step_counts = np.zeros(len(batch.scenes), np.int32)
+        memory: dict[str, Any] = vars(batch) | {
+            "kept": aligned(batch.grid.shape, real),
+            "grid_adjoints": aligned(batch.grid.shape, real),
+            "history": history,
+            "step_times": np.zeros((len(batch.scenes), len(history)), real),
+            "step_counts": np.zeros(len(batch.scenes), np.int32),
+        }
         adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in flow_adjoints]
         sums = [np.zeros((len(batch.workers), len(Setting))) for _ in flow_adjoints]
         faces = [np.zeros(batch.faces.shape) for _ in flow_adjoints]
@@ -296,30 +295,18 @@ class Tape:
         cuts = [self.cuts(per_scene).astype(real) for per_scene in flow_adjoints]
         forced = any(each.impulses is not None for per_scene in flow_adjoints for each in per_scene)
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
-        arguments = batch.arguments
-        shared = [arguments[name] for name in ARGUMENTS]
 
         def call(number: int, first: int, last: int, direction: Pass) -> None:
             batch.arrivals[:] = 0
-            walk(
-                *shared,
-                kept,
-                grid_adjoints,
-                adjoints[number].reshape(-1, lanes),
-                adjoints[number].reshape(-1),
-                history.reshape(-1, lanes),
-                history.reshape(-1),
-                faces[number],
-                node_contacts[number],
-                impulses[number],
-                cuts[number],
-                sums[number],
-                step_times,
-                step_counts,
-                first,
-                last,
-                direction,
-            )
+            own = {
+                "adjoints": adjoints[number],
+                "face_adjoints": faces[number],
+                "node_contact_adjoints": node_contacts[number],
+                "impulse_adjoints": impulses[number],
+                "cuts": cuts[number],
+                "sums": sums[number],
+            }
+            walk(*arguments(STEP | ADJOINT, memory | own, lanes).values(), first, last, direction)
 
         opened = batch.retained[:, Retained.OPENED].copy()
         for segment in reversed(range(len(self.checkpoints))):

@@ -37,9 +37,9 @@ from mpm.arrays.properties import (
     settings_row,
     substeps_per_frame,
 )
+from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
-from mpm.output import rest
-from mpm.output.request import ALL, Recording
+from mpm.output.request import ALL, Recording, window_frames
 from mpm.output.stream import DiskFrames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
@@ -95,7 +95,7 @@ class Batch:
             kept = record.kept(scene.frames)
             offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
             offset[Offset.LAST_SLOT] = len(kept) - 1
-            offset[Offset.WINDOW] = min(rest.window_frames(scene, own.materials), INDEX_LIMIT)
+            offset[Offset.WINDOW] = min(window_frames(scene, own.materials), INDEX_LIMIT)
             solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
@@ -129,7 +129,7 @@ class Batch:
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
-        self.record = np.zeros(recorded * features.dimension, np.float32)
+        self.positions = np.zeros(recorded * features.dimension, np.float32)
         self.on_disk: DiskFrames | None = None
         if stream is not None:
             self.on_disk = DiskFrames(stream, (len(self.kept(0)), counts[0], features.dimension))
@@ -222,10 +222,7 @@ class Batch:
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, as `mpm.output.recorder.record_lane` does."""
-        features, count = self.features, len(self.particles[index].positions)
-        numbers = np.moveaxis(self.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
-        first = self.offsets[index, Offset.BLOCK] * features.lanes
-        order = self.order[first : first + count]
+        features, numbers, order = self.features, self.numbers(index), self.order_of(index)
         self.recorded(index)[slot, order] = numbers[: features.dimension].T
         columns = []
         if features.velocity_recorded:
@@ -258,37 +255,7 @@ class Batch:
     @property
     def arguments(self) -> dict[str, Array]:
         """The arrays by name, in the order of the kernel's parameters; memory with two views comes twice."""
-        lanes = self.features.lanes
-        return {
-            "state": self.state.reshape(-1, lanes),
-            "lanes": self.state.reshape(-1),
-            "grid": self.grid,
-            "scratch": self.scratch,
-            "scratch_lanes": self.scratch.reshape(-1),
-            "impulse": self.impulse,
-            "impulse_lanes": self.impulse.reshape(-1),
-            "settings": self.settings,
-            "properties": self.properties,
-            "faces": self.faces,
-            "cell_faces": self.cell_faces,
-            "near_faces": self.near_faces,
-            "fixed_nodes": self.fixed_nodes,
-            "node_contacts": self.node_contacts,
-            "offsets": self.offsets,
-            "workers": self.workers,
-            "order": self.order,
-            "recorded_positions": self.record,
-            "fields": self.fields,
-            "energy": self.energy.reshape(-1),
-            "recorded_impulse": self.recorded_impulse,
-            "arrivals": self.arrivals,
-            "clamped": self.clamped,
-            "owner": self.owner,
-            "step_control": self.step_control,
-            "barriers": self.barriers,
-            "retained": self.retained,
-            "settling": self.settling,
-        }
+        return arguments(STEP | RECORD | DEVICE, vars(self), self.features.lanes)
 
     @property
     def first_nodes(self) -> Array:
@@ -299,6 +266,16 @@ class Batch:
         """Blocks of one scene, shape [blocks, vectors, lanes]; a view."""
         first = self.offsets[index, Offset.BLOCK]
         return self.state[first : first - (-self.offsets[index, Offset.PARTICLES] // self.features.lanes)]
+
+    def numbers(self, index: int) -> Array:
+        """The state of the particles of one scene in the order of memory, shape [vectors, N]."""
+        flat = np.moveaxis(self.state_of(index), 1, 0).reshape(self.features.block, -1)
+        return flat[:, : self.offsets[index, Offset.PARTICLES]]
+
+    def order_of(self, index: int) -> NDArray[np.int32]:
+        """Which particle of one scene lies where in memory, shape [N]; a view."""
+        first = self.offsets[index, Offset.BLOCK] * self.features.lanes
+        return self.order[first : first + self.offsets[index, Offset.PARTICLES]]
 
     def frames_of(self, array: Array, index: int, width: int) -> Array:
         """The part of a flat record, `width` numbers a particle, that belongs to one scene, [T, N, width]; a view."""
@@ -314,7 +291,7 @@ class Batch:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
         if self.on_disk is not None:
             return self.on_disk.positions
-        return self.frames_of(self.record, index, self.features.dimension)
+        return self.frames_of(self.positions, index, self.features.dimension)
 
     def finite(self, index: int) -> bool:
         """Whether all recorded positions of one scene are numbers."""
@@ -329,7 +306,7 @@ class Batch:
         """Bring what is kept of the frames before `last` from `record` to the disk, where frames are streamed."""
         if self.on_disk is not None:
             begin, end = int(self.offsets[0, Offset.FIRST_SLOT]), int(np.searchsorted(self.kept(0), last))
-            self.on_disk.put(begin, self.record.reshape(-1, *self.on_disk.positions.shape[1:])[: end - begin])
+            self.on_disk.put(begin, self.positions.reshape(-1, *self.on_disk.positions.shape[1:])[: end - begin])
 
     def recorded_fields(self, index: int) -> NDArray[np.float32]:
         """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""

@@ -13,7 +13,7 @@ from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm.arrays.layout import Property, Setting
-from mpm.output import rest
+from mpm.output.request import REST_ENERGY, height
 
 Array = NDArray[Any]
 
@@ -61,7 +61,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
-        Setting.REST_ENERGY: rest.REST_ENERGY * weight * rest.height(scene),
+        Setting.REST_ENERGY: REST_ENERGY * weight * height(scene),
     }
     return [values[column] for column in Setting]
 

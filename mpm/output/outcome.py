@@ -12,7 +12,7 @@ from datasets.particles import Particles
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Energy, Offset, Precision, Worker
+from mpm.arrays.layout import Energy, Offset, Worker
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import density, smoothed
 from mpm.runtime import Arch
@@ -23,24 +23,18 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
     if frames == scene.frames and batch.finite(index):
         return None
-    count = len(batch.particles[index].positions)
-    numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
-    velocities = numbers[features.velocity :][: features.dimension].T
+    velocities = batch.numbers(index)[features.velocity :][: features.dimension].T
     return WorkFailed(explain(scene, batch.particles[index], velocities, frames - 1))
 
 
-def outflow(batch: Batch, index: int) -> dict[str, float] | None:
-    """Mass that has left through each open side [kg, in 2D per metre of width]; None where all sides are walls."""
+def outflow(batch: Batch, index: int) -> dict[str, float]:
+    """Mass that has left through each open side [kg, in 2D per metre of width]."""
     scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
-    if not scene.open_sides:
-        return None
-    count = len(particles.positions)
-    numbers = np.moveaxis(batch.state_of(index), 1, 0).reshape(features.block, -1)[:, :count]
-    first = batch.offsets[index, Offset.BLOCK] * features.lanes
-    mass = (particles.density * particles.volume)[batch.order[first : first + count]]
+    numbers, order = batch.numbers(index), batch.order_of(index)
+    mass = (particles.density * particles.volume)[order]
     removed = numbers[features.present] == 0.0
     # Through the side that it lies farthest beyond.
-    beyond = np.full((len(DOMAIN_SIDES), count), -np.inf)
+    beyond = np.full((len(DOMAIN_SIDES), len(order)), -np.inf)
     for side in scene.open_sides:
         axis, upper = "xyz".index(side[0]), side[1] == "+"
         coordinate = numbers[axis]
@@ -73,15 +67,19 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
 
 
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
-    """What scene `index` did; the frames after it came to rest are filled with the last one that was computed."""
+    """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
+
+    Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
+    scene; `clamped`, how often a particle was put back into the box; `rest_time` [s], when the deposit came to rest,
+    where the run may end there, and `end_time` [s], until when it was computed; `release_time` [s], when each mass was
+    let go, where barriers hold one; `relaxation_time` [s] of the scene, its default worked out; where asked for the
+    momentum that the sides of the box and the barriers have taken up to each frame [N s], `side_impulse` of each and
+    their sum `wall_impulse`; `outflow` [kg] through each open side; `wall_s` of all scenes that ran together,
+    compilation apart.
+    """
     if (failed := failure(batch, index)) is not None:
         return failed
-    scene, particles, offset, record = (
-        batch.scenes[index],
-        batch.particles[index],
-        batch.offsets[index],
-        batch.recording,
-    )
+    scene, particles, offset = batch.scenes[index], batch.particles[index], batch.offsets[index]
     energies, impulses, kept = batch.energies(index), batch.impulses(index), batch.kept(index)
     rest, solids = int(offset[Offset.REST]), len(solid_names(scene))
     if rest:
@@ -95,6 +93,35 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         # What one trajectory holds must not keep the record of all others in memory.
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
     began = rest - int(offset[Offset.WINDOW]) + 1
+    deposit = positions[-1]
+    summary = {
+        "runout": runout(deposit),
+        "front": front(deposit),
+        "toe": list(toe(deposit)),
+        "steps": int(offset[Offset.STEPS]),
+        "particles": len(deposit),
+        "clamped": int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
+        "rest_time": began * scene.frame_dt if rest else None,
+        "end_time": (rest or scene.frames - 1) * scene.frame_dt,
+        "relaxation_time": scene.relaxation,
+        "energy": {
+            column.name.lower(): rounded(energies[:, column])
+            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
+        },
+        "wall_s": wall_s,
+        "compile_s": compile_s,
+        "arch": arch,
+        "precision": batch.features.precision,
+    }
+    if (released := batch.release_times(index)) is not None:
+        summary["release_time"] = released
+    if batch.recording.wall_forces:
+        walls = impulses[:, solids:]
+        sides = DOMAIN_SIDES[: 2 * scene.dimension]
+        summary["wall_impulse"] = rounded(walls.sum(axis=1))
+        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(sides)}
+    if scene.open_sides:
+        summary["outflow"] = outflow(batch, index)
     return Trajectory(
         positions=positions,
         time=np.array(kept, np.float64) * scene.frame_dt,
@@ -103,85 +130,13 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         scene=scene,
         **fields,
         solid_impulse=impulses[kept, :solids] if solids else None,
-        summary=summarise(
-            positions[-1],
-            energy=energies,
-            steps=int(offset[Offset.STEPS]),
-            clamped=int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
-            rest_time=began * scene.frame_dt if rest else None,
-            end_time=(rest or scene.frames - 1) * scene.frame_dt,
-            relaxation_time=scene.relaxation,
-            release_time=batch.release_times(index),
-            wall_impulse=impulses[:, solids:] if record.wall_forces else None,
-            outflow=outflow(batch, index),
-            wall_s=wall_s,
-            compile_s=compile_s,
-            arch=arch,
-            precision=batch.features.precision,
-        ),
+        summary=summary,
     )
 
 
-def summarise(
-    deposit: NDArray[np.float32],
-    *,
-    energy: NDArray[np.float64],
-    steps: int,
-    clamped: int,
-    rest_time: float | None,
-    end_time: float,
-    relaxation_time: float,
-    release_time: list[float | None] | None,
-    wall_impulse: NDArray[np.float64] | None,
-    outflow: dict[str, float] | None,
-    wall_s: float,
-    compile_s: float,
-    arch: Arch,
-    precision: Precision,
-) -> dict[str, Any]:
-    """Summary of a run that ended in `deposit` [m], shape [N, D]; `energy` [J/m], shape [T, len(Energy)].
-
-    Lengths in metres; `energy` is a series with a value at every frame of the scene; `clamped` counts how often a
-    particle was put back into the box; `rest_time` [s] is when the deposit came to rest, where the run may end there,
-    and `end_time` [s] until when it was computed; `release_time` [s] when each mass was let go, where barriers hold
-    one; `relaxation_time` [s] that of the scene, its default worked out; `wall_impulse` [N s] the momentum that the
-    sides of the box and the barriers have taken up to each frame, shape [T, 2 D + 1, D], where asked for: their sum
-    and, as `side_impulse`, each; `outflow` [kg] what left through each open side; `wall_s` is that of all scenes that
-    ran together, compilation apart.
-    """
-    summary = {
-        "runout": runout(deposit),
-        "front": front(deposit),
-        "toe": list(toe(deposit)),
-        "steps": steps,
-        "particles": len(deposit),
-        "clamped": clamped,
-        "rest_time": rest_time,
-        "end_time": end_time,
-        "relaxation_time": relaxation_time,
-        "energy": {
-            column.name.lower(): [float(f"{e:.6g}") for e in energy[:, column]]
-            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
-        },
-        "wall_s": wall_s,
-        "compile_s": compile_s,
-        "arch": arch,
-        "precision": precision,
-    }
-    if release_time is not None:
-        summary["release_time"] = release_time
-    if wall_impulse is not None:
-        summary["wall_impulse"] = rounded(wall_impulse.sum(axis=1))
-        names = DOMAIN_SIDES[: 2 * deposit.shape[1]]
-        summary["side_impulse"] = {side: rounded(wall_impulse[:, number]) for number, side in enumerate(names)}
-    if outflow is not None:
-        summary["outflow"] = outflow
-    return summary
-
-
-def rounded(series: NDArray[np.float64]) -> list[list[float]]:
-    """A series of vectors, shape [T, D], with six digits."""
-    return [[float(f"{p:.6g}") for p in row] for row in series]
+def rounded(series: NDArray[np.float64]) -> Any:
+    """A series of numbers or vectors, shape [T, ...], with six digits, as lists."""
+    return [rounded(each) if each.ndim else float(f"{each:.6g}") for each in series]
 
 
 def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating], frame: int) -> str:

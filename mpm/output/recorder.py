@@ -4,7 +4,7 @@ import taichi as ti
 
 from mpm.arrays.access import add, lane_maximum, lane_sum, maximum
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
-from mpm.output.rest import BALANCED, REST
+from mpm.output.request import BALANCED, REST
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
@@ -154,7 +154,7 @@ def record_lane(scene, slot, block, lane, arrays: ti.template()):
         + arrays.order[block * lanes + lane]
     )
     for k in ti.static(range(features.dimension)):
-        arrays.recorded_positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
+        arrays.positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
     at = particle * features.recorded
     if ti.static(features.velocity_recorded):
         for k in ti.static(range(features.dimension)):
@@ -193,7 +193,7 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest once a deposit has rested over a window of frames (`mpm.output.rest`) without barriers.
+    """Set the frame of rest once a deposit has rested over a window of frames (`mpm.output.request`) without barriers.
 
     In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
     unbalanced force was below BALANCED of the weight.

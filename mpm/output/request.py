@@ -1,15 +1,43 @@
-"""What a simulation is asked to record, in which frames, and until when it runs."""
+"""What a simulation is asked to record, in which frames, and until when it runs: until a time, or until rest.
 
+**Rest.** A deposit has come to rest when it neither moves nor accelerates over a whole window of time.
+
+In every frame of the window the kinetic energy is below a thousandth of the largest so far
+(`REST`), and the mean over the window of the unbalanced force
+
+    R = sum_p m_p |a_p| / (M g),   a_p = (v_p(t) - v_p(t - dt_frame)) / dt_frame
+
+is below a hundredth (`BALANCED`): Cundall's average ratio of unbalanced to applied forces, as the
+manuals of Itasca's PFC call it (there over contact forces, here over the weight). Either alone misses: sand thrown
+up has no kinetic energy at the top of its path, but R = 1; an oscillating bed has neither energy at full compression
+nor, at another moment, acceleration. So the window spans a period of the slowest oscillation of a layer as thick as the
+material at the start, 4 H / c_s with the speed c_s of the elastic shear wave, and a time of flow, sqrt(H / g), in which
+sand left in the air would have fallen by H / 2. A mass that was let go in equilibrium never moves: kinetic energy below
+REST_ENERGY of M g H counts as none.
+"""
+
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import InputError
+from datasets.material import Material
 from datasets.records import Record
+from datasets.scene import Scene
 
 FieldName = Literal["velocity", "stress", "pressure", "density", "plastic_strain"]
 
 FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "density", "plastic_strain")
 """All that can be recorded of a particle besides its position."""
+REST = 1.0e-3
+"""Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
+BALANCED = 0.01
+"""Unbalanced force of a deposit at rest, as a fraction of its weight."""
+MIN_FRAMES = 3
+"""Frames of the window where they are far apart."""
+REST_ENERGY = 5.0e-7
+"""Kinetic energy that counts as none, over M g H [-]: a root mean square speed of a thousandth of sqrt(g H)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +60,7 @@ class Recording(Record):
     raw: bool = False
     """Stress and pressure as the particles carry them, not smoothed through the grid (`mpm.output.smoothing`)."""
     until_rest: bool = False
-    """End a scene when its deposit has come to rest (`mpm.output.rest`), and fill the frames that are left with the
+    """End a scene when its deposit has come to rest (above), and fill the frames that are left with the
     last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
 
     def __post_init__(self) -> None:
@@ -67,3 +95,16 @@ AT_REST = Recording(frames="last", until_rest=True)
 """The deposit alone, of a run that ends when it rests."""
 WITH_FIELDS = Recording(fields=frozenset({"velocity", "pressure", "plastic_strain"}), wall_forces=True)
 """All frames with velocity, pressure and plastic strain, and the forces on the walls."""
+
+
+def height(scene: Scene) -> float:
+    """Extent H of the material along the second axis at the start [m]."""
+    return max(mass.lower[1] + mass.size[1] for mass in scene.masses) - min(mass.lower[1] for mass in scene.masses)
+
+
+def window_frames(scene: Scene, materials: Sequence[Material]) -> int:
+    """Frames of the window over which `scene` must have been at rest."""
+    slowest = min(math.sqrt(material.shear_modulus / material.density) for material in materials)
+    period = 4.0 * height(scene) / slowest
+    flow = math.sqrt(height(scene) / scene.gravity) if scene.gravity > 0.0 else 0.0
+    return max(MIN_FRAMES, math.ceil(max(period, flow) / scene.frame_dt) + 1)

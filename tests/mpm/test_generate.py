@@ -24,9 +24,10 @@ from datasets.lock import locked
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
-from datasets.training.samples import load_flows, particle_cohesion
+from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
-from mpm.generate import Workers, command, generate, thinned
+from mpm.cluster import Workers
+from mpm.generate import command, generate, thinned
 from validation.bench.faults.breaking import members, unfinished, wait_for_orphans
 
 ROOT = Path(__file__).parents[2]
@@ -342,18 +343,3 @@ def test_nothing_lives_on_after_a_kill(tmp_path: Path) -> None:
         process.kill()
         process.communicate()
     assert wait_for_orphans(process.pid)[0] == 0
-
-
-def test_compressed_files_are_those_of_the_dataset_and_are_learned_from(dataset: Path, tmp_path: Path) -> None:
-    """The same scenes; a second call has nothing to do, and neither kind is made beside the other."""
-    for _ in range(2):
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1, suffix=".h5")
-    assert json.loads((tmp_path / "generation.json").read_text())["simulated"] == 0
-    for name in FILES:
-        whole, found = Trajectory.load(dataset / name), Trajectory.load((tmp_path / name).with_suffix(".h5"))
-        assert found.scene == whole.scene
-        np.testing.assert_allclose(found.positions, whole.positions, rtol=0.0, atol=0.0)
-    flows = load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.05)
-    assert len(flows) == 2
-    with pytest.raises(InputError, match=r"expected \.npz, the dataset was begun with --compress"):
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1)

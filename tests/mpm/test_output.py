@@ -16,8 +16,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
-from mpm.output.request import FIELDS
-from mpm.output.rest import window_frames
+from mpm.output.request import FIELDS, window_frames
 from mpm.output.smoothing import density, smoothed, weights
 from tests.mpm.scenes import SAND, box, room
 
@@ -68,7 +67,7 @@ def test_nothing_is_allocated_but_what_is_asked_for() -> None:
 
     def sizes(record: Recording) -> tuple[int, int]:
         batch = Batch([scene], precision="f32", record=record)
-        return batch.record.size // count, batch.fields.size // count
+        return batch.positions.size // count, batch.fields.size // count
 
     assert sizes(ALL) == (2 * 21, 0)
     assert sizes(LAST) == (2, 0)

@@ -1,20 +1,16 @@
 """Frames that are kept on disk while a run goes on are those that memory would hold."""
 
 import dataclasses
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory, read_trajectory
 from mpm import AT_REST, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import FRAMES_PER_CALL
 from mpm.footprint import footprint
-from mpm.run import command
 from mpm.simulation import simulate_each, simulate_resumably
 from tests.mpm.scenes import box
 
@@ -48,10 +44,10 @@ def test_it_goes_on_from_a_checkpoint(tmp_path: Path) -> None:
 def test_memory_holds_the_frames_of_a_call(tmp_path: Path) -> None:
     whole = Batch([FLOW], precision="f32")
     streamed = Batch([FLOW], precision="f32", stream=tmp_path)
-    assert whole.record.size == FLOW.frames * len(whole.particles[0].positions) * 2
-    assert streamed.record.size == FRAMES_PER_CALL * len(whole.particles[0].positions) * 2
+    assert whole.positions.size == FLOW.frames * len(whole.particles[0].positions) * 2
+    assert streamed.positions.size == FRAMES_PER_CALL * len(whole.particles[0].positions) * 2
     plan, kept = footprint(FLOW, stream=True), footprint(FLOW)
-    assert plan.disk >= whole.record.nbytes
+    assert plan.disk >= whole.positions.nbytes
     assert plan.bytes == kept.bytes - plan.disk
     assert "of frames on disk" in str(plan)
     assert "disk" not in str(kept)
@@ -62,48 +58,3 @@ def test_fields_and_other_scenes_beside_are_refused(tmp_path: Path) -> None:
         simulate(FLOW, record=WITH_FIELDS, stream=tmp_path)
     with pytest.raises(InputError, match="stream: expected one scene"):
         simulate_each([FLOW, FLOW], stream=tmp_path)
-
-
-@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="the disk is not reserved")
-def test_a_full_disk_is_one_line_before_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*_: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    scene = tmp_path / "pile.toml"
-    scene.write_text(SCENE)
-    assert run(command, "mpm.run", [str(scene), "--out", str(tmp_path / "out"), "--stream"]) == 1
-    error = capsys.readouterr().err
-    assert f"talus: {tmp_path / 'out'}: No space left on device" in error
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-SCENE = """
-duration = 0.2
-frame_dt = 0.005
-
-[domain]
-size = [1.0, 0.5]
-cell = 0.02
-
-[material]
-friction_deg = 30.0
-
-[[masses]]
-lower = [0.0, 0.0]
-size = [0.2, 0.2]
-"""
-
-
-def test_the_command_streams_and_compresses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SCENE)
-    assert run(command, "mpm.run", [str(scene), "--out", str(out)]) == 0
-    whole = Trajectory.load(out / "trajectory.npz")
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--stream", "--compress"]) == 0
-    assert "of frames on disk" in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == ["summary.json", "trajectory.h5"]
-    found = read_trajectory(out)
-    np.testing.assert_allclose(found.positions, whole.positions, rtol=0.0, atol=0.02 / 2.0e4 + 1.0e-7)
