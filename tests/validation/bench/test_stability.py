@@ -1,9 +1,8 @@
-"""`python -m validation.bench stability`: green rows, red rows and runs that blow up, on the page and in the status."""
+"""Hard cases: every check passes on sand at rest and finds what is wrong where something is; the rows hold."""
 
+import copy
 import dataclasses
-import math
-import re
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,117 +10,193 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
+from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Scene
+from datasets.particles import initial_particles
+from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import Recording, exact_solutions
-from tests.validation.bench.sand_at_rest import at_rest, scene_of
 from validation.bench.__main__ import main
-from validation.bench.stability import bench as page
-from validation.bench.stability import critical_height, verdict
-from validation.bench.stability import expectations as expect
-from validation.bench.stability.rows import ROWS, Row
+from validation.bench.stability import invariants
+from validation.bench.stability.bench import FOLDER, Check, Row, page, read_rows, run, verdict
+from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding
+from validation.bench.stability.quantities import QUANTITIES
 
-POINT = next(row for row in ROWS if row.name == "one-point")
-
-
-def with_rows(monkeypatch: pytest.MonkeyPatch, *rows: Row) -> None:
-    monkeypatch.setattr(page, "ROWS", rows)
-    monkeypatch.setattr(page, "CUTS", ())
+FRAMES = 5
+BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
+BAFFLE = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))
+CUBE = Mass(lower=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
 
 
-def call(*flags: str) -> int:
-    return main(["stability", *flags])
+def scene_of(*masses: Mass, **changes: Any) -> Scene:
+    """Masses in a box, watched for five frames of 0.1 s."""
+    settings = {
+        "domain": Domain(size=(0.8, 0.4), cell=0.02),
+        "material": Material(friction_deg=30.0),
+        "duration": 0.4,
+        "frame_dt": 0.1,
+        "jitter": 0.0,
+    }
+    return Scene(masses=masses or (BED,), **(settings | changes))
 
 
-def still(scenes: Sequence[Scene], *, precision: str, record: Recording, **_: Any) -> list[Trajectory]:
-    """A solver in which nothing moves."""
-    assert "pressure" in record.fields
-    flows = [at_rest(scene) for scene in scenes]
-    return [dataclasses.replace(flow, summary=flow.summary | {"precision": precision}) for flow in flows]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::UserWarning")  # A thin body, a block that nothing holds: rows that warn.
-def test_rows_for_real(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("--quick", "--out", str(tmp_path)) == 0
-    text = (tmp_path / "stability.md").read_text()
-    assert f"{len(page.QUICK)} of {len(page.QUICK)} rows are green." in text
-    assert "rows are green" in capsys.readouterr().out
-    assert re.search(r"\| `one-point` +\| one material point falls +\| green +\| green", text)
-    assert "## Red" not in text
-
-
-def test_a_red_row_shows_its_findings_at_a_smaller_step_and_on_a_finer_grid(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(verdict, "simulate_each", still)
-    with_rows(monkeypatch, dataclasses.replace(POINT, checks=(expect.lands,), cause="Something holds it."))
-    assert call("--out", str(tmp_path)) == 1
-    assert "talus: red rows: one-point" in capsys.readouterr().err
-    text = (tmp_path / "stability.md").read_text()
-    assert "0 of 1 rows are green; red: one-point." in text
-    assert re.search(r"\*\*red\*\* +\| \*\*red\*\*", text)
-    (found,) = re.findall(r"\| height at the end ≤ 0.5 cells +\| \*\*(\d+\.\d+)\*\* +\| \*\*\1\*\*", text)
-    story = text.split("## Red: one-point")[1]
-    assert "Something holds it." in story
-    assert f"- f32: height at the end {found} cells (required ≤ 0.5)" in story
-    assert f"- half the step, f64: height at the end {found} cells (required ≤ 0.5)" in story
-    (finer,) = re.findall(r"- half the cell, f64: height at the end (\S+) cells \(required ≤ 0.5\)", story)
-    assert float(finer) == pytest.approx(2.0 * float(found), abs=1.0)
-
-
-def test_a_run_that_blows_up_is_red_and_the_others_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def simulate_each(scenes: Sequence[Scene], **options: Any) -> list[Trajectory | WorkFailed]:
-        return [
-            WorkFailed("the simulation blew up at t = 0.1 s")
-            if scene.material.friction_deg == 48.0
-            else still([scene], **options)[0]
-            for scene in scenes
-        ]
-
-    monkeypatch.setattr(verdict, "simulate_each", simulate_each)
-    with_rows(
-        monkeypatch, *(Row(name=name, what="nothing moves") for name in ("friction-48", "friction-12", "column-3d"))
+def at_rest(scene: Scene | None = None) -> Trajectory:
+    """Nothing moves: the floor takes the weight, energies stay."""
+    scene = scene or scene_of()
+    points = initial_particles(scene)
+    count, dimension = points.positions.shape
+    mass = points.density * points.volume
+    time = np.arange(scene.frames) * scene.frame_dt
+    weight = mass.sum() * np.array(scene.gravity_vector)
+    potential = -float(mass @ (points.positions @ np.array(scene.gravity_vector)))
+    return Trajectory(
+        time=time,
+        positions=np.repeat(points.positions[None].astype(np.float32), scene.frames, axis=0),
+        velocity0=np.zeros((count, dimension), np.float32),
+        velocities=np.zeros((scene.frames, count, dimension), np.float32),
+        pressure=np.ones((scene.frames, count), np.float32),
+        solid_impulse=np.zeros((scene.frames, len(scene.baffles), dimension)) if scene.baffles else None,
+        friction=points.friction,
+        scene=scene,
+        summary={
+            "precision": "f64",
+            "steps": 1000,
+            "energy": {
+                "kinetic": [1.0] + [0.0] * (scene.frames - 1),
+                "potential": [potential] * scene.frames,
+                "elastic": [0.0] * scene.frames,
+            },
+            "wall_impulse": (time[:, None] * weight).tolist(),
+        },
     )
-    assert call("--out", str(tmp_path)) == 1
-    text = (tmp_path / "stability.md").read_text()
-    assert "2 of 3 rows are green; red: friction-48." in text
-    assert "- f64: the simulation blew up at t = 0.1 s" in text
-    assert "- half the cell, f64: the simulation blew up at t = 0.1 s" in text
-    assert re.search(r"\| `friction-12` +\| nothing moves +\| green +\| green", text)
 
 
-def test_a_row_brings_the_one_that_it_is_compared_with() -> None:
-    assert [row.name for row in page.choose(("long-step",))] == ["column", "long-step"]
-    assert page.choose(()) == list(ROWS)
+def changed(flow: Trajectory, name: str, index: Any, value: Any) -> Trajectory:
+    """The flow with `value` at `index` of one of its arrays."""
+    array = getattr(flow, name).copy()
+    array[index] = value
+    return dataclasses.replace(flow, **{name: array})
+
+
+def gains(flow: Trajectory) -> Trajectory:
+    """The flow with energy from nowhere."""
+    summary = copy.deepcopy(flow.summary)
+    summary["energy"]["elastic"][3] = 3.0e-4 * summary["energy"]["potential"][0]
+    return dataclasses.replace(flow, summary=summary)
+
+
+def presses(flow: Trajectory) -> Trajectory:
+    """The flow with a floor that takes 1 % more than the weight."""
+    impulse = (1.01 * np.array(flow.summary["wall_impulse"])).tolist()
+    return dataclasses.replace(flow, summary=flow.summary | {"wall_impulse": impulse})
+
+
+def steep(flow: Trajectory) -> Trajectory:
+    """The bed's particles as a pile of 45 degrees at the end."""
+    x = np.sort(flow.positions[-1, :, 0])
+    return changed(flow, "positions", -1, np.stack([x, np.clip(0.4 - x, 0.0, None)], axis=1))
+
+
+SCENES = (
+    scene_of(),
+    scene_of(baffles=(BAFFLE,)),
+    scene_of(gravity=0.0),
+    scene_of(CUBE, domain=Domain(size=(0.4, 0.2, 0.2), cell=0.02)),
+    scene_of(slope_deg=60.0, floor_friction=2.0),
+)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=["bed", "baffle", "weightless", "3D", "slope"])
+def test_sand_at_rest_passes(scene: Scene) -> None:
+    for check in ALWAYS:
+        finding = check(at_rest(scene))
+        assert finding is None or finding.ok, finding
+
+
+@pytest.mark.parametrize(
+    ("check", "wrong"),
+    [
+        (invariants.finite, lambda flow: changed(flow, "pressure", (2, 0), np.nan)),
+        (invariants.finite, lambda flow: changed(flow, "solid_impulse", (2, 0), np.inf)),
+        (invariants.inside_box, lambda flow: changed(flow, "positions", (2, 7), (-1e-4, 0.1))),
+        (invariants.inside_box, lambda flow: changed(flow, "positions", (2, 7), (0.4, 0.401))),
+        (invariants.outside_baffles, lambda flow: changed(flow, "positions", (3, 0), (0.501, 0.1))),
+        (invariants.outside_baffles, lambda flow: changed(flow, "positions", (3, 0), (0.55, 0.0))),
+        (invariants.mass, lambda flow: dataclasses.replace(flow, positions=flow.positions[:, 1:])),
+        (invariants.momentum, lambda flow: changed(flow, "velocities", (3, slice(None), 0), 1e-3)),
+        (invariants.momentum, presses),
+        (invariants.momentum, lambda flow: changed(flow, "solid_impulse", (slice(2, None), 0, 0), 1.0)),
+        (invariants.energy, gains),
+        (invariants.slope, steep),
+        (invariants.volume, lambda flow: changed(flow, "positions", -1, 0.9 * flow.positions[-1])),
+    ],
+)
+def test_what_is_wrong_is_found(
+    check: Callable[[Trajectory], Finding], wrong: Callable[[Trajectory], Trajectory]
+) -> None:
+    good = at_rest(scene_of(baffles=(BAFFLE,)))
+    assert check is invariants.slope or check(good).ok
+    assert not check(wrong(good)).ok
+
+
+def test_what_a_check_does_not_apply_to_is_left_out() -> None:
+    assert invariants.outside_baffles(at_rest()) is None
+    assert invariants.momentum(at_rest(scene_of(damping=0.1))) is None
+    assert invariants.volume(at_rest(scene_of(Mass(lower=(0.0, 0.0), size=(0.1, 0.1))))) is None
+
+
+@pytest.mark.parametrize(("value", "ok"), [(0.5, True), (1.5, False), (-0.5, False), (float("nan"), False)])
+def test_a_finding_passes_within_its_range_only(value: float, ok: bool) -> None:
+    assert Finding(check="x", value=value, minimum=0.0, maximum=1.0).ok is ok
+
+
+def test_every_row_has_a_scene_and_every_scene_a_row() -> None:
+    rows = read_rows()
+    assert sorted(row.name for row in rows) == sorted(path.stem for path in (FOLDER / "hard_cases").glob("*.toml"))
+    assert {check.quantity for row in rows for check in row.checks} == QUANTITIES.keys()
+    assert all(row.checks or row.over or row.what for row in rows)
+    assert [row.name for row in read_rows(["long-step"])] == ["column", "long-step"]
+
+
+def test_a_verdict_says_what_is_wrong() -> None:
+    row = Row(name="rest", what="it rests", checks=(Check(quantity="creeps", maximum=0.01),), over="other", within=0.1)
+    flow = at_rest()
+    assert verdict(row, flow, flow).failures == []
+    crept = changed(flow, "positions", (-1, slice(None), 0), flow.positions[-1, :, 0] + 1e-3)
+    assert verdict(row, crept, flow).failures == ["creep 0.05 cells (required ≤ 0.01)"]
+    assert verdict(row, WorkFailed("it blew up")).failures == ["it blew up"]
+    lost = verdict(row, changed(flow, "positions", 2, np.nan))
+    assert lost.failures == ["not finite 1600 (required ≤ 0)"]
+    text = page(
+        [verdict(row, flow, flow), lost],
+        {(2, "APIC", 1.0, 0.9): 1.0, (2, "AFLIP, default", 1.0, 0.9): 1.0},
+        precision="f32",
+    )
+    assert "1 of 2 hard cases hold; **red**: rest." in text.conclusion
+    assert "**not finite 1600" in str(text)
+
+
+def test_a_deposit_may_gain_more_energy_where_its_row_says_so() -> None:
+    row = Row(name="rest", what="it gains")
+    assert verdict(row, gains(at_rest())).failures
+    assert not verdict(dataclasses.replace(row, energy=1e-3), gains(at_rest())).failures
 
 
 def test_an_unknown_row_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("--rows", "one-pont", "--out", str(tmp_path)) == 2
-    assert capsys.readouterr().err == "talus: one-pont: expected the name of a row: did you mean 'one-point'?\n"
+    with pytest.raises(InputError, match="did you mean 'thin-layer'"):
+        read_rows(["thin-layers"])
+    assert main(["stability", "--out", str(tmp_path), "--rows", "block"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
-CUT = scene_of(material=Material(friction_deg=30.0, cohesion=1000.0))
+@pytest.mark.parametrize("name", ["one-point", "far-slow", "plate"])
+def test_a_short_row_holds(name: str) -> None:
+    (row,) = read_rows([name])
+    assert verdict(row, run([row], "f32")[name]).failures == []
 
 
-@pytest.mark.parametrize("critical", [0.6, 0.95, 1.2])
-def test_bisection_finds_what_fails(critical: float) -> None:
-    assert 0.2 / exact_solutions.critical_height(critical_height.at_ratio(CUT, critical)) == pytest.approx(critical)
-    found = critical_height.bracket(CUT, lambda scene: 0.2 / exact_solutions.critical_height(scene) > critical)
-    assert found.holds <= critical <= found.fails <= critical_height.WITHIN * found.holds
-
-
-@pytest.mark.parametrize(("friction_deg", "raised"), [(0.0, 0.0548), (30.0, 0.0720)])
-def test_little_tension_raises_the_critical_height(friction_deg: float, raised: float) -> None:
-    """The least over the width b of gamma H = 2 c t + gamma b t / 2 + T t (H / b - t)."""
-    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
-    found = exact_solutions.stability_number(friction_deg, 0.003)
-    assert found == pytest.approx(2.0 * t * (1.0 + raised), rel=1e-4)
-    widths = np.linspace(0.01, 0.2, 2000) * found
-    slices = (2.0 * t + 0.5 * widths * t - 0.003 * t**2) / (1.0 - 0.003 * t / widths)
-    assert found == pytest.approx(slices.min(), rel=1e-6)
-    assert exact_solutions.stability_number(friction_deg, 0.0) == pytest.approx(2.0 * t)
-    assert critical_height.bracket(CUT, lambda scene: True).tension == pytest.approx(0.003)
-    assert math.isnan(critical_height.bracket(CUT, lambda scene: True).holds)
-    assert math.isnan(critical_height.bracket(CUT, lambda scene: False).fails)
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_every_row_holds(precision: str, tmp_path: Path) -> None:
+    assert main(["stability", "--out", str(tmp_path), "--precision", precision]) == 0
+    assert len(DEPOSIT) == 3
+    assert "**red**" not in (tmp_path / "stability.md").read_text()

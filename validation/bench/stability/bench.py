@@ -1,233 +1,310 @@
-"""Scenes that break other solvers and exact solutions, a verdict for each: stability.md.
+"""`python -m validation.bench stability`: hard cases, exact solutions, a flume, fronts over stiffness and step."""
 
-`python -m validation.bench stability --out docs`; `--rows NAME`, once or more, runs some of them.
-"""
-
+import dataclasses
 import difflib
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from validation.bench.stability import deposit, invariants
-from validation.bench.stability.critical_height import CUTS, Bracket, bracket, bracket_row
-from validation.bench.stability.expectations import FAILED
-from validation.bench.stability.finding import Finding
-from validation.bench.stability.rows import EXACT, ROWS, Row
-from validation.bench.stability.verdict import (
-    PRECISIONS,
-    Variant,
-    Verdict,
-    half_cell,
-    half_step,
-    variants,
-    verdicts_of,
-    without_correction,
-)
-from validation.report.page import Page
+from datasets.geometry.surface import surface_of
+from datasets.library import read_scene
+from datasets.measures import front
+from datasets.records import Record, from_mapping, read_toml
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
+from mpm.arrays.layout import Precision
+from mpm.resolution import Resolution, with_resolution
+from validation.bench.accuracy.flows import Flow
+from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
+from validation.bench.stability.quantities import QUANTITIES
+from validation.report.page import Page, percent
+from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 
-COLUMNS = {
-    "energy": "energy rise",
-    "momentum": "momentum error",
-    "volume": "volume",
-    "slope": "slope [°]",
-    "f32 to f64": "fronts, f32 to f64 [cells]",
+FOLDER = Path(__file__).parent
+COLUMNS = {"energy": "energy gained", "momentum": "momentum error", "volume": "volume", "slope": "slope [°]"}
+"""Checks that have a column of their own."""
+FLUME = "flume"
+SHOWN = (0.4, 2.0)
+"""Times of the flume in the picture [s]."""
+STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)
+"""Young's moduli over 150 rho g H, and steps over cell / wave speed."""
+RELEASED = {
+    2: (Flow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
+    3: (Flow(aspect=1.0, friction_deg=30.0, depth=1.0, box=6.0, duration=5.0), 6),
 }
-"""Checks that have a column in the first table; the worst of position, mass and finite numbers stands below it."""
-EVERYWHERE = ("not finite", "outside the box", "inside a baffle", "mass", "motion left")
-QUICK = ("one-point", "block-24", "block-35", "far-slow", "thin-body")
+"""Columns whose fronts are compared, and cells across them, by dimension."""
+TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
+"""Relaxation times of the transfer."""
 
 
-def bench(out: Path, *, quick: bool = False, keep: Path | None = None, rows: tuple[str, ...] = ()) -> str:
-    """Run the rows in f32 and f64 and check what has to hold; what is wrong with a red row fails the command.
+@dataclass(frozen=True, kw_only=True)
+class Check(Record):
+    """A quantity of `quantities.py`, with another range where one is given."""
 
-    quick: five short rows, no critical height. keep: nothing is kept; the whole takes twenty minutes.
-    rows: names of rows; all unless given.
-    """
-    chosen = choose(rows or (QUICK if quick else ()))
-    verdicts = verdicts_of(chosen)
-    red = [each.row for each in verdicts if not each.all_green]
-    causes = variants(red, "half the step", half_step) + variants(red, "half the cell", half_cell)
-    corrected = [] if quick else variants(chosen, "no volume correction", without_correction)
-    heights = [] if quick else [bracket(row.scene) for row in chosen if row.name in CUTS]
-    command = " ".join(
-        ["python -m validation.bench stability", *(["--quick"] if quick else []), *(f"--rows {name}" for name in rows)]
-    )
-    page = document(verdicts, causes, corrected, heights, command=command, quick=quick)
-    page.write(out / "stability.md")
-    if red:
-        print(page)
-        raise WorkFailed(f"red rows: {', '.join(row.name for row in red)}")
-    return page.conclusion
+    quantity: str
+    minimum: float | None = None
+    maximum: float | None = None
+
+    def finding(self, flow: Trajectory) -> Finding:
+        """What it is in `flow`."""
+        usual = QUANTITIES[self.quantity]
+        given = self.minimum is not None or self.maximum is not None
+        low, high = (self.minimum, self.maximum) if given else (usual.minimum, usual.maximum)
+        limits = {key: value for key, value in (("minimum", low), ("maximum", high)) if value is not None}
+        return Finding(check=usual.name, value=usual.measure(flow), unit=usual.unit, **limits)
 
 
-def choose(names: Sequence[str]) -> list[Row]:
-    """The rows of these names, all where there are none, and those that they are compared with. Raises InputError."""
-    known = {row.name: row for row in ROWS}
+@dataclass(frozen=True, kw_only=True)
+class Row(Record):
+    """A row of `rows.toml`."""
+
+    name: str
+    """Of the scene file."""
+    what: str
+    exact: bool = False
+    """Whether its outcome is an exact solution."""
+    rests: bool = False
+    rings: bool = False
+    until_rest: bool = False
+    energy: float | None = None
+    """Energy that it may gain, over the available one, where that is more than usual."""
+    checks: tuple[Check, ...] = ()
+    over: str = ""
+    within: float = 0.0
+    remark: str = ""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, read from its file."""
+        return read_scene(str(FOLDER / "hard_cases" / f"{self.name}.toml"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows(Record):
+    """The contents of `rows.toml`."""
+
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What was found of a row; a run that gave no trajectory has a message alone."""
+
+    row: Row
+    kept: tuple[Finding, ...] = ()
+    """What every flow, and every deposit, has to keep."""
+    own: tuple[Finding, ...] = ()
+    blown_up: str = ""
+
+    @property
+    def failures(self) -> list[str]:
+        """What is wrong; empty for a green row."""
+        return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
+
+
+def read_rows(names: Sequence[str] = ()) -> list[Row]:
+    """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
+    rows = {row.name: row for row in from_mapping(Rows, read_toml(FOLDER / "rows.toml")).rows}
     for name in names:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(known)}"
+        if name not in rows:
+            near = difflib.get_close_matches(name, rows, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(rows)}"
             raise InputError(f"expected the name of a row: {hint}", where=name)
-    selected = {*names, *(known[name].beside for name in names)} if names else known.keys()
-    return [row for row in ROWS if row.name in selected]
+    chosen = {*names, *(rows[name].over for name in names)} if names else rows.keys()
+    return [row for name, row in rows.items() if name in chosen]
 
 
-def document(
-    verdicts: Sequence[Verdict],
-    causes: Sequence[Variant],
-    corrected: Sequence[Variant],
-    heights: Sequence[Bracket],
-    *,
-    command: str,
-    quick: bool = False,
-) -> Page:
-    """The page. causes: red rows, changed; corrected: rows without volume correction; heights: of bracketed cuts."""
-    page = Page("Hard cases", command=command, conclusion=conclusion(verdicts, heights), quick=quick)
-    page.text(f"{len(verdicts)} scenes, each in f32 and in f64.")
-    page.table([verdict_row(each) for each in verdicts])
-    page.text("Worst of all rows: " + "; ".join(f"{check} {worst(verdicts, check)}" for check in EVERYWHERE) + ".")
-    page.section("What a row has to show besides")
-    page.table([row for each in verdicts for row in own_rows(each)])
-    page.text("\n".join(f"- `{each.row.name}`: {each.row.remark}" for each in verdicts if each.row.remark))
-    if heights:
-        page.section("Critical heights")
-        page.text(f"""
-            Height at which a vertical cut in soil with little tension fails, over the critical height of soil without
-            any, 2 c / gamma tan(45 + phi / 2) (Drucker 1953), by bisection; failed is a cut of which
-            {100.0 * FAILED:g} % has moved by a cell. In theory tension T raises the height by t sqrt(2 T gamma H) -
-            t^2 T over gamma, t = tan(45 + phi / 2), the limit equilibrium of a slice that it holds.
-        """)
-        page.table([bracket_row(each) for each in heights], formats=dict.fromkeys(HEIGHT_COLUMNS, ".2f"))
-    if corrected:
-        page.section("Volume correction")
-        page.text("Volume of the core of the deposit with `mpm/physics/volume_correction.py` and without it, in f64.")
-        page.table([correction_row(each, verdicts) for each in corrected])
-    page.section("What is checked")
-    page.text(EXPLANATION)
-    for each in verdicts:
-        if not each.all_green:
-            page.section(f"Red: {each.row.name}")
-            page.text("\n".join(red_lines(each, causes)))
-    return page
+def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
+    """The flow of each row with fields, or why there is none."""
+    flows: dict[str, Trajectory | WorkFailed] = {}
+    for ends in (False, True):
+        group = {row.name: row.scene for row in rows if row.until_rest is ends}
+        record = dataclasses.replace(WITH_FIELDS, until_rest=ends)
+        if group:
+            outcomes = simulate_each(list(group.values()), precision=precision, record=record, progress=True)
+            flows.update(zip(group, outcomes, strict=True))
+    return flows
 
 
-HEIGHT_COLUMNS = ("holds [H / H critical]", "fails [H / H critical]", "in theory, without tension")
+def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> Verdict:
+    """All findings of a row; of a flow with NaN in it nothing but that. other: the flow of the row `over`."""
+    if isinstance(flow, WorkFailed):
+        return Verdict(row=row, blown_up=str(flow))
+    if not (numbers := finite(flow)).ok:
+        return Verdict(row=row, kept=(numbers,))
+    kept = [found for each in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (found := each(flow)) is not None]
+    if row.rings:
+        kept = [each for each in kept if each.check != "energy"]
+    if row.energy is not None:
+        kept = [dataclasses.replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
+    own = [check.finding(flow) for check in row.checks]
+    if isinstance(other, Trajectory):
+        value = front(flow.positions[-1]) / front(other.positions[-1])
+        name = f"front over that of {row.over}"
+        own.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
+    return Verdict(row=row, kept=tuple(kept), own=tuple(own))
 
 
-def conclusion(verdicts: Sequence[Verdict], heights: Sequence[Bracket]) -> list[str]:
-    """What the page comes to, in five sentences at the most."""
-    green = [each for each in verdicts if each.all_green]
-    red = [each.row.name for each in verdicts if not each.all_green]
-    sentences = [f"{len(green)} of {len(verdicts)} rows are green" + (f"; red: {', '.join(red)}." if red else ".")]
-    exact = [each for each in verdicts if each.row in EXACT]
-    if exact:
-        agreed = sum(each.all_green for each in exact)
-        sentences.append(f"Of {len(exact)} rows with an exact solution {agreed} agree with it in both precisions.")
-    if heights:
-        found = ", ".join(f"{each.holds:.2f} to {each.fails:.2f} (phi = {each.friction_deg:g}°)" for each in heights)
-        sentences.append(f"Vertical cuts with little tension fail at {found} of the critical height of soil without.")
-    rises = [finding.value for each in verdicts if (finding := each.worst("energy")) is not None]
-    if rises:
-        sentences.append(f"No flow gains more than {max(rises):.1e} of its energy.")
+Fronts = Mapping[tuple[int, str, float, float], float]
+"""Fronts [m] by dimension, transfer, stiffness and step."""
+
+
+def fronts(dimensions: Sequence[int] = (2, 3)) -> Fronts:
+    """Of the columns over stiffness and step, by each transfer."""
+    scenes = {}
+    for dimension, transfer, stiffness, step in itertools.product(dimensions, TRANSFERS, STIFFNESSES, STEPS):
+        flow, cells = RELEASED[dimension]
+        stiff = dataclasses.replace(flow, stiffness=stiffness * flow.stiffness).scene()
+        chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
+        scene = dataclasses.replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
+        scenes[dimension, transfer, stiffness, step] = scene
+    flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
+    return {key: front(flow.positions[-1]) for key, flow in zip(scenes, flows, strict=True)}
+
+
+def spread(found: Fronts, dimension: int, transfer: str) -> float:
+    """Largest less smallest front over their mean [-]."""
+    some = [value for (*kind, _, _), value in found.items() if kind == [dimension, transfer]]
+    return (max(some) - min(some)) / float(np.mean(some))
+
+
+def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
+    """Check every hard case, and write stability.md; what is wrong with a red row fails the command.
+
+    quick: six short rows. keep: not used. rows: names of rows, all unless given. precision: of the rows.
+    """
+    chosen = read_rows(rows or (("one-point", "block-24", "block-35", "far-slow", "plate", FLUME) if quick else ()))
+    found = fronts((2,) if quick else (2, 3))
+    flows = run(chosen, precision)
+    verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
+    text = page(verdicts, found, precision=precision, quick=quick)
+    if isinstance(flume := flows.get(FLUME), Trajectory):
+        draw(out / "stability.png", flume, found)
+        text.picture("stability.png", "the flume; fronts of a column over its stiffness")
+    text.write(out / "stability.md")
+    if red := [each for each in verdicts if each.failures]:
+        lines = [f"{each.row.name}: {'; '.join(each.failures)}" for each in red]
+        raise WorkFailed("red rows: " + ". ".join(lines))
+    return text.conclusion
+
+
+def page(verdicts: Sequence[Verdict], found: Fronts, *, precision: str, quick: bool = False) -> Page:
+    """The page, but for its picture."""
+    text = Page(
+        "Stability of the MPM",
+        command=f"python -m validation.bench stability --precision {precision}",
+        conclusion=conclusion(verdicts, found),
+        quick=quick,
+    )
+    text.section("Hard cases")
+    text.text(f"""
+        {len(verdicts)} scenes (`validation/bench/stability/rows.toml`) in {precision}. **Required** is the row's own;
+        of all rows: finite numbers, no particle outside the box or inside a baffle, no mass lost, and the limits of
+        `validation/bench/stability/invariants.py` on the gain of energy, on the balance of momentum with the impulses
+        on walls and solids (of undamped flows), and, of sand that has come to rest, on its volume and its slope against
+        the angle of friction. What is wrong is bold.
+    """)
+    text.table([row_of(each) for each in verdicts])
+    text.text("\n".join(f"- `{each.row.name}`: {each.row.remark}" for each in verdicts if each.row.remark))
+    text.section("Stiffness and step")
+    cells = " and ".join(f"{count} cells across in {dimension}D" for dimension, (_, count) in RELEASED.items())
+    text.text(f"""
+        Fronts [m] of dry columns of 30° with {cells}, Young's modulus over 150 rho g H, step over cell / wave speed.
+        The default transfer is AFLIP with a relaxation time, APIC a relaxation time of 0 (`mpm/physics/transfer.py`).
+    """)
+    text.table(
+        [
+            {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
+            | {transfer: f"{found[dimension, transfer, stiffness, step]:.4f}" for transfer in TRANSFERS}
+            for dimension, stiffness, step in dict.fromkeys((d, s, t) for d, _, s, t in found)
+        ]
+    )
+    return text
+
+
+def conclusion(verdicts: Sequence[Verdict], found: Fronts) -> list[str]:
+    """What the page comes to."""
+    red = [each.row.name for each in verdicts if each.failures]
+    exact = [each for each in verdicts if each.row.exact]
+    agreed = sum(not each.failures for each in exact)
+    sentences = [
+        f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases hold{'; **red**: ' + ', '.join(red) if red else ''}."
+        f" Of {len(exact)} with an exact solution {agreed} agree with it."
+    ]
+    sliding = [each.own[0].value for each in verdicts if each.row.checks and each.row.checks[0].quantity == "slides"]
+    if sliding:
+        off = max(abs(each - 1.0) for each in sliding)
+        sentences.append(f"Blocks slide down inclines as far as the closed form within {percent(off)}.")
+    rises = [found.value for each in verdicts for found in each.kept if found.check == "energy"]
+    balances = [found.value for each in verdicts for found in each.kept if found.check == "momentum"]
+    sentences.append(
+        f"No flow gains more than {percent(max(rises))} of its energy; momentum balances with the impulses on walls and"
+        f" solids within {max(balances):.0e}."
+    )
+    for dimension in dict.fromkeys(dimension for dimension, *_ in found):
+        own, other = (percent(spread(found, dimension, transfer)) for transfer in TRANSFERS)
+        sentences.append(
+            f"In {dimension}D, over {STIFFNESSES[-1]:g} times the stiffness and a third of the step, a front moves by"
+            f" {own} (by APIC {other})."
+        )
     return sentences
 
 
-def verdict_row(each: Verdict) -> dict[str, object]:
-    """A row's verdict in each precision, and the numbers that every row has, of the worse precision."""
-    colours = {str(precision): "green" if each.green(precision) else "**red**" for precision in PRECISIONS}
-    cells = {heading: cell(each.worst(check)) for check, heading in COLUMNS.items()}
-    return {"scene": f"`{each.row.name}`", "what happens": each.row.what, **colours, **cells}
+def row_of(each: Verdict) -> dict[str, object]:
+    """A row of the table."""
+    known = {finding.check: finding for finding in each.kept}
+    own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
+    value = ", ".join(emphasised(f"{found.value:.4g}", found) for found in each.own)
+    cells = {head: written(known[check]) if check in known else "" for check, head in COLUMNS.items()}
+    rest = [str(found) for found in each.kept if not found.ok and found.check not in COLUMNS]
+    wrong = [f"**{text}**" for text in (each.blown_up, *rest) if text]
+    return {
+        "scene": f"`{each.row.name}`",
+        "what happens": each.row.what,
+        "required": own,
+        "found": "; ".join([value, *wrong] if value else wrong),
+        **cells,
+    }
 
 
-def cell(finding: Finding | None) -> str:
-    """A cell of the first table; empty where the check does not apply."""
-    if finding is None:
-        return ""
-    match finding.check:
-        case "volume":
-            text = f"{100.0 * finding.value:+.1f} %"
-        case "slope":
-            text = f"{finding.value:.1f} ({finding.maximum - deposit.REPOSE_MARGIN_DEG:g})"
-        case "f32 to f64":
-            text = f"{finding.value:.4f}" + (
-                "" if finding.maximum == deposit.AGREEMENT else f" ({finding.maximum:.2f})"
-            )
-        case _:
-            text = f"{finding.value:.1e}"
-    return text if finding.ok else f"**{text}**"
+def written(found: Finding) -> str:
+    """A cell of what every flow keeps."""
+    forms = {"volume": f"{100.0 * found.value:+.1f} %", "slope": f"{found.value:.1f}"}
+    return emphasised(forms.get(found.check, f"{found.value:.0e}"), found)
 
 
-def worst(verdicts: Sequence[Verdict], check: str) -> str:
-    """The largest value of a check over all rows."""
-    values = [found.value for each in verdicts if (found := each.worst(check)) is not None]
-    return f"{max(values):.1e}" if values else "nowhere"
+def emphasised(text: str, found: Finding) -> str:
+    """Bold where it is wrong."""
+    return text if found.ok else f"**{text}**"
 
 
-def own_rows(each: Verdict) -> list[dict[str, object]]:
-    """A line per expectation that the row has for itself."""
-    names = dict.fromkeys(finding.check for found in each.findings.values() for finding in found)
-    lines = []
-    for check in (name for name in names if name not in EVERYWHERE and name not in COLUMNS):
-        line: dict[str, object] = {"scene": f"`{each.row.name}`", "required": ""}
-        for precision in PRECISIONS:
-            found = [finding for finding in each.findings[precision] if finding.check == check]
-            line["required"] = next((f"{f.check} {f.range} {f.unit}".strip() for f in found), line["required"])
-            line[precision] = ", ".join(f"{f.value:.4g}" if f.ok else f"**{f.value:.4g}**" for f in found)
-        lines.append(line)
-    return lines
-
-
-def correction_row(without: Variant, verdicts: Sequence[Verdict]) -> dict[str, object]:
-    """The volume of a row with volume correction and without, and what fails without."""
-    row = without.verdict.row.name
-    having = next(each for each in verdicts if each.row.name == row)
-    volumes = [
-        cell(next((finding for finding in each.findings["f64"] if finding.check == "volume"), None))
-        for each in (having, without.verdict)
-    ]
-    fails = "; ".join(str(finding) for finding in without.verdict.failures("f64"))
-    return {"scene": f"`{row}`", "volume": volumes[0], "without": volumes[1], "fails without": fails}
-
-
-def red_lines(each: Verdict, causes: Sequence[Variant]) -> list[str]:
-    """What is wrong with a row, and its findings at a smaller step and on a finer grid."""
-    lines = [f"{each.row.what}. {each.row.cause}".strip(), ""]
-    for precision in PRECISIONS:
-        if precision in each.blown_up:
-            lines.append(f"- {precision}: {each.blown_up[precision]}")
-        lines += [f"- {precision}: {finding}" for finding in each.failures(precision)]
-    failed = {finding.check for precision in PRECISIONS for finding in each.failures(precision)}
-    for variant in (variant for variant in causes if variant.verdict.row.name == each.row.name):
-        if "f64" in variant.verdict.blown_up:
-            lines.append(f"- {variant.change}, f64: {variant.verdict.blown_up['f64']}")
-        again = [finding for finding in variant.verdict.findings["f64"] if finding.check in failed]
-        lines += [f"- {variant.change}, f64: {finding}" for finding in again]
-    return lines
-
-
-EXPLANATION = f"""
-Of every flow, in every frame:
-
-- **Position**: no particle is more than {invariants.ROUNDING:g} cells (rounding) outside the box or inside a baffle; a
-  baffle's face on the floor is no way out.
-- **Mass**: each mass's box holds its volume in particles at the start, and each particle belongs to one box.
-- **Momentum**: P(t) - P(0) - M g t + the impulse on walls and baffles, over the larger of M g t and the largest |P|; at
-  most {invariants.MOMENTUM["f32"]:g} in f32, {invariants.MOMENTUM["f64"]:g} in f64 (impulses are recorded with six
-  digits). A damped flow has no such balance: its cell is empty.
-- **Energy**: kinetic + potential + elastic never rises above that of an earlier frame by more than
-  {invariants.ENERGY:g} of the initial kinetic and potential energy, the latter above the lowest corner of the box. Sand
-  thrown at solids may show half a step of their power more: stress is half a step ahead of the velocity.
-- **Fronts** in f32 and in f64 lie within {deposit.AGREEMENT:g} cells of each other: less than another jitter of the
-  particles changes a front. Flows that spray amplify rounding until it is another jitter: theirs within
-  {deposit.DEVIATIONS:g} standard deviations, in brackets, of the fronts of {deposit.JITTERS} jitters.
-
-Of a deposit that comes to rest:
-
-- **Rest**: kinetic energy at the end is below {deposit.REST:g} of its largest.
-- **Slope**: planes through the topmost particles of {deposit.BASE} columns of one cell (in 3D {deposit.BASE} by
-  {deposit.BASE}) are nowhere steeper than the angle of friction, in brackets, and {deposit.REPOSE_MARGIN_DEG:g}°.
-- **Volume** of the core: cubes of {deposit.CUBE} cells at least a cube under the surface, their own and their
-  neighbours', hold as many particles as at the start, within {100 * deposit.VOLUME:g} %, where there are
-  {deposit.MIN_CUBES} such cubes or more.
-"""
+def draw(path: Path, flow: Trajectory, found: Fronts) -> None:
+    """The flume at two times, the force on its end wall, and fronts over the stiffness."""
+    scene, surface = flow.scene, surface_of(flow.scene)
+    assert surface is not None
+    assert flow.solid_impulse is not None
+    with figure(path, rows=2, columns=2, size=(5.0, 3.0)) as axes:
+        for column, time in enumerate(SHOWN):
+            axis, frame = pane(axes, 0, column), int(np.abs(flow.time - time).argmin())
+            for a, b in surface.corners:
+                axis.plot([a[0], b[0]], [a[1], b[1]], color=INK, linewidth=1.0)
+            axis.plot(flow.positions[frame, :, 0], flow.positions[frame, :, 1], ".", color=ORANGE, markersize=1.0)
+            axis.set(xlim=(0.0, scene.domain.size[0]), ylim=(0.0, scene.domain.size[1]), aspect="equal")
+            axis.set(title=f"flume, {flow.time[frame]:.2f} s", xlabel="x [m]", ylabel="y [m]")
+        force, stiff = pane(axes, 1, 0), pane(axes, 1, 1)
+        force.plot(flow.time[1:], np.diff(flow.solid_impulse[:, -1, 0]) / np.diff(flow.time), linewidth=1.0)
+        force.set(title="flume", xlabel="time [s]", ylabel="force on the end wall [N/m]")
+        for (transfer, colour), (step, style) in itertools.product(
+            zip(TRANSFERS, (BLUE, ORANGE), strict=True), zip(STEPS, ("o-", "s--"), strict=True)
+        ):
+            values = [found[2, transfer, each, step] for each in STIFFNESSES]
+            stiff.plot(STIFFNESSES, values, style, color=colour, markersize=4, label=f"{transfer}, step {step:g}")
+        stiff.set(xscale="log", title="column in 2D", xlabel="E / (150 rho g H)", ylabel="front [m]")
+        stiff.set_ylim(bottom=0.0)
+        stiff.legend()

@@ -1,28 +1,64 @@
-"""What every flow keeps: finite numbers, positions in the box and outside baffles, mass, momentum, energy.
+"""What every flow keeps, and what a deposit of cohesionless sand is: each a number and the range it has to lie in.
 
-Every check takes a trajectory with fields (`mpm.WITH_FIELDS`) and returns what it found, or None where it does not
-apply.
+A check takes a trajectory with fields (`mpm.WITH_FIELDS`) and returns what it found, None where it does not apply.
 """
 
 import itertools
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import particle_volumes
+from datasets.particles import initial_particles, particle_volumes
 from datasets.scene import TOLERANCE
 from datasets.trajectory import Trajectory
 from mpm.exact_solutions import total_energy
-from validation.bench.stability.finding import Finding
 
 ROUNDING = 1.0e-4
 """Cells: what single precision makes of a coordinate in a box of some hundred cells."""
-EXACT_MASS = 1.0e-9
-"""Relative: rounding of the lengths in a scene file."""
 MOMENTUM = {"f32": 1.0e-4, "f64": 1.0e-5}
 """Relative: in f32 the rounding of 10,000 steps; in f64 that of the recorded impulses, which have six digits."""
 ENERGY = 2.0e-4
-"""Of the initial energy: what lifts the whole flow by this part of its initial mean height."""
+"""Of the initial energy: what lifts the whole flow by this part of its initial mean height. A row may allow more."""
+REST = 1.0e-3
+"""Kinetic energy over its largest: what `until_rest` of the solver calls rest."""
+BASE = 8
+"""Cells over which a slope is measured."""
+REPOSE_MARGIN_DEG = 4.0
+"""The surface is known to a third of a cell (the topmost particle of each column): 2.6 degrees over 8 cells, and the
+steepest of all places counts."""
+CUBE = 2
+"""Cells along an edge of the cubes (in 2D squares) in which particles are counted."""
+MIN_CUBES = 10
+"""Cubes from which a mean is taken: single ones scatter by a tenth."""
+VOLUME = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A number that was found of a flow, and the range in which it has to lie."""
+
+    check: str
+    value: float
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+
+    @property
+    def ok(self) -> bool:
+        """Whether it does; NaN does not."""
+        return self.minimum <= self.value <= self.maximum
+
+    @property
+    def range(self) -> str:
+        """The range, to be read."""
+        if math.isinf(self.maximum):
+            return f"≥ {self.minimum:.4g}"
+        return f"≤ {self.maximum:.4g}" if math.isinf(self.minimum) else f"{self.minimum:.4g} to {self.maximum:.4g}"
+
+    def __str__(self) -> str:
+        return f"{self.check} {self.value:.4g} {self.unit}".strip() + f" (required {self.range})"
 
 
 def finite(flow: Trajectory) -> Finding:
@@ -35,10 +71,9 @@ def finite(flow: Trajectory) -> Finding:
 def inside_box(flow: Trajectory) -> Finding:
     """How far any particle in any frame is outside the box [cells]."""
     domain = flow.scene.domain
-    beyond = np.maximum(-flow.positions, flow.positions - np.array(domain.size))
-    return Finding(
-        check="outside the box", value=max(0.0, float(beyond.max())) / domain.cell, unit="cells", maximum=ROUNDING
-    )
+    beyond = np.maximum(-flow.positions, flow.positions - np.array(domain.size)).max()
+    value = max(0.0, float(beyond)) / domain.cell
+    return Finding(check="outside the box", value=value, unit="cells", maximum=ROUNDING)
 
 
 def outside_baffles(flow: Trajectory) -> Finding | None:
@@ -59,28 +94,28 @@ def outside_baffles(flow: Trajectory) -> Finding | None:
     return Finding(check="inside a baffle", value=deepest / scene.domain.cell, unit="cells", maximum=ROUNDING)
 
 
-def mass(flow: Trajectory) -> Finding:
-    """Relative error of the volume of the particles of a mass, the worst; share of particles in no mass."""
-    scene = flow.scene
-    inside = in_masses(flow)
-    boxes = np.array([np.prod(mass.size) for mass in scene.masses])
-    worst = np.abs(inside @ particle_volumes(scene, inside.shape[1]) / boxes - 1.0).max()
-    error = np.abs(inside.sum(axis=0) - 1).mean()
-    return Finding(check="mass", value=float(max(worst, error)), maximum=EXACT_MASS)
+def mass(flow: Trajectory) -> Finding | None:
+    """Relative error of the volume of the particles against that of the boxes that were filled."""
+    if any(each.kind != "box" for each in flow.scene.masses):
+        return None
+    boxes = sum(math.prod(each.size) for each in flow.scene.masses)
+    error = abs(particle_volumes(flow.scene, flow.positions.shape[1]).sum() / boxes - 1.0)
+    return Finding(check="mass", value=float(error), maximum=1.0e-9)
 
 
 def momentum(flow: Trajectory) -> Finding | None:
-    """Error of the balance P(t) - P(0) - M g t + impulses on walls and baffles, the worst frame.
+    """Error of the balance P(t) - P(0) - M g t + impulses on walls and solids, the worst frame.
 
     Relative to the larger of M g t and the largest momentum of the flow; in free space, where a body that spins or
-    rings has none, to the sum of m |v| at the start. A damped flow has no such balance.
+    rings has none, to the sum of m |v| at the start. A damped flow has no such balance, nor one that leaves its box.
     """
-    if flow.scene.damping > 0.0:
+    scene = flow.scene
+    if scene.damping > 0.0:
         return None
     assert flow.velocities is not None
     weights = particle_masses(flow)
     total = np.einsum("n, tnd -> td", weights, flow.velocities.astype(np.float64))
-    gravity = weights.sum() * np.array(flow.scene.gravity_vector)
+    gravity = weights.sum() * np.array(scene.gravity_vector)
     # Frames after the end repeat the last one that was computed.
     end = flow.summary.get("end_time") or flow.summary.get("rest_time")
     time = flow.time if end is None else np.minimum(flow.time, end)
@@ -89,62 +124,114 @@ def momentum(flow: Trajectory) -> Finding | None:
         given = given + flow.solid_impulse.sum(axis=1)
     error = np.linalg.norm(total - total[0] - time[:, None] * gravity + given, axis=1)
     scale = np.maximum(time * np.linalg.norm(gravity), np.linalg.norm(total, axis=1).max())
-    if flow.scene.gravity == 0.0:
+    if scene.gravity == 0.0:
         scale = np.full_like(scale, weights @ np.linalg.norm(flow.velocities[0].astype(np.float64), axis=1))
-    worst = np.max(np.divide(error, scale, out=np.zeros_like(error), where=error > 0.0))
-    return Finding(check="momentum", value=float(worst), maximum=MOMENTUM[flow.summary["precision"]])
+    ratio = np.divide(error, scale, out=np.zeros_like(error), where=error > 0.0)
+    return Finding(check="momentum", value=float(ratio.max()), maximum=MOMENTUM[flow.summary["precision"]])
 
 
 def energy(flow: Trajectory) -> Finding:
     """Largest rise of kinetic + potential + elastic energy above that of any earlier frame, relative.
 
     To the initial kinetic energy plus the potential energy that the flow could give up in its box, down to the lowest
-    corner. Small rises add up, unlike under a bound from frame to frame. Stress is half a step ahead of the
-    velocity, so that where sand is thrown at solids half a step of their power, force times the throw's speed, shows
-    before the motion has lost it.
+    corner. Small rises add up, unlike under a bound from frame to frame.
     """
     series = total_energy(flow)
     gravity = np.array(flow.scene.gravity_vector)
     corners = np.array(list(itertools.product(*((0.0, length) for length in flow.scene.domain.size))))
-    bottom = -particle_masses(flow).sum() * (corners @ gravity).max()
+    available = series[0] + particle_masses(flow).sum() * (corners @ gravity).max()
     rise = (series - np.minimum.accumulate(series)).max()
-    most = ENERGY + half_step_work(flow) / (series[0] - bottom)
-    return Finding(check="energy", value=float(rise / (series[0] - bottom)), maximum=float(most))
+    return Finding(check="energy", value=float(rise / available), maximum=ENERGY)
 
 
-def half_step_work(flow: Trajectory) -> float:
-    """dt F v / 2 [J, per metre of width in 2D]: F the largest mean force of a frame on the solids, v of the throw."""
-    thrown = max((float(np.linalg.norm(mass.velocity)) for mass in flow.scene.masses if mass.velocity), default=0.0)
-    steps = flow.summary.get("steps", 0)
-    if flow.solid_impulse is None or len(flow.time) < 2 or not (thrown and steps):
-        return 0.0
-    force = np.linalg.norm(np.diff(flow.solid_impulse.sum(axis=1), axis=0), axis=1) / np.diff(flow.time)
-    return float(0.5 * flow.time[-1] / steps * force.max() * thrown)
+def rest(flow: Trajectory) -> Finding:
+    """Kinetic energy in the last frame over the largest of all frames."""
+    kinetic = flow.summary["energy"]["kinetic"]
+    return Finding(check="motion left", value=kinetic[-1] / max(kinetic), maximum=REST)
 
 
-INVARIANTS = (finite, inside_box, outside_baffles, mass, momentum, energy)
+def slope(flow: Trajectory) -> Finding:
+    """Steepest slope of the final surface [deg], of planes fitted to BASE columns of a cell, in 3D to BASE x BASE.
+
+    Against the largest angle of friction in the scene and a margin.
+    """
+    angle = max(flow.scene.material_of(mass).friction_deg for mass in flow.scene.masses)
+    surface, cell = topmost(flow), flow.scene.domain.cell
+    level = surface.ndim
+    windows = np.lib.stride_tricks.sliding_window_view(surface, (BASE,) * level)
+    arm = np.arange(BASE) - (BASE - 1) / 2.0
+    square = np.zeros(windows.shape[:level])
+    for axis in range(level):
+        lever = arm.reshape([-1 if other == axis else 1 for other in range(level)])
+        moment = (windows * lever).sum(axis=tuple(range(level, 2 * level)))
+        square += (moment / (cell * BASE ** (level - 1) * (arm**2).sum())) ** 2
+    steepest = math.degrees(math.atan(math.sqrt(np.nanmax(square))))
+    return Finding(check="slope", value=steepest, unit="deg", maximum=angle + REPOSE_MARGIN_DEG)
 
 
-def in_masses(flow: Trajectory) -> NDArray[np.bool_]:
-    """Which particles start in which mass's box, shape [masses, N]."""
-    start = flow.positions[0].astype(np.float64)
-    slack = ROUNDING * flow.scene.domain.cell
-    return np.array(
-        [
-            (np.all(start > np.array(box.lower) - slack, 1)) & (np.all(start < np.add(box.lower, box.size) + slack, 1))
-            for box in flow.scene.masses
-        ]
-    )
+def volume(flow: Trajectory) -> Finding | None:
+    """Volume of the core of the deposit over what its particles had at the start, minus 1.
+
+    From the particles in cubes of two cells that lie at least a cube under the surface, their own and their
+    neighbours'. Sand at psi = 0 flows at constant volume. None where there are fewer than ten such cubes.
+    """
+    sand, core = core_volumes(flow)
+    if core.sum() < MIN_CUBES:
+        return None
+    full = (CUBE * flow.scene.domain.cell) ** flow.scene.dimension
+    held = max(sand[core].sum(), flow.scene.particle_volume)
+    return Finding(check="volume", value=float(full * core.sum() / held - 1.0), minimum=-VOLUME, maximum=VOLUME)
+
+
+def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Initial volume of the particles in each cube of the last frame [m^D], and which cubes are deep in the deposit.
+
+    Axes as in the box.
+    """
+    scene, edge = flow.scene, CUBE * flow.scene.domain.cell
+    counts = [round(length / scene.domain.cell) // CUBE for length in scene.domain.size]
+    ranges = [(0.0, count * edge) for count in counts]
+    positions = flow.positions[-1].astype(np.float64)
+    volumes = initial_particles(scene).volume
+    sand, _ = np.histogramdd(positions, bins=counts, range=ranges, weights=volumes)
+    surface = np.nan_to_num(topmost(flow))
+    for axis, count in enumerate([counts[0], *counts[2:]]):
+        parts = np.split(np.take(surface, range(count * CUBE), axis=axis), count, axis=axis)
+        surface = np.stack([part.min(axis=axis) for part in parts], axis=axis)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(surface, 1), (3,) * surface.ndim)
+    level = np.expand_dims(around.min(axis=tuple(range(surface.ndim, 2 * surface.ndim))), 1)
+    cover = (np.arange(counts[1]) + 2.0) * edge
+    return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (surface.ndim - 1)))
+
+
+def topmost(flow: Trajectory) -> NDArray[np.float64]:
+    """Height of the final surface [m], the topmost particle of every column of one cell; shape [cells in x(, in z)].
+
+    NaN where a baffle stands and beside it, 0 where there is no particle.
+    """
+    scene, cell = flow.scene, flow.scene.domain.cell
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    counts = [round(scene.domain.size[axis] / cell) for axis in level]
+    column = np.clip((flow.positions[-1][:, level] / cell).astype(int), 0, np.array(counts) - 1)
+    surface = np.zeros(counts)
+    np.maximum.at(surface, tuple(column.T), flow.positions[-1, :, 1].astype(np.float64))
+    for baffle in scene.baffles:
+        first = [max(0, int(baffle.lower[axis] / cell) - 1) for axis in level]
+        last = [int((baffle.lower[axis] + baffle.size[axis]) / cell) + 1 for axis in level]
+        surface[tuple(slice(low, high + 1) for low, high in zip(first, last, strict=True))] = np.nan
+    return surface
 
 
 def particle_masses(flow: Trajectory) -> NDArray[np.float64]:
-    """Mass of each particle [kg, per metre of width in 2D], shape [N]: its box's density times its volume."""
-    scene = flow.scene
-    density = np.array([scene.material_of(box).density for box in scene.masses])
-    inside = in_masses(flow)
-    return np.asarray(particle_volumes(scene, inside.shape[1]) * density[inside.argmax(axis=0)])
+    """Mass of each particle [kg, per metre of width in 2D], shape [N]."""
+    particles = initial_particles(flow.scene)
+    return np.asarray(particles.density * particles.volume)
 
 
 def wall_impulse(flow: Trajectory) -> NDArray[np.float64]:
     """Momentum given to floor and walls since the start [N s, per metre of width in 2D], shape [T, D]."""
     return np.array(flow.summary["wall_impulse"], dtype=np.float64)
+
+
+ALWAYS = (finite, inside_box, outside_baffles, mass, momentum, energy)
+DEPOSIT = (rest, slope, volume)

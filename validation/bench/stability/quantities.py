@@ -1,0 +1,249 @@
+"""What single rows have to show besides what every flow keeps: numbers, most of them over an exact solution's.
+
+A function here is named in `rows.toml`, which may give another range than the usual one that stands above it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.measures import front, toe
+from datasets.trajectory import Trajectory
+from mpm import exact_solutions as exact
+from validation.bench.stability.invariants import particle_masses, wall_impulse
+
+DAMPING_OF_SAND = 0.005
+"""Damping ratio of dry sand at strains below 1e-5, resonant column: 0.5 to 1 % (Hardin & Drnevich 1972)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A number of a flow, and the range in which it usually has to lie."""
+
+    name: str
+    measure: Callable[[Trajectory], float]
+    unit: str
+    minimum: float
+    maximum: float
+
+
+QUANTITIES: dict[str, Quantity] = {}
+
+
+def quantity(
+    name: str, unit: str = "", *, minimum: float = -math.inf, maximum: float = math.inf
+) -> Callable[[Callable[[Trajectory], float]], Callable[[Trajectory], float]]:
+    """Enter a function into QUANTITIES, under its own name; `name` is what a page calls it."""
+
+    def enter(measure: Callable[[Trajectory], float]) -> Callable[[Trajectory], float]:
+        found = Quantity(name=name, measure=measure, unit=unit, minimum=minimum, maximum=maximum)
+        QUANTITIES[measure.__name__] = found
+        return measure
+
+    return enter
+
+
+@quantity("displacement over rigid block's", minimum=0.99, maximum=1.01)
+def slides(flow: Trajectory) -> float:
+    """Displacement of the centre of a block down an incline, over that of a rigid one."""
+    block = exact.SlidingBlock.of_scene(flow.scene)
+    return float(exact.centre_displacement(flow)[-1, 0]) / block.displacement(flow.time[-1])
+
+
+@quantity("displacement over v t", minimum=0.99, maximum=1.01)
+def moves_on(flow: Trajectory) -> float:
+    """Displacement of the centre of a body on which no force along its motion acts, over v t."""
+    free = np.array(flow.scene.masses[0].velocity) * flow.time[-1]
+    return float(exact.centre_displacement(flow)[-1] @ free / (free @ free))
+
+
+@quantity("energy of spin", minimum=0.99, maximum=1.0002)
+def spins_on(flow: Trajectory) -> float:
+    """Kinetic energy at the end over that at the start, of a rigid body that turns freely: 1."""
+    kinetic = flow.summary["energy"]["kinetic"]
+    return float(kinetic[-1] / kinetic[0])
+
+
+@quantity("off the parabola, over the fall", maximum=1.0e-3)
+def falls_freely(flow: Trajectory) -> float:
+    """Error of the height of the mass's centre against free fall, up to the frame before it lands, over the fall."""
+    scene = flow.scene
+    drop = scene.masses[0].lower[1] - scene.domain.cell
+    last = int(math.sqrt(2.0 * drop / scene.gravity) / scene.frame_dt)
+    fall = exact.FreeFlight.of_flow(flow).displacement(flow.time[: last + 1])[:, 1]
+    height = mass_height(flow, 0)[: last + 1]
+    return float(np.abs(height - height[0] - fall).max()) / drop
+
+
+@quantity("rise over free throw", minimum=0.9, maximum=1.001)
+def parts_freely(flow: Trajectory) -> float:
+    """How high the upper mass has risen at the end, over v t - g t^2 / 2 of a free throw.
+
+    Where the masses part, one row of nodes is common to both and shares its velocity; that may cost the thrown one
+    a tenth of its rise. More than a free throw would be energy from nowhere.
+    """
+    upper, scene = flow.scene.masses[1], flow.scene
+    assert upper.velocity is not None
+    thrown = upper.velocity[1] * scene.duration - 0.5 * scene.gravity * scene.duration**2
+    moved = mass_height(flow, 1)
+    return float((moved[-1] - moved[0]) / thrown)
+
+
+@quantity("tension over rho g H", maximum=1.0e-6)
+def never_pulls(flow: Trajectory) -> float:
+    """Largest tension of any particle in any frame, over rho g H: cohesionless sand has none."""
+    assert flow.pressure is not None
+    height = max(mass.lower[1] + mass.size[1] for mass in flow.scene.masses)
+    return max(0.0, -float(flow.pressure.min())) / (flow.scene.material.density * flow.scene.gravity * height)
+
+
+@quantity("decrement", minimum=-1.0e-3, maximum=2.0 * math.pi * DAMPING_OF_SAND)
+def bar_decrement(flow: Trajectory) -> float:
+    """Logarithmic decrement per period of a free bar's lowest longitudinal mode; 0 for an elastic bar."""
+    return exact.StandingWave.of_bar(flow).decrement(flow)
+
+
+@quantity("decrement", minimum=-1.0e-3, maximum=2.0 * math.pi * DAMPING_OF_SAND)
+def layer_decrement(flow: Trajectory) -> float:
+    """Logarithmic decrement per period of a layer's lowest vertical mode; 0 for an elastic layer."""
+    return exact.StandingWave.of_layer(flow).decrement(flow)
+
+
+@quantity("speed", "m/s", maximum=1.1e-6)
+def stays_at_rest(flow: Trajectory) -> float:
+    """Largest speed of any particle in any frame: 0 in geostatic equilibrium.
+
+    In f32 a stress of rho g H is known to eps rho g H, eps = 6e-8, an acceleration of eps g H / dx that acts until
+    the cell's own elasticity balances it, for dx / c at the most: eps g H / c, times the ten roundings of a node.
+    """
+    assert flow.velocities is not None
+    return float(np.linalg.norm(flow.velocities.astype(np.float64), axis=2).max())
+
+
+@quantity("settlement over elastic", minimum=0.95, maximum=1.05)
+def settles(flow: Trajectory) -> float:
+    """Settlement of the surface at the end, over that of elastic layers that cannot bulge."""
+    return float(surface_settlement(flow)[-1]) / exact.settlement(flow.scene)
+
+
+@quantity("deepest settlement over elastic", maximum=2.1)
+def settles_at_most_twice(flow: Trajectory) -> float:
+    """The same of the deepest frame: undamped, it may sink twice as far as under a load that comes slowly."""
+    return float(surface_settlement(flow).max()) / exact.settlement(flow.scene)
+
+
+@quantity("settlement at rest over elastic", minimum=0.9, maximum=1.1)
+def rests_settled(flow: Trajectory) -> float:
+    """The same when the solver calls it at rest: a bed swings between 0 and twice that, where nothing moves either."""
+    rest = flow.summary.get("rest_time")
+    frame = 0 if rest is None else int(np.argmin(np.abs(flow.time - rest)))
+    return float(surface_settlement(flow)[frame]) / exact.settlement(flow.scene)
+
+
+@quantity("rest over landing", minimum=1.0, maximum=7.0)
+def rests_after_landing(flow: Trajectory) -> float:
+    """Time at which the solver calls thrown sand at rest, over that of its landing; inf where it never does."""
+    rest = flow.summary.get("rest_time")
+    return math.inf if rest is None else float(rest) / exact.landing_time(flow.scene)
+
+
+@quantity("height lost", "cells", maximum=0.05)
+def stands(flow: Trajectory) -> float:
+    """Mean height lost by soil far from failure, of the second half of the frames; rho g H^2 / (3 E) is elastic."""
+    height = flow.positions[:, :, 1].mean(axis=1, dtype=np.float64)
+    return in_cells(height[0] - height[len(height) // 2 :].mean(), flow)
+
+
+@quantity("front over that of repose", minimum=1.0)
+def spreads(flow: Trajectory) -> float:
+    """The front lies at least where that of a pile of the same area at the angle of friction would."""
+    return front(flow.positions[-1]) / exact.repose_front(flow.scene)
+
+
+@quantity("creep", "cells", maximum=0.1)
+def creeps(flow: Trajectory) -> float:
+    """Largest displacement of any particle over the second half of the time."""
+    half = len(flow.time) // 2
+    moved = np.linalg.norm((flow.positions[half:] - flow.positions[half]).astype(np.float64), axis=2)
+    return in_cells(moved.max(), flow)
+
+
+@quantity("front moved", "cells", minimum=2.0)
+def runs_out(flow: Trajectory) -> float:
+    """How far the front has moved."""
+    return in_cells(front(flow.positions[-1]) - front(flow.positions[0]), flow)
+
+
+@quantity("moved by a cell")
+def fails(flow: Trajectory) -> float:
+    """Share of the particles that moved by a cell or more: from 0.05 on a cut has failed.
+
+    A slice of a cell off its face is less, and Rankine's wedge behind a cut as wide as it is high a quarter.
+    """
+    moved = np.linalg.norm((flow.positions[-1] - flow.positions[0]).astype(np.float64), axis=1)
+    return float((moved >= flow.scene.domain.cell).mean())
+
+
+@quantity("wall impulse / M v", minimum=1.0, maximum=2.0)
+def wall_stops(flow: Trajectory) -> float:
+    """Largest momentum given to the walls along x, over that of the thrown mass: 1 where it stops, 2 if it bounces."""
+    return share_of_throw(flow, wall_impulse(flow))
+
+
+@quantity("baffle impulse / M v", minimum=0.3, maximum=2.0)
+def baffle_stops(flow: Trajectory) -> float:
+    """Largest momentum given to the baffles along x, over that of the thrown mass."""
+    assert flow.baffle_impulse is not None
+    return share_of_throw(flow, flow.baffle_impulse.sum(axis=1))
+
+
+@quantity("beyond the baffle")
+def passes_baffle(flow: Trajectory) -> float:
+    """Share of the particles that are beyond the middle of the first baffle at the end."""
+    baffle = flow.scene.baffles[0]
+    return float((flow.positions[-1, :, 0] > baffle.lower[0] + 0.5 * baffle.size[0]).mean())
+
+
+@quantity("out of round", "cells", maximum=1.0)
+def is_round(flow: Trajectory) -> float:
+    """Largest difference between the extents of the deposit along +x, -x, +z and -z from where it started."""
+    start, end = flow.positions[0].mean(axis=0, dtype=np.float64), flow.positions[-1]
+    extents = [np.quantile(sign * (end[:, axis] - start[axis]), 0.995) for axis in (0, 2) for sign in (-1, 1)]
+    return in_cells(max(extents) - min(extents), flow)
+
+
+@quantity("toe along x against z", "cells", maximum=0.1)
+def is_symmetric(flow: Trajectory) -> float:
+    """Difference between the toes along x and z, the mean of the furthest tenth, where both are alike."""
+    end = flow.positions[-1]
+    return in_cells(abs(toe(end)[0] - toe(end[:, ::-1])[0]), flow)
+
+
+def in_cells(length: float, flow: Trajectory) -> float:
+    """A length [m] in cells."""
+    return float(length) / flow.scene.domain.cell
+
+
+def surface_settlement(flow: Trajectory) -> NDArray[np.float64]:
+    """How far the topmost cell of particles has settled [m], shape [T]."""
+    start = flow.positions[0, :, 1]
+    top = start > start.max() - flow.scene.domain.cell
+    return np.asarray((start[top] - flow.positions[:, top, 1]).mean(axis=1, dtype=np.float64))
+
+
+def mass_height(flow: Trajectory, index: int) -> NDArray[np.float64]:
+    """Height of the centre of what was one of the scene's masses [m], shape [T]."""
+    box = flow.scene.masses[index]
+    start = flow.positions[0, :, 1]
+    mass = (start > box.lower[1]) & (start < box.lower[1] + box.size[1])
+    return np.asarray(flow.positions[:, mass, 1].mean(axis=1, dtype=np.float64))
+
+
+def share_of_throw(flow: Trajectory, impulse: NDArray[np.float64]) -> float:
+    """Largest x of an impulse [N s], shape [T, D], over the momentum that the flow had along x at the start."""
+    assert flow.velocities is not None
+    thrown = float(particle_masses(flow) @ flow.velocities[0, :, 0].astype(np.float64))
+    return float(impulse[:, 0].max()) / thrown
