@@ -46,7 +46,7 @@ BENCHES = {
     ),
     "stability": Bench(
         module="validation.bench.stability.bench",
-        summary="exact solutions, invariants and hard cases of the MPM",
+        summary="hard cases and exact solutions of the MPM; fronts over stiffness and step",
     ),
     "problems": Bench(
         module="validation.bench.problems.bench",
@@ -57,7 +57,8 @@ BENCHES = {
         summary="simulation-based calibration: how often the posterior of an inverse problem holds the truth",
     ),
     "speed": Bench(
-        module="validation.bench.speed.mpm", summary="rates of the MPM, cost of its features, gain of shortcuts"
+        module="validation.bench.speed",
+        summary="rates of the MPM over sizes, cost of features, price of a gradient by the adjoint, a network's step",
     ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",

@@ -1,0 +1,366 @@
+"""`python -m validation.bench speed`: rates of the MPM, price of a gradient by the adjoint, a step of the network."""
+
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.library import read_scene
+from datasets.material import Material
+from datasets.particles import particle_count
+from datasets.processes import processors
+from datasets.records import Record, from_mapping, read_toml
+from datasets.scene import Baffle, Domain, Mass, Scene
+from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate, simulate_many
+from mpm.adjoint.gradient import gradient
+from mpm.arrays.layout import Precision
+from mpm.simulation import LARGE
+from validation.report.measuring import Spread, isolated, peak, reset_peak, resident, seconds_of, spread, turns
+from validation.report.page import GNS, MPM, Page, Row
+from validation.report.plots import BLUE, ORANGE, figure, pane
+
+CUBE = 0.375
+"""Edge of the column in 3D [m]."""
+TINY = 1.0e-9
+"""Switches a term on and leaves the flow as it is."""
+PLAIN = "friction alone"
+FEATURE_CELLS, FEATURE_DURATION = {2: 100, 3: 32}, {2: 0.3, 3: 0.15}
+"""Cells per metre and simulated time [s] of the columns that features are switched on in, by dimension."""
+PRICED = "column-tall-42"
+SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
+"""Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A column on some grid, alone or with copies side by side."""
+
+    dimension: int
+    cells: int
+    """Per metre."""
+    scenes: int
+    frames: int
+    """That are timed, from the start of the flow."""
+
+    @property
+    def particles(self) -> int:
+        """Of one scene."""
+        return particle_count(column(self.dimension, self.cells, 1))
+
+
+CASES = (
+    Case(dimension=2, cells=100, scenes=1, frames=400),
+    Case(dimension=2, cells=100, scenes=8, frames=200),
+    Case(dimension=2, cells=280, scenes=1, frames=20),
+    Case(dimension=2, cells=560, scenes=1, frames=4),
+    Case(dimension=2, cells=1770, scenes=1, frames=1),
+    Case(dimension=3, cells=32, scenes=1, frames=100),
+    Case(dimension=3, cells=32, scenes=8, frames=50),
+    Case(dimension=3, cells=64, scenes=1, frames=20),
+    Case(dimension=3, cells=106, scenes=1, frames=5),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Code(Record):
+    """Another code and its rates."""
+
+    name: str
+    rates: tuple[str, ...]
+    """Per column of the table; a dash where nothing was measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherCodes(Record):
+    """The contents of `speed.toml`."""
+
+    columns: tuple[str, ...]
+    codes: tuple[Code, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Price:
+    """What a gradient by the adjoint takes, beside the run that it is of, on one thread."""
+
+    particles: int
+    steps: int
+    run: float
+    """[s], without compilation, as all."""
+    gradient: float
+    memory: int
+    """Greatest resident size of the process above what it held before the gradient [bytes]."""
+
+    @property
+    def ratio(self) -> float:
+        """Runs per gradient."""
+        return self.gradient / self.run
+
+
+Mode = tuple[Precision, int]
+"""Precision and threads."""
+Rates = Mapping[tuple[Case, Mode], Spread]
+"""Million particle-steps a second."""
+
+
+def column(dimension: int, cells: int, frames: int) -> Scene:
+    """The paper's tall column at 42 degrees, or a cube of its 3D sand at the left wall, on `cells` cells per metre."""
+    if dimension == 2:
+        scene = replace(read_scene("column-tall-42"), domain=Domain(size=(1.0, 1.0), cell=1.0 / cells))
+    else:
+        edge, start = round(CUBE * cells) / cells, round((0.5 - CUBE / 2) * cells) / cells
+        scene = Scene(
+            domain=Domain(size=(1.0, 1.0, 1.0), cell=1.0 / cells),
+            material=Material(friction_deg=35.0),
+            masses=(Mass(lower=(0.0, 0.0, start), size=(edge, edge, edge)),),
+            floor_friction=0.43,
+            wall_friction=0.43,
+            step_fraction=0.9,
+        )
+    return replace(scene, duration=frames * scene.frame_dt)
+
+
+def modes(case: Case) -> list[Mode]:
+    """How a case is run: a small scene on one thread, copies on all, a large one on one and on all; last in f64."""
+    most = processors() if case.scenes > 1 or case.particles >= LARGE else 1
+    fewest = most if case.scenes > 1 else 1
+    return [*(("f32", threads) for threads in sorted({fewest, most})), ("f64", most)]
+
+
+def rate(case: Case, mode: Mode) -> float:
+    """Million particle-steps a second of a run, without compilation."""
+    precision, threads = mode
+    scene = column(case.dimension, case.cells, case.frames)
+    scenes = [replace(scene, seed=seed) for seed in range(case.scenes)]
+    summaries = [flow.summary for flow in simulate_many(scenes, precision=precision, threads=threads)]
+    return sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6
+
+
+def features(dimension: int) -> dict[str, tuple[Scene, Recording]]:
+    """A column with friction alone, and the same with one feature each, too small to change the flow."""
+    scene = column(dimension, FEATURE_CELLS[dimension], 1)
+    material = replace(scene.material, cohesion=0.0, tension_cutoff=0.0)
+    scene = replace(scene, damping=0.0, material=material, duration=FEATURE_DURATION[dimension])
+    corner = tuple(length - 0.1 for length in scene.domain.size)
+    changed = {
+        PLAIN: scene,
+        "damping": replace(scene, damping=TINY),
+        "cohesion and tension cutoff": replace(scene, material=replace(material, cohesion=TINY, tension_cutoff=TINY)),
+        "dilation": replace(scene, material=replace(material, dilation_deg=TINY)),
+        "volume correction": replace(scene, volume_correction=True),
+        "a baffle outside the flow": replace(scene, baffles=(Baffle(lower=corner, size=(0.1,) * dimension),)),
+    }
+    found = {name: (each, ALL) for name, each in changed.items()}
+    return found | {"velocity, pressure and plastic strain recorded": (scene, WITH_FIELDS)}
+
+
+def wall(scene: Scene, record: Recording) -> float:
+    """Seconds of a run on one thread, without compilation."""
+    return float(simulate(scene, record=record, threads=1).summary["wall_s"])
+
+
+def enlarged(scale: float, duration: float) -> Scene:
+    """The shipped column, longer and higher on the same cells, for another duration [s]."""
+    scene = read_scene(PRICED)
+    (mass,) = scene.masses
+
+    def scaled(lengths: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(round(length * scale, 9) for length in lengths)
+
+    domain = Domain(size=scaled(scene.domain.size), cell=scene.domain.cell)
+    return replace(scene, duration=duration, domain=domain, masses=(Mass(lower=mass.lower, size=scaled(mass.size)),))
+
+
+def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], None]:
+    """The mean x of the deposit [m], and its derivative."""
+    slope = np.zeros_like(positions)
+    slope[..., 0] = 1.0 / positions.shape[1]
+    return float(positions[..., 0].mean()), slope, None
+
+
+def price(scene: Scene, repeats: int) -> Price:
+    """Of one scene in this process, the median of `repeats` turns; kernels are compiled on a short flow before."""
+    short = replace(scene, duration=0.02)
+    simulate(short, record=LAST, threads=1)
+    gradient(short, mean_x, threads=1)
+    reset_peak()
+    before = resident() or peak()
+    work = {
+        "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
+        "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1)),
+    }
+    found = turns(work, repeats, "gradient")
+    return Price(
+        particles=particle_count(scene),
+        steps=int(simulate(scene, record=LAST, threads=1).summary["steps"]),
+        run=statistics.median(found["run"]),
+        gradient=statistics.median(found["gradient"]),
+        memory=max(0, peak() - before),
+    )
+
+
+def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
+    """Measure rates over sizes, the cost of features, of a gradient and of a network's step; needs a quiet machine.
+
+    Parameters
+    ----------
+    out
+        Folder for speed.md and its picture.
+    quick
+        A single frame of two small cases, features in 2D, one small gradient.
+    keep
+        Not used: times are of one run.
+    rounds
+        How often everything is measured, in turn; the tables give the median and the range.
+    """
+    if rounds < 1:
+        raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
+    rounds = 1 if quick else rounds
+    cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
+    dimensions = (2,) if quick else (2, 3)
+    began = time.perf_counter()
+    # Taichi starts anew for another precision or number of threads.
+    keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
+    rates = {
+        key: spread(found) for key, found in turns({key: partial(rate, *key) for key in keys}, rounds, "rates").items()
+    }
+    runs = {(d, name): partial(wall, *each) for d in dimensions for name, each in features(d).items()}
+    switched = {key: spread(found) for key, found in turns(runs, 2 * rounds, "features").items()}
+    scales = ((0.5, 0.1),) if quick else SCALES
+    prices = [isolated(price, enlarged(*each), rounds) for each in scales]
+    command = f"python -m validation.bench speed --rounds {rounds}"
+    text = page(rates, switched, prices, (), command=command, quick=quick)
+    draw(out / "speed.png", rates, prices)
+    text.text(f"Measured in {time.perf_counter() - began:.0f} s.")
+    return text.write(out / "speed.md")
+
+
+def page(
+    rates: Rates,
+    switched: Mapping[tuple[int, str], Spread],
+    prices: Sequence[Price],
+    networks: Sequence[Row],
+    *,
+    command: str,
+    quick: bool = False,
+) -> Page:
+    """The page, from what was measured."""
+    text = Page(
+        "Speed", command=command, conclusion=conclusion(rates, switched, prices), packages=MPM | GNS, quick=quick
+    )
+    text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
+    text.section("Million particle-steps a second of the MPM")
+    text.text(f"""
+        2D: the paper's tall column (42°, damped, cohesive), 4 particles per cell. 3D: a cube of its 3D sand, 8 per
+        cell. One scene of fewer than {LARGE:,} particles runs on one thread, copies on a thread each, a larger one on
+        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation (0.5 to 3 s the first time, kept on
+        disk from then on) is not included.
+    """)
+    text.table(rate_rows(rates))
+    text.text("Other codes on two cores of an AMD EPYC, not in this run (`validation/bench/speed.toml`):")
+    others = from_mapping(OtherCodes, read_toml(Path(__file__).with_suffix(".toml")))
+    text.table([{"": code.name} | dict(zip(others.columns, code.rates, strict=True)) for code in others.codes])
+    text.section("Features")
+    text.text("Seconds of a column with one feature, too small to change the flow, over those with friction alone.")
+    text.table(feature_rows(switched))
+    text.section("A gradient by the adjoint")
+    text.text(f"""
+        A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that
+        it begins with: a run with checkpoints, its replay and its reverse; one thread, each in a process of its own.
+        Memory is the greatest resident size above that before. It grows with the root of the steps.
+    """)
+    text.table(
+        [(p.particles, p.steps, p.run, p.gradient, p.ratio, p.memory / 2**20) for p in prices],
+        formats={
+            "particles": ",",
+            "steps": ",",
+            "run [s]": ".2f",
+            "gradient [s]": ".2f",
+            "runs per gradient": ".1f",
+            "memory [MiB]": ".0f",
+        },
+    )
+    if networks:
+        text.section("A step of the network")
+        text.text("Seconds of one step of the shipped models on a column of sand, over its nodes; one thread.")
+        text.table(networks)
+    return text
+
+
+def conclusion(rates: Rates, switched: Mapping[tuple[int, str], Spread], prices: Sequence[Price]) -> list[str]:
+    """Rates by dimension, the costliest feature, the price of a gradient."""
+    found = []
+    for dimension in dict.fromkeys(case.dimension for case, _ in rates):
+        best = best_rates(rates, dimension)
+        found.append(
+            f"In {dimension}D the MPM makes {min(best.values()):.0f} to {max(best.values()):.0f} million particle-steps"
+            f" a second, from {min(best):,} to {max(best):,} particles."
+        )
+    ratios = {
+        name: switched[dimension, name].median / switched[dimension, PLAIN].median
+        for dimension, name in switched
+        if name != PLAIN
+    }
+    dearest = max(ratios, key=lambda name: ratios[name])
+    found.append(f"The costliest single feature is {dearest}: x {ratios[dearest]:.2f}.")
+    low, high = min(each.ratio for each in prices), max(each.ratio for each in prices)
+    large = max(prices, key=lambda each: each.memory)
+    found.append(
+        f"A gradient by the adjoint takes {low:.1f} to {high:.1f} runs, for any number of unknowns, and at most"
+        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps)."
+    )
+    return found
+
+
+def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
+    """The highest median rate in single precision, by particles of a scene."""
+    found: dict[int, float] = {}
+    for (case, (precision, _)), each in rates.items():
+        if case.dimension == dimension and precision == "f32":
+            found[case.particles] = max(each.median, found.get(case.particles, 0.0))
+    return found
+
+
+def rate_rows(rates: Rates) -> list[Row]:
+    """A line per case: its rates by precision and threads."""
+    rows: list[Row] = []
+    for case in sorted({case for case, _ in rates}, key=lambda case: (case.dimension, case.particles, case.scenes)):
+        row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
+        cells = {
+            f"{precision}, {threads} threads": rates.get((case, (precision, threads)))
+            for _, (precision, threads) in rates
+        }
+        rows.append(row | {head: each.written(1) if each else "-" for head, each in sorted(cells.items())})
+    return rows
+
+
+def feature_rows(switched: Mapping[tuple[int, str], Spread]) -> list[Row]:
+    """A line per feature: its seconds over the plain column's."""
+    dimensions = sorted({dimension for dimension, _ in switched})
+    return [
+        {"switched on": name}
+        | {f"{d}D": f"x {switched[d, name].median / switched[d, PLAIN].median:.2f}" for d in dimensions}
+        for name in dict.fromkeys(name for _, name in switched if name != PLAIN)
+    ]
+
+
+def draw(path: Path, rates: Rates, prices: Sequence[Price]) -> None:
+    """Rates over particles; seconds of a run and of its gradient over particle-steps."""
+    with figure(path, columns=2) as axes:
+        left, right = pane(axes, 0, 0), pane(axes, 0, 1)
+        for dimension, colour in ((2, BLUE), (3, ORANGE)):
+            best = dict(sorted(best_rates(rates, dimension).items()))
+            left.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")
+        left.set(xscale="log", xlabel="particles of a scene", ylabel="million particle-steps a second")
+        left.set_ylim(bottom=0.0)
+        left.legend()
+        work = [each.particles * each.steps for each in prices]
+        right.plot(work, [each.run for each in prices], "o", color=BLUE, label="run")
+        right.plot(work, [each.gradient for each in prices], "o", color=ORANGE, label="gradient by the adjoint")
+        right.set(xscale="log", yscale="log", xlabel="particles x steps", ylabel="seconds, one thread")
+        right.legend()
