@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -298,8 +298,8 @@ def conclusion(rates: Rates, switched: Mapping[tuple[int, str], Spread], prices:
     for dimension in dict.fromkeys(case.dimension for case, _ in rates):
         best = best_rates(rates, dimension)
         found.append(
-            f"In {dimension}D the MPM makes {min(best.values()):.0f} to {max(best.values()):.0f} million particle-steps"
-            f" a second, from {min(best):,} to {max(best):,} particles."
+            f"In {dimension}D the MPM makes {between(best.values(), '.0f')} million particle-steps a second, at"
+            f" {between(best, ',')} particles."
         )
     ratios = {
         name: switched[dimension, name].median / switched[dimension, PLAIN].median
@@ -308,13 +308,19 @@ def conclusion(rates: Rates, switched: Mapping[tuple[int, str], Spread], prices:
     }
     dearest = max(ratios, key=lambda name: ratios[name])
     found.append(f"The costliest single feature is {dearest}: x {ratios[dearest]:.2f}.")
-    low, high = min(each.ratio for each in prices), max(each.ratio for each in prices)
     large = max(prices, key=lambda each: each.memory)
+    runs = between([each.ratio for each in prices], ".1f")
     found.append(
-        f"A gradient by the adjoint takes {low:.1f} to {high:.1f} runs, for any number of unknowns, and at most"
+        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
         f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps)."
     )
     return found
+
+
+def between(values: Collection[float], form: str) -> str:
+    """From the smallest to the largest of some numbers."""
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f"{low} to {high}"
 
 
 def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
