@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.breaking import BLOCKS, dataset_files, wait_for_orphans
 from tests.commands import DOCS, ROOT
-from validation.bench.faults.breaking import wait_for_orphans
-from validation.bench.faults.commands import BLOCKS, dataset_files
 
 FOLDER = DOCS / "how-to" / "slurm"
 pytest.importorskip("distributed")

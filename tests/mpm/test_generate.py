@@ -28,7 +28,7 @@ from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
-from validation.bench.faults.breaking import members, unfinished, wait_for_orphans
+from tests.breaking import members, unfinished, wait_for_orphans
 
 ROOT = Path(__file__).parents[2]
 

@@ -64,14 +64,6 @@ BENCHES = {
         module="validation.bench.efficiency.bench",
         summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
     ),
-    "fields": Bench(
-        module="validation.bench.fields.bench",
-        summary="unknown fields of friction and velocity from profiles, by the MPM's adjoint, in twin experiments",
-    ),
-    "faults": Bench(
-        module="validation.bench.faults.bench",
-        summary="kills and full disks at many moments of every command that goes on after them",
-    ),
     "surrogate": Bench(module="validation.bench.surrogate.bench", summary="the shipped GNS weights against the MPM"),
 }
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from datasets.command_line import run
+from tests.breaking import PROBLEM, SCENE, answer
 from validation.bench import __main__ as benches
 from validation.bench.coverage.bench import read_twin
-from validation.bench.faults.commands import PROBLEM, SCENE, answer
 from validation.loop.__main__ import main
 
 distributed = pytest.importorskip("distributed")

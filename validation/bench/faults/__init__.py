@@ -1,1 +1,0 @@
-"""What a kill or a full disk costs at any moment: `python -m validation.bench faults`."""

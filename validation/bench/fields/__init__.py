@@ -1,1 +1,0 @@
-"""Unknown fields of friction and velocity, found from profiles by the adjoint, in twin experiments."""
