@@ -1,0 +1,383 @@
+"""`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from tqdm import tqdm
+
+import gns
+from datasets.errors import InputError
+from gns import card, uncertainty
+from gns.inference import model_path, models
+from mpm import AT_REST, simulate
+from validation.bench.held_out import (
+    SEED,
+    Deposit,
+    Errors,
+    HeldOut,
+    coarse,
+    creep,
+    held_out,
+    inside,
+    mean,
+    out_of_range,
+    rms,
+    worst,
+)
+from validation.report.page import GNS, MPM, Page, Row, signed
+from validation.report.plots import BLUE, INK, ORANGE, figure, pane
+from validation.runs import Run, RunStore
+
+CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
+"""Of the coarse MPM, across the smallest side of the body, by dimension."""
+QUICK_CELLS = {2: 10, 3: 4}
+"""Of the reference with `--quick`."""
+LEVEL = 0.95
+"""Of the bands."""
+TIMES = 4
+"""How many times as long as its scene a rollout is whose deposit should rest."""
+ALL = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One scene by one method."""
+
+    seconds: float
+    """On one thread, without compilation and without loading a model [s]."""
+    errors: Errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Long:
+    """A rollout `TIMES` times as long as its scene."""
+
+    creep: float
+    """[mm/s]."""
+    inside: bool
+    """Whether no particle left the box."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """All that was measured of one model."""
+
+    name: str
+    dimension: int
+    scenes: Sequence[HeldOut]
+    truths: Sequence[Deposit]
+    rollouts: Sequence[Measured]
+    """In the order of the scenes."""
+    mpm: Mapping[int, Sequence[Measured]]
+    """Coarse runs, by their cells across the body."""
+    long: Sequence[Long]
+    """Of the first scenes whose reference comes to rest."""
+    bands: Mapping[str, tuple[float, float]] | str
+    """By scene whose front is free: error of the predicted front and half-width of its band [m]; why there are none."""
+    outside: Mapping[str, bool]
+    """In 2D: what is out of range, and whether the card warns of it."""
+    within: Mapping[str, bool]
+    """Held-out scene, and whether the card warns of it."""
+
+    def of_kind(self, kind: str) -> list[Measured]:
+        """The rollouts of scenes of a kind."""
+        pairs = zip(self.scenes, self.rollouts, strict=True)
+        return [rollout for scene, rollout in pairs if kind in (ALL, scene.kind)]
+
+    def fronts(self, kind: str = ALL) -> list[float]:
+        """Errors of the fronts that no wall holds [-]."""
+        found = zip(self.scenes, self.truths, self.rollouts, strict=True)
+        return [each.errors.front for scene, truth, each in found if kind in (ALL, scene.kind) and not truth.at_wall]
+
+    def profiles(self, kind: str = ALL) -> list[float]:
+        """Errors of the profiles [-]."""
+        return [each.errors.profile for each in self.of_kind(kind)]
+
+    @property
+    def held(self) -> int:
+        """How many fronts lie within their bands."""
+        assert not isinstance(self.bands, str)
+        return sum(abs(error) <= width for error, width in self.bands.values())
+
+
+def bench(
+    out: Path,
+    *,
+    quick: bool,
+    keep: Path,
+    model: tuple[Path, ...] = (),
+    scenes: int = 14,
+    scenes_3d: int = 4,
+    long: int = 4,
+) -> str:
+    """Compare models with the MPM on fine cells; some eight minutes, most of them for the references.
+
+    Parameters
+    ----------
+    out
+        Folder for gns.md and its picture.
+    quick
+        Two scenes of each dimension, on coarse cells.
+    keep
+        Folder of the MPM's runs, which are not made again.
+    model
+        A model's file or the name of one that ships, once or more often; all that ship unless given.
+    scenes
+        Held-out scenes in 2D, one of every kind after the other.
+    scenes_3d
+        The same in 3D, whose references are dear.
+    long
+        Scenes in each dimension that are rolled out four times as long.
+    """
+    paths = [model_path(each) for each in model] or models()
+    found = []
+    for path in paths:
+        dimension = gns.load(path).settings.dimension
+        number = 2 if quick else {2: scenes, 3: scenes_3d}[dimension]
+        chosen = held_out(dimension, number)
+        if quick:
+            chosen = [dataclasses.replace(each, scene=coarse(each.scene, QUICK_CELLS[dimension])) for each in chosen]
+        cells = CELLS[dimension][: 2 if quick else None]
+        found.append(measure(path, chosen, keep, cells=cells, long=1 if quick else long))
+    draw(out / "gns.png", found)
+    flags = "".join(f" --model {path}" for path in model) + "".join(
+        f" --{name} {value}"
+        for name, value, usual in (("scenes", scenes, 14), ("scenes-3d", scenes_3d, 4), ("long", long, 4))
+        if value != usual
+    )
+    return page(found, flags=flags, quick=quick).write(out / "gns.md")
+
+
+def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequence[int], long: int) -> Model:
+    """Everything of one model."""
+    simulator = gns.load(path).requires_grad_(False)
+    references = RunStore(keep / f"{simulator.settings.dimension}d").run(
+        [Run(scene=each.scene, record=AT_REST) for each in scenes]
+    )
+    truths = [Deposit.of_flow(flow) for flow in references]
+    # Kernels are compiled, or read from their cache, at a first call.
+    gns.simulate(scenes[0].scene, model=simulator)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    rollouts = []
+    mpm: dict[int, list[Measured]] = {number: [] for number in cells}
+    for each, truth in tqdm([*zip(scenes, truths, strict=True)], desc=f"{path.stem}, deposits", unit="scene"):
+        for number in cells:
+            flow = simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST)
+            mpm[number].append(Measured(seconds=flow.summary["wall_s"], errors=truth.errors(flow)))
+        flow = gns.simulate(each.scene, model=simulator)
+        rollouts.append(Measured(seconds=flow.summary["wall_s"], errors=truth.errors(flow)))
+    torch.set_num_threads(threads)
+    resting = [each for each, flow in zip(scenes, references, strict=True) if flow.summary["rest_time"] is not None]
+    rested = []
+    for each in tqdm(resting[:long], desc=f"{path.stem}, rest", unit="scene"):
+        longer = dataclasses.replace(each.scene, duration=TIMES * each.scene.duration)
+        flow = gns.simulate(longer, model=simulator)
+        rested.append(Long(creep=creep(flow), inside=inside(flow.positions, each.scene)))
+    outside = out_of_range() if simulator.settings.dimension == 2 else {}
+    return Model(
+        name=path.stem,
+        dimension=simulator.settings.dimension,
+        scenes=scenes,
+        truths=truths,
+        rollouts=rollouts,
+        mpm=mpm,
+        long=rested,
+        bands=bands(path, scenes, truths),
+        outside={name: card.warning(path, scene) is not None for name, scene in outside.items()},
+        within={each.name: card.warning(path, each.scene) is not None for each in scenes},
+    )
+
+
+def bands(path: Path, scenes: Sequence[HeldOut], truths: Sequence[Deposit]) -> Mapping[str, tuple[float, float]] | str:
+    """By scene whose front is free and lies at larger x: see `Model.bands`."""
+    free = [pair for pair in zip(scenes, truths, strict=True) if pair[1].side == 1 and not pair[1].at_wall]
+    found = {}
+    try:
+        for each, truth in tqdm(free, desc=f"{path.stem}, bands", unit="scene"):
+            prediction = uncertainty.predict(each.scene, model=path, level=LEVEL)
+            found[each.name] = (prediction.front - truth.front, prediction.half_width)
+    except InputError as error:
+        return str(error)
+    return found
+
+
+def point(runs: Sequence[Measured]) -> tuple[float, float]:
+    """Mean seconds of a method, and the rms over the scenes of the larger error of front and profile."""
+    return float(np.mean([each.seconds for each in runs])), rms([each.errors.largest for each in runs])
+
+
+def mpm_seconds(mpm: Mapping[int, Sequence[Measured]], error: float) -> float | None:
+    """What the MPM takes for an error no larger than `error` [s]; None where no run of it is so good.
+
+    Interpolated in the logarithms between resolutions; that of its cheapest run where this is good enough.
+    """
+    points = sorted(point(runs) for runs in mpm.values())
+    if error >= points[0][1]:
+        return points[0][0]
+    for (cheap, large), (dear, small) in pairwise(points):
+        if small <= error < large:
+            share = math.log(error / large) / math.log(small / large)
+            return math.exp((1.0 - share) * math.log(cheap) + share * math.log(dear))
+    return None
+
+
+def price_sentence(model: Model) -> str:
+    """What a rollout costs and how far it is off, beside the MPM's seconds for the same error."""
+    seconds, error = point(model.rollouts)
+    same = mpm_seconds(model.mpm, error)
+    cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
+    return f"`{model.name}` is off by {error:.1%} in {seconds:.2g} s, {cheaper}"
+
+
+def conclusion(found: Sequence[Model]) -> list[str]:
+    """At most five sentences, each over all models."""
+    fronts = [
+        f"`{each.name}` {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
+        f"{len(each.fronts())}, profiles {mean(each.profiles()):.1%}"
+        for each in found
+    ]
+    sentences = [
+        f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(fronts)}.",
+        f"One rollout: {'; '.join(map(price_sentence, found))}.",
+    ]
+    held = [each for each in found if not isinstance(each.bands, str) and each.bands]
+    if held:
+        parts = [f"{each.held} of {len(each.bands)} fronts (`{each.name}`)" for each in held]
+        sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")
+    parts = [
+        (f"{sum(each.outside.values())} of {len(each.outside)} scenes out of range and of " if each.outside else "")
+        + f"{sum(each.within.values())} of {len(each.within)} in range (`{each.name}`)"
+        for each in found
+    ]
+    sentences.append(f"Cards warn of {'; '.join(parts)}.")
+    rested = [f"{worst([one.creep for one in each.long]):+.2g} mm/s (`{each.name}`)" for each in found if each.long]
+    if rested:
+        sentences.append(f"Deposits that should rest creep by at most {', '.join(rested)}.")
+    return sentences
+
+
+def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
+    """The page."""
+    result = Page(
+        "The surrogate beside the MPM",
+        command=f"python -m validation.bench gns{flags} --out docs",
+        conclusion=conclusion(found),
+        packages=GNS | MPM,
+        quick=quick,
+    )
+    result.picture("gns.png", "errors of fronts by kind of scene; error over seconds")
+    result.text(f"""
+        Scenes drawn by the definition that draws the training data, with seed {SEED}. The reference is the MPM on the
+        training data's cells, until the deposit rests. Models begin with the scene alone. Their cards, with sizes,
+        data and the commands that made them, are beside their weights in `gns/weights`.
+    """)
+    result.section("Held-out scenes")
+    result.text("""
+        Front: the end of the deposit that the flow has moved farther, which 99.5 % of the particles are behind;
+        without the scenes where the wall ahead holds it. Profile: rms distance along x of equal shares of the two
+        deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst.
+    """)
+    for each in found:
+        kinds = [*dict.fromkeys(scene.kind for scene in each.scenes), ALL]
+        result.table([kind_row(each, kind) for kind in kinds])
+    result.section("Error over seconds")
+    result.text("""
+        The same scenes by the MPM on coarse cells, so many across the smallest side of the body (single precision,
+        until the deposit rests), and by the model; one thread, one after the other, without compilation. Error: the
+        larger of the front's and the profile's, rms over the scenes.
+    """)
+    for each in found:
+        rows = [(f"MPM, {cells} cells across", point(runs)) for cells, runs in each.mpm.items()]
+        rows.append((f"`{each.name}`", point(each.rollouts)))
+        result.table(
+            [
+                {f"{each.dimension}D": name, "seconds": f"{seconds:.3g}", "error": f"{error:.1%}"}
+                for name, (seconds, error) in rows
+            ]
+        )
+    result.section("What it knows of itself, and rest")
+    result.text(f"""
+        Bands of {LEVEL:.0%} (`gns.uncertainty`) on free fronts at larger x. Creep: speed of the faster end of a deposit
+        over the second half of a rollout {TIMES} times as long as its scene, of scenes that come to rest in the MPM.
+    """)
+    result.table([self_row(each) for each in found])
+    missed = [name for each in found for name, warned in each.outside.items() if not warned]
+    if missed:
+        result.text(f"Out of range and not warned of: {'; '.join(missed)}.")
+    return result
+
+
+def kind_row(model: Model, kind: str) -> Row:
+    """The errors of a model on scenes of a kind."""
+
+    def both(values: Sequence[float]) -> str:
+        return f"{mean(values):.1%} ({signed(worst(values))})" if values else "-"
+
+    fronts, profiles = model.fronts(kind), model.profiles(kind)
+    return {
+        f"`{model.name}`": kind,
+        "scenes": len(profiles),
+        "at the wall": len(profiles) - len(fronts),
+        "front": both(fronts),
+        "profile": both(profiles),
+    }
+
+
+def self_row(model: Model) -> Row:
+    """Bands, warnings and rest of a model."""
+    known = not isinstance(model.bands, str) and len(model.bands) > 0
+    extents = {scene.name: truth.extent for scene, truth in zip(model.scenes, model.truths, strict=True)}
+    return {
+        "model": f"`{model.name}`",
+        "fronts in their bands": f"{model.held} of {len(model.bands)}" if known else "-",
+        "half-width over the extent": f"{np.mean([model.bands[name][1] / extents[name] for name in model.bands]):.1%}"  # type: ignore[call-overload,index]
+        if known
+        else "-",
+        "warned of, out of range": f"{sum(model.outside.values())} of {len(model.outside)}" if model.outside else "-",
+        "warned of, in range": f"{sum(model.within.values())} of {len(model.within)}",
+        "creep, mean [mm/s]": f"{mean([each.creep for each in model.long]):.2f}",
+        "worst [mm/s]": f"{worst([each.creep for each in model.long]):+.2f}",
+        "inside the box": f"{sum(each.inside for each in model.long)} of {len(model.long)}",
+    }
+
+
+def draw(path: Path, found: Sequence[Model]) -> None:
+    """Errors of fronts by kind, and errors over seconds; a row of panes for each model."""
+    with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
+        for row, each in enumerate(found):
+            draw_fronts(pane(axes, row, 0), each)
+            draw_price(pane(axes, row, 1), each)
+
+
+def draw_fronts(axis: Axes, model: Model) -> None:
+    """A point for each scene."""
+    kinds = list(dict.fromkeys(each.kind for each in model.scenes))
+    for index, kind in enumerate(kinds):
+        values = 100.0 * np.array(model.fronts(kind))
+        axis.plot(np.full(len(values), index), values, "o", color=ORANGE, markersize=4)
+    axis.axhline(0.0, color=INK, linewidth=0.8)
+    axis.set_xticks(range(len(kinds)), kinds, rotation=30)
+    axis.set_title(f"{model.name}, {model.dimension}D")
+    axis.set_ylabel("front beyond the MPM's [% of the extent]")
+
+
+def draw_price(axis: Axes, model: Model) -> None:
+    """The coarse MPM's curve and the model."""
+    points = {cells: point(runs) for cells, runs in model.mpm.items()}
+    x, y = zip(*points.values(), strict=True)
+    axis.loglog(x, [100.0 * each for each in y], "o-", color=BLUE, label="MPM")
+    for cells, at in points.items():
+        axis.annotate(f"{cells} cells", (at[0], 100.0 * at[1]), xytext=(3, 4), textcoords="offset points", fontsize=7)
+    seconds, error = point(model.rollouts)
+    axis.loglog(seconds, 100.0 * error, "*", ms=11, color=ORANGE, label=model.name)
+    axis.set_xlabel("seconds on one thread")
+    axis.set_ylabel("error of the deposit [% of its extent]")
+    axis.legend()

@@ -1,0 +1,196 @@
+"""Scenes that no surrogate has learned from, the MPM's deposits of them on fine cells, and errors against these.
+
+The scenes are drawn by the definitions that draw the training data, with another seed: no stream of random numbers is
+shared. Variants of other scenes are left out.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from datasets import measures
+from datasets.definitions import flow2d, obstacle3d
+from datasets.particles import initial_particles
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.trajectory import Floats, Trajectory
+from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
+
+SEED = 1
+"""Of the held-out scenes; the training data have 0."""
+FAMILIES = {2: (flow2d, flow2d.FLOW2D), 3: (obstacle3d, obstacle3d.OBSTACLE3D)}
+"""Module, with its kinds of flows, and definition of the training data, by dimension."""
+AT_WALL = 0.01
+"""A front within this fraction of the box's length of the wall ahead leans on it, which then bounds everyone's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """A scene that no training data have."""
+
+    kind: str
+    number: int
+    """Among those of its kind, from 1."""
+    scene: Scene
+
+    @property
+    def name(self) -> str:
+        """Kind and number."""
+        return f"{self.kind} {self.number}"
+
+
+def held_out(dimension: int, number: int) -> list[HeldOut]:
+    """So many scenes, the first of every kind, then the second of every kind, and so on."""
+    module, definition = FAMILIES[dimension]
+    kinds = [each.__name__.replace("_", " ") for each in module.KINDS]
+    found: list[HeldOut] = []
+    streams: set[int] = set()
+    for index in count():
+        if len(found) == number:
+            break
+        stream = definition.stream(index)
+        if stream in streams:
+            continue
+        streams.add(stream)
+        kind = kinds[index % len(kinds)]
+        scene = definition.draw(np.random.default_rng([SEED, stream]), index)
+        found.append(HeldOut(kind=kind, number=1 + sum(each.kind == kind for each in found), scene=scene))
+    return found
+
+
+def coarse(scene: Scene, cells: int) -> Scene:
+    """A scene on so many cells across the smallest side of its body, or a few more.
+
+    Its box is made higher by part of a cell where it has to be: else its height, a whole number of fine cells, would
+    decide which coarser ones fit.
+    """
+    length, height, *width = scene.domain.size
+    plan = dataclasses.replace(scene.domain, size=(length, length, *width))
+    cell = fitted_cell(plan, characteristic_length(scene) / cells)
+    domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
+    return dataclasses.replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deposit:
+    """Where a deposit ends, beside which others are measured."""
+
+    truth: Trajectory
+    """The MPM's on fine cells; its last frame alone is used."""
+    x: tuple[float, float]
+    """Of its ends, at smaller and at larger x [m]."""
+    side: int
+    """Which of them the flow has moved farther: the front."""
+
+    @staticmethod
+    def of_flow(truth: Trajectory) -> "Deposit":
+        """That of the reference."""
+        start, end = measures.ends(initial_particles(truth.scene).positions), measures.ends(truth.positions[-1])
+        return Deposit(truth=truth, x=end, side=int(end[1] - start[1] >= start[0] - end[0]))
+
+    @property
+    def extent(self) -> float:
+        """Distance of the two ends [m]."""
+        return self.x[1] - self.x[0]
+
+    @property
+    def front(self) -> float:
+        """The x of the front [m]."""
+        return self.x[self.side]
+
+    @property
+    def at_wall(self) -> bool:
+        """Whether the front leans on the wall ahead, which then bounds everyone's."""
+        length = self.truth.scene.domain.size[0]
+        return (length - self.front if self.side == 1 else self.front) < AT_WALL * length
+
+    def errors(self, flow: Trajectory) -> "Errors":
+        """Those of another flow of the same scene."""
+        positions, volume = flow.positions[-1], flow.volumes
+        beyond = measures.ends(positions)[self.side] - self.front
+        apart = measures.transport_distance(positions, volume, self.truth.positions[-1], self.truth.volumes)
+        return Errors(front=(beyond if self.side == 1 else -beyond) / self.extent, profile=apart / self.extent)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Errors of a deposit over the extent of the reference's [-]."""
+
+    front: float
+    """Of the end that the reference's flow has moved farther, which 99.5 % of the particles are behind; positive where
+    it is farther than the reference's."""
+    profile: float
+    """Rms distance along x of equal shares of the two deposits (`datasets.measures.transport_distance`)."""
+
+    @property
+    def largest(self) -> float:
+        """The larger of the two."""
+        return max(abs(self.front), self.profile)
+
+
+def creep(rollout: Trajectory) -> float:
+    """Speed of the faster of a deposit's ends over the second half of a rollout, outwards [mm/s]."""
+    middle = len(rollout.positions) // 2
+    seconds = float(rollout.time[-1] - rollout.time[middle])
+    old, new = measures.ends(rollout.positions[middle]), measures.ends(rollout.positions[-1])
+    return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / seconds
+
+
+def inside(positions: Floats, scene: Scene) -> bool:
+    """Whether no particle [m], shape [T, n, D], is outside of the box, beyond rounding."""
+    slack = 1.0e-4 * scene.domain.cell
+    return bool((positions >= -slack).all() and (positions <= np.array(scene.domain.size) + slack).all())
+
+
+def out_of_range() -> dict[str, Scene]:
+    """Columns in 2D that no training data are like, each for one reason, by that reason."""
+    length, height = 0.2, 0.4
+    mass = Mass(lower=(0.0, 0.0), size=(length, height))
+    usual = dataclasses.replace(
+        coarse(held_out(2, 1)[0].scene, 20),
+        domain=Domain(size=(2.0, 1.0), cell=0.01),
+        masses=(mass,),
+        slope_deg=0.0,
+        floor_friction=0.4,
+    )
+
+    def sand(**changes: float) -> Scene:
+        return dataclasses.replace(usual, material=dataclasses.replace(usual.material, **changes))
+
+    def changed(**changes: object) -> Scene:
+        return dataclasses.replace(usual, **changes)  # type: ignore[arg-type]
+
+    baffles = tuple(Baffle(lower=(0.4 + 0.15 * index, 0.0), size=(0.03, 0.05)) for index in range(8))
+    layers = tuple(Mass(lower=(0.0, 0.02 * index), size=(length, 0.02)) for index in range(20))
+    return {
+        "angle of friction of 5°": sand(friction_deg=5.0),
+        "angle of friction of 60°": sand(friction_deg=60.0),
+        "cohesion of 15 kPa": sand(cohesion=15.0e3, tension_cutoff=7.5e3),
+        "dilation of 15° for ever": sand(dilation_deg=15.0),
+        "thirty times as soft": sand(young=3.0e4),
+        "slope of 50°": changed(slope_deg=50.0),
+        "damping of 0.7": changed(damping=0.7),
+        "floor friction of 2": changed(floor_friction=2.0),
+        "thrown at 8 m/s": changed(masses=(dataclasses.replace(mass, velocity=(8.0, 0.0)),)),
+        "initial stress, K0 of 0.5": changed(masses=(dataclasses.replace(mass, k0=0.5),)),
+        "twenty layers": changed(masses=layers),
+        "eight baffles": changed(baffles=baffles),
+    }
+
+
+def mean(values: Sequence[float]) -> float:
+    """Mean of the absolute values; nan of none."""
+    return float(np.mean(np.abs(values))) if values else math.nan
+
+
+def rms(values: Sequence[float]) -> float:
+    """Root mean square; nan of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values else math.nan
+
+
+def worst(values: Sequence[float]) -> float:
+    """The value of the largest amount, with its sign; nan of none."""
+    return max(values, key=abs) if values else math.nan
