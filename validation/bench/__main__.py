@@ -64,18 +64,6 @@ BENCHES = {
         module="validation.bench.efficiency.bench",
         summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
     ),
-    "adjoint": Bench(
-        module="validation.bench.adjoint.bench",
-        summary="the MPM's own adjoint: price of a gradient over that of a run, agreement with central differences",
-    ),
-    "cluster": Bench(
-        module="validation.bench.cluster.bench",
-        summary="overhead of a scheduler for each trajectory; what 100,000 runs or 100 million particles would take",
-    ),
-    "storage": Bench(
-        module="validation.bench.storage.bench",
-        summary="sizes and reading times of trajectories, memory of runs that stream them to disk",
-    ),
     "gns": Bench(
         module="validation.bench.gns", summary="the shipped surrogates beside the MPM: error, price, bands, ranges"
     ),

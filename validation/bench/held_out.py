@@ -46,19 +46,21 @@ def held_out(dimension: int, number: int) -> list[HeldOut]:
     """So many scenes, the first of every kind, then the second of every kind, and so on."""
     module, definition = FAMILIES[dimension]
     kinds = [each.__name__.replace("_", " ") for each in module.KINDS]
+    drawn = dict.fromkeys(kinds, 0)
+    rounds = math.ceil(number / len(drawn))
     found: list[HeldOut] = []
     streams: set[int] = set()
     for index in count():
-        if len(found) == number:
+        if min(drawn.values()) == rounds:
             break
-        stream = definition.stream(index)
-        if stream in streams:
+        kind, stream = kinds[index % len(kinds)], definition.stream(index)
+        if stream in streams or drawn[kind] == rounds:
             continue
         streams.add(stream)
-        kind = kinds[index % len(kinds)]
+        drawn[kind] += 1
         scene = definition.draw(np.random.default_rng([SEED, stream]), index)
-        found.append(HeldOut(kind=kind, number=1 + sum(each.kind == kind for each in found), scene=scene))
-    return found
+        found.append(HeldOut(kind=kind, number=drawn[kind], scene=scene))
+    return sorted(found, key=lambda each: each.number)[:number]
 
 
 def coarse(scene: Scene, cells: int) -> Scene:

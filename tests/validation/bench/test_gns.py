@@ -1,0 +1,139 @@
+"""`python -m validation.bench gns`: errors of known deposits, a page whose words are its numbers, the quick command."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets.definitions import flow2d
+from datasets.particles import initial_particles
+from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
+from tests.validation.bench.sand_at_rest import SAND
+from validation.bench.__main__ import main
+from validation.bench.gns import Long, Measured, Model, draw, mpm_seconds, page
+from validation.bench.held_out import Deposit, Errors, HeldOut, coarse, creep, held_out, inside, out_of_range
+from validation.report import plots
+
+BLOCK = Scene(
+    domain=Domain(size=(1.0, 0.4), cell=0.02),
+    material=SAND,
+    masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)),),
+    duration=1.0,
+    frame_dt=0.1,
+)
+
+
+def stretched(scene: Scene, by: float) -> Trajectory:
+    """A block whose particles move away from its rear, evenly over the time, until it is `by` times as long."""
+    particles = initial_particles(scene)
+    time = np.arange(scene.frames) * scene.frame_dt
+    factor = 1.0 + (by - 1.0) * time / time[-1]
+    positions = np.repeat(particles.positions[None], len(time), axis=0)
+    positions[..., 0] = 0.1 + factor[:, None] * (positions[..., 0] - 0.1)
+    return Trajectory(
+        positions=positions.astype(np.float32),
+        time=time,
+        velocity0=np.zeros_like(particles.positions, dtype=np.float32),
+        friction=particles.friction,
+        scene=scene,
+        summary={},
+    )
+
+
+def test_errors_of_deposits_of_known_length() -> None:
+    truth = Deposit.of_flow(stretched(BLOCK, 2.0))
+    assert truth.side == 1
+    assert truth.extent == pytest.approx(0.4, rel=0.03)
+    errors = truth.errors(stretched(BLOCK, 2.5))
+    assert errors.front == pytest.approx(0.25, rel=0.02)
+    # Equal shares at q of the block lie 0.1 q apart: rms 0.1 / sqrt(3) of an extent of 0.4.
+    assert errors.profile == pytest.approx(0.25 / math.sqrt(3.0), rel=0.03)
+    assert truth.errors(stretched(BLOCK, 2.0)) == Errors(front=0.0, profile=0.0)
+    assert not truth.at_wall
+    assert Deposit.of_flow(stretched(BLOCK, 4.5)).at_wall
+
+
+def test_creep_is_the_speed_of_the_faster_end_and_leaving_is_seen() -> None:
+    # 0.2 m longer within 1 s, at constant speed.
+    assert creep(stretched(BLOCK, 2.0)) == pytest.approx(200.0, rel=0.05)
+    assert inside(stretched(BLOCK, 2.0).positions, BLOCK)
+    assert not inside(stretched(BLOCK, 5.0).positions, BLOCK)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_coarser_runs_are_as_coarse_as_they_say(dimension: int) -> None:
+    # A height of 19 fine cells, a prime: no coarser one fits into it.
+    scene = dataclasses.replace(
+        BLOCK,
+        domain=Domain(size=(0.96, 0.38, 0.48)[:dimension], cell=0.02),
+        masses=(Mass(lower=(0.0,) * dimension, size=(0.24, 0.2, 0.24)[:dimension]),),
+    )
+    found = [coarse(scene, cells) for cells in (3, 5, 10)]
+    coarsest, *others = (0.2 / each.domain.cell for each in found)
+    assert 3.0 <= coarsest < 3.4
+    assert others == pytest.approx([5.0, 10.0])
+    assert all(0.0 <= each.domain.size[1] - 0.38 < each.domain.cell for each in found)
+
+
+def test_held_out_scenes_are_of_all_kinds_and_the_same_each_time() -> None:
+    kinds = {each.__name__ for each in flow2d.KINDS}
+    some = held_out(2, len(kinds))
+    assert some[:4] == held_out(2, 4)
+    assert {each.kind for each in some} == kinds
+    assert len({each.to_json() for each in out_of_range().values()}) == len(out_of_range())
+
+
+def model(**changes: Any) -> Model:
+    """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
+
+    def measured(seconds: float, front: float) -> Measured:
+        return Measured(seconds=seconds, errors=Errors(front=front, profile=0.01))
+
+    scene = HeldOut(kind="column", number=1, scene=BLOCK)
+    parts: dict[str, Any] = {
+        "name": "tiny",
+        "dimension": 2,
+        "scenes": [scene, dataclasses.replace(scene, number=2)],
+        "truths": [Deposit.of_flow(stretched(BLOCK, by)) for by in (2.0, 4.5)],
+        "rollouts": [measured(0.5, -0.04), measured(0.5, 0.04)],
+        "mpm": {cells: [measured(10.0**-index, 0.02 * 2**index)] * 2 for index, cells in enumerate((20, 10, 5))},
+        "long": [Long(creep=-0.2, inside=True)],
+        "bands": {"column 1": (0.01, 0.02)},
+        "outside": {"steep": False, "soft": True},
+        "within": {"column 1": False, "column 2": True},
+    }
+    return Model(**parts | changes)
+
+
+def test_the_price_of_an_error_is_read_off_the_curve() -> None:
+    mpm = model().mpm
+    assert mpm_seconds(mpm, 0.2) == pytest.approx(0.01)
+    assert mpm_seconds(mpm, 0.04) == pytest.approx(0.1)
+    assert mpm_seconds(mpm, 0.04 / math.sqrt(2.0)) == pytest.approx(math.sqrt(0.1))
+    assert mpm_seconds(mpm, 0.001) is None
+
+
+def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = str(page([model()], quick=False))
+    sentences = [line for line in text.splitlines() if line.startswith("- ")]
+    assert "`tiny` 4.0% on average, worst -4.0 % of 1, profiles 1.0%." in sentences[0]
+    assert "off by 4.0% in 0.5 s, a coarse MPM takes 0.1 s for the same error." in sentences[1]
+    assert "95% bands hold 1 of 1 fronts (`tiny`)." in sentences[2]
+    assert "warn of 1 of 2 scenes out of range and of 1 of 2 in range (`tiny`)." in sentences[3]
+    assert "creep by at most -0.2 mm/s (`tiny`)." in sentences[4]
+    assert "not warned of: steep." in text
+    assert "no coarse MPM is as good" in str(page([model(mpm={5: model().mpm[5]})], quick=False))
+    assert "bands hold" not in str(page([model(bands="no members")], quick=False))
+    monkeypatch.setattr(plots, "DPI", 30)
+    draw(tmp_path / "gns.png", [model(), model()])
+    assert (tmp_path / "gns.png").stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path: Path) -> None:
+    assert main(["gns", "--quick", "--out", str(tmp_path), "--model", "flow2d"]) == 0
+    assert "--quick" in (tmp_path / "gns.md").read_text()
