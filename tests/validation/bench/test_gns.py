@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from datasets.definitions import flow2d
+from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from tests.validation.bench.sand_at_rest import SAND
 from validation.bench.__main__ import main
 from validation.bench.gns import Long, Measured, Model, draw, mpm_seconds, page
 from validation.bench.held_out import Deposit, Errors, HeldOut, coarse, creep, held_out, inside, out_of_range
@@ -20,7 +20,7 @@ from validation.report import plots
 
 BLOCK = Scene(
     domain=Domain(size=(1.0, 0.4), cell=0.02),
-    material=SAND,
+    material=Material(friction_deg=30.0),
     masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)),),
     duration=1.0,
     frame_dt=0.1,
