@@ -30,7 +30,6 @@ PICKLE_ERRORS = {"PickleError", "UnpicklingError"}
 """The part of `pickle` that one may name: what torch raises for a file that is none of its own."""
 RESTRICTED = {
     "datasets/arrays.py": {"Unpickler"},
-    "datasets/exchange/geoelements.py": {"_Pickler", "GLOBAL"},
 }
 """The two modules that may name more of it: an unpickler that can make arrays alone, and a pickler."""
 SAFE_LOADS = {

@@ -1,48 +1,70 @@
-"""A dataset of Talus in another code's layout and back: one trajectory in memory at a time, interruptions finished."""
+"""A dataset of Talus in another code's layout and back: one trajectory in memory at a time, interruptions finished.
 
-import hashlib
+Their files know no scene. What `export` writes keeps the scenes beside them (`scenes.json`); of any other set all
+trajectories get the scene that the user gives, which says box, obstacles and material.
+"""
+
 import json
+import math
 import re
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Any, Protocol, cast
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from datasets.arrays import open_npz
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements, lagrangebench
-from datasets.exchange.baffle_particles import obstacle_particles
-from datasets.exchange.cloud import Cloud, Described, ForeignMetadata, Statistics, cloud_of, known_keys, read_metadata
-from datasets.exchange.reconstruction import Known, reconstruct
+from datasets.exchange.cloud import Cloud, Described, cloud_of, obstacle_particles
 from datasets.files import write_json
 from datasets.geometry.plain import check_plain
+from datasets.measures import front, runout, toe
+from datasets.reading import read_json
+from datasets.records import Record, from_mapping
+from datasets.scene import Scene
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory, open_trajectory, stored_scene, trajectory_files
 
-RECORD = "exchange.json"
-"""What a conversion is from, and with which options; written first, so that the same command can finish it."""
+LAYOUTS: dict[str, ModuleType] = {"geoelements": geoelements, "lagrangebench": lagrangebench}
+"""Of other codes: how each lays out a dataset, a file per split and `metadata.json`."""
+RECORD, SCENES = "exchange.json", "scenes.json"
+"""What a conversion is from, written first, so that the same command can finish it; the scenes of what was exported."""
+STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
+"""Keys of `metadata.json` that all layouts share with ours."""
 SAFE_NAME = re.compile(r"\w[\w.-]{0,99}", re.ASCII)
+CLOSE = 1.0e-6
+"""Relative difference of two boxes that is rounding."""
 
 
-class Layout(Protocol):
-    """How another code lays out a dataset, a file per split and `metadata.json`: what each layout's module has."""
+@dataclass(frozen=True, kw_only=True)
+class ForeignMetadata(Record):
+    """What Talus uses of another code's `metadata.json`."""
 
-    SUFFIX: str
+    bounds: tuple[tuple[float, float], ...]
+    """Lower and upper end of the box per axis [m]."""
+    dt: float
+    """Time between frames [s]; in LagrangeBench of the solver, whose every `write_every`-th step is a frame."""
+    default_connectivity_radius: float
+    """Radius of their neighbour search [m]."""
+    write_every: int = 1
+    periodic_boundary_conditions: tuple[bool, ...] = field(default=())
 
-    def write(self, path: Path, clouds: Iterable[Cloud]) -> None: ...
-    def names(self, path: Path) -> list[str]: ...
-    def read(self, path: Path, requested: Container[str]) -> Iterator[Cloud]: ...
-    def metadata(self, described: Described) -> dict[str, Any]: ...
-
-
-LAYOUTS = {"geoelements": cast(Layout, geoelements), "lagrangebench": cast(Layout, lagrangebench)}
+    def __post_init__(self) -> None:
+        for key, ok, expected in (
+            ("bounds", len(self.bounds) in (2, 3) and all(a < b for a, b in self.bounds), "two ends for 2 or 3 axes"),
+            ("dt", self.dt > 0.0, "a positive time in s"),
+            ("write_every", self.write_every > 0, "a positive number of steps"),
+            ("periodic_boundary_conditions", not any(self.periodic_boundary_conditions), "walls on all sides"),
+        ):
+            if not ok:
+                raise InputError(f"expected {expected}, got {getattr(self, key)}", key=key)
 
 
 def export(dataset: Path, to: str, out: Path) -> None:
@@ -53,179 +75,150 @@ def export(dataset: Path, to: str, out: Path) -> None:
     layout = LAYOUTS[to]
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = survey(dataset, files)
-    begin(
-        out,
-        {
-            "to": to,
-            "source": digest(
-                [*(path for paths in files.values() for path in paths), dataset / "metadata.json"], dataset
-            ),
-        },
-    )
+    begin(out, {"to": to, "source": str(dataset)})
     for split, paths in files.items():
         path = out / f"{split.value}{layout.SUFFIX}"
         if paths and not path.exists():
             bar = tqdm(paths, desc=split.value, unit="trajectory", dynamic_ncols=True)
             layout.write(path, (cloud_of(Trajectory.load(each), each.stem) for each in bar))
+    scenes = {
+        split.value: {each.stem: json.loads(stored_scene(each).to_json()) for each in paths}
+        for split, paths in files.items()
+    }
+    write_json(out / SCENES, scenes)
     write_json(out / "metadata.json", layout.metadata(described))
 
 
 def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
     """What a dataset's trajectories have in common, from their scenes and shapes alone. Raises InputError."""
-    described = dataset / "metadata.json"
-    statistics = known_keys(Statistics, read_metadata(described), described)
-    paths = [path for split in Split for path in files[split]]
-    if not paths:
-        raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
+    content = read_metadata(dataset / "metadata.json")
+    missing = [key for key in STATISTICS if key not in content]
+    if missing:
+        raise InputError("expected a value, the key is missing", where=str(dataset / "metadata.json"), key=missing[0])
     shared, largest = None, 0
+    paths = [path for split in Split for path in files[split]]
     for path in paths:
-        scene = stored_scene(path)
+        flow = open_trajectory(path)
+        scene, (frames, particles, _) = flow.scene, flow.positions.shape
         check_plain(scene, "the other code's format", str(path))
-        shape = open_trajectory(path).positions.shape
-        if len(shape) != 3:
-            raise InputError("expected positions of shape [T, N, D]", where=str(path), key="positions")
-        frames, particles, _ = shape
-        spacing = scene.particle_spacing
-        this = (scene.domain.size, scene.frame_dt, frames, spacing)
+        this = (scene.domain.size, scene.frame_dt, frames, scene.particle_spacing)
         if shared is not None and this != shared:
             expected = f"expected the box, time between frames, number of frames and spacing {shared} of {paths[0]}"
             raise InputError(f"{expected}, got {this}", where=str(path))
-        shared = this
-        largest = max(largest, particles + sum(len(obstacle_particles(each, spacing)) for each in scene.baffles))
-    assert shared is not None
+        shared, obstacles = this, [obstacle_particles(each, this[3]) for each in scene.baffles]
+        largest = max(largest, particles + sum(map(len, obstacles)))
+    if shared is None:
+        raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
+    size, frame_dt, frames, spacing = shared
+    keys = {"bounds": [[0.0, length] for length in size], "dim": len(size), "dt": frame_dt, "dx": spacing}
     return Described(
-        size=shared[0],
-        frame_dt=shared[1],
-        frames=shared[2],
-        spacing=shared[3],
+        shared=keys | {key: content[key] for key in STATISTICS},
+        frames=frames,
         particles=largest,
         trajectories={split.value: len(files[split]) for split in Split},
-        statistics=statistics,
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """One split of another code's dataset."""
-
-    split: Split
-    path: Path
-    metadata: ForeignMetadata
-    files: dict[str, Path]
-    """Trajectory in their file -> its file in our folder."""
-
-
-def import_dataset(
-    source: Path, layout: str, out: Path, *, friction_deg: float | None, spacing: float | None, up: str
-) -> None:
+def import_dataset(source: Path, layout: str, out: Path, *, scene: Scene | None, up: str) -> None:
     """Write the dataset in `source`, in the layout of another code, to `out`; what an earlier call wrote is kept.
 
-    `friction_deg` [deg] for sets that do not say, `spacing` [m] of the particles where it is known better than from
-    them, `up` the axis, `y` or `z`, that points up. Raises InputError, also where `out` holds anything else.
+    scene: of all trajectories, where `source` does not hold their scenes; up: the axis, `y` or `z`, that points up.
+    Raises InputError, also where `out` holds anything else.
     """
-    parts = parts_of(source, LAYOUTS[layout], out)
-    record = {
-        "from": layout,
-        "source": digest([*(part.path for part in parts), source / "metadata.json"], source),
-        "friction_deg": friction_deg,
-        "spacing": spacing,
-        "up": up,
-    }
-    begin(out, record)
-    ours = {path for part in parts for path in part.files.values()}
-    for path in (path for split in Split for path in trajectory_files(out / split.value)):
-        if path not in ours:
-            raise InputError("expected no trajectory but those of this dataset", where=str(path))
-    estimate = None
-    for part in parts:
-        dx, bounds = part.metadata.dx, part.metadata.bounds
-        if up == "z":
-            if part.metadata.dim != 3:
-                raise InputError("expected a set in 3D for --up z", where=str(part.path))
-            bounds = (bounds[0], bounds[2], bounds[1])
-        known = Known(
-            bounds=bounds,
-            frame_dt=part.metadata.frame_dt,
-            spacing=spacing or dx or estimate,
-            spacing_from="--spacing" if spacing else "dx" if dx else "estimate",
-            friction_deg=friction_deg,
-        )
-        estimate = convert(part, LAYOUTS[layout], known, up)
-    write_json(out / "metadata.json", described_as_ours(parts, layout, record))
-
-
-def parts_of(source: Path, layout: Layout, out: Path) -> list[Part]:
-    """The splits that another code's dataset has. Raises InputError."""
-    described = source / "metadata.json"
-    content = read_metadata(described)
-    parts = []
+    code, described = LAYOUTS[layout], source / "metadata.json"
+    content, known = read_metadata(described), read_json(source / SCENES) or {}
+    record = {"from": layout, "source": str(source), "scene": None if scene is None else scene.to_json(), "up": up}
+    entries: list[Entry] = []
+    radius = None
     for split in Split:
-        path = source / f"{split.value}{layout.SUFFIX}"
+        path = source / f"{split.value}{code.SUFFIX}"
         if not path.exists():
             continue
         # geoelements may describe a larger box for rollouts than for training.
         purpose = content.get("rollout" if split is Split.TEST else "train", content)
-        names = layout.names(path)
+        keys = [key for key in ForeignMetadata.__dataclass_fields__ if key in purpose]
+        try:
+            foreign = from_mapping(ForeignMetadata, {key: purpose[key] for key in keys})
+        except InputError as error:
+            raise error.at(str(described)) from None
+        radius = foreign.default_connectivity_radius if radius is None else radius
+        names, ours = code.names(path), known.get(split.value, {})
         safe = all(map(SAFE_NAME.fullmatch, names)) and len({name.casefold() for name in names}) == len(names)
-        stems = names if safe else [f"{index:05d}" for index in range(len(names))]
-        parts.append(
-            Part(
-                split=split,
-                path=path,
-                metadata=known_keys(ForeignMetadata, purpose if isinstance(purpose, dict) else {}, described),
-                files={name: out / split.value / f"{stem}.npz" for name, stem in zip(names, stems, strict=True)},
-            )
-        )
-    if not any(part.files for part in parts):
-        raise InputError(f"expected trajectories in train, valid or test{layout.SUFFIX}", where=str(source))
-    return parts
-
-
-def convert(part: Part, layout: Layout, known: Known, up: str) -> float | None:
-    """Write what is missing of a split. Returns the spacing of its particles [m]: all share the first's."""
-    missing = {name for name, path in part.files.items() if not path.exists()}
-    done = [path for path in part.files.values() if path.exists()]
-    if known.spacing is None and done:
-        known = replace(known, spacing=stored_scene(done[0]).particle_spacing)
-    bar = tqdm(total=len(part.files), desc=part.split.value, unit="trajectory", dynamic_ncols=True)
-    with bar:
-        bar.update(len(done))
-        for cloud in layout.read(part.path, missing) if missing else ():
-            if up == "z":
-                cloud = replace(cloud, positions=np.ascontiguousarray(cloud.positions[..., [0, 2, 1]]))
+        stems = list(ours) or (names if safe else [f"{index:05d}" for index in range(len(names))])
+        scenes = [from_mapping(Scene, each) for each in ours.values()] or [scene] * len(names)
+        if None in scenes or len(scenes) != len(names):
+            raise InputError(f"expected --scene, for there is no {SCENES} of these trajectories", where=str(source))
+        begin(out, record)
+        files = {name: out / split.value / f"{stem}.npz" for name, stem in zip(names, stems, strict=True)}
+        strangers = set(trajectory_files(out / split.value)) - set(files.values())
+        if strangers:
+            raise InputError("expected no trajectory but those of this dataset", where=str(min(strangers)))
+        missing = {name for name, file in files.items() if not file.exists()}
+        of_name = dict(zip(names, scenes, strict=True))
+        clouds = code.read(path, missing) if missing else ()
+        for cloud in tqdm(clouds, desc=split.value, total=len(missing), unit="trajectory", dynamic_ncols=True):
             try:
-                trajectory = reconstruct(cloud, known)
+                trajectory_of(cloud, of_name[cloud.name], foreign, up).save(files[cloud.name])
             except InputError as error:
-                raise error.at(str(part.path)) from None
-            known = replace(known, spacing=trajectory.scene.particle_spacing)
-            trajectory.save(part.files[cloud.name])
-            bar.update()
-    return known.spacing
+                raise InputError(error.message, where=str(path), key=cloud.name) from None
+        entries += [Entry(split=split, name=file.stem, scene=stored_scene(file)) for file in files.values()]
+    if radius is None or not entries:
+        raise InputError(f"expected trajectories in train, valid or test{code.SUFFIX}", where=str(source))
+    write_json(out / "metadata.json", described_as_ours(entries, out, radius, layout, record))
 
 
-def described_as_ours(parts: list[Part], layout: str, record: dict[str, Any]) -> dict[str, Any]:
+def trajectory_of(cloud: Cloud, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
+    """The trajectory of the sand of a cloud, in `scene`. Raises InputError where the scene's box is another one."""
+    frame_dt, positions, bounds = foreign.dt * foreign.write_every, cloud.positions, np.array(foreign.bounds)
+    if up == "z":
+        if positions.shape[2] != 3:
+            raise InputError("expected a set in 3D for --up z")
+        positions, bounds = positions[..., [0, 2, 1]], bounds[[0, 2, 1]]
+    size = bounds[:, 1] - bounds[:, 0]
+    if len(size) != scene.dimension or not np.allclose(size, scene.domain.size, rtol=CLOSE):
+        raise InputError(f"expected a scene in the box of the set, {size.tolist()} m, got {list(scene.domain.size)} m")
+    sand = np.ascontiguousarray((positions - bounds[:, 0])[:, ~cloud.stationary], dtype=np.float32)
+    tangent = math.tan(math.radians(scene.material.friction_deg))
+    friction = np.full(sand.shape[1], tangent) if cloud.friction is None else cloud.friction[~cloud.stationary]
+    return Trajectory(
+        positions=sand,
+        time=np.arange(len(sand), dtype=np.float64) * frame_dt,
+        velocity0=((sand[1] - sand[0]) / frame_dt).astype(np.float32),
+        friction=friction.astype(np.float32),
+        scene=replace(scene, duration=(len(sand) - 1) * frame_dt, frame_dt=frame_dt),
+        summary={"runout": runout(sand[-1]), "front": front(sand[-1]), "toe": list(toe(sand[-1]))},
+    )
+
+
+def described_as_ours(
+    entries: list[Entry], out: Path, radius: float, layout: str, record: dict[str, Any]
+) -> dict[str, Any]:
     """The contents of `metadata.json`, statistics of the first split among them."""
-    entries = [
-        Entry(split=part.split, name=path.stem, scene=stored_scene(path))
-        for part in parts
-        for path in part.files.values()
-    ]
-    first = next(part for part in parts if part.files)
     definition = Definition(
         name=layout,
         size=len(entries),
-        connectivity_radius=first.metadata.default_connectivity_radius,
+        connectivity_radius=radius,
         split=lambda index: entries[index].split,
         draw=lambda _, index: entries[index].scene,
     )
-    bar = tqdm(first.files.values(), desc="statistics", unit="trajectory", dynamic_ncols=True)
+    first = entries[0].split
+    paths = [out / first.value / f"{entry.name}.npz" for entry in entries if entry.split is first]
+    bar = tqdm(paths, desc="statistics", unit="trajectory", dynamic_ncols=True)
     flows = (Trajectory.load(path) for path in bar)
     statistics = reduce(add, (motion_statistics(flow.positions, flow.frame_dt) for flow in flows))
     content = metadata(definition, entries, seed=0, statistics=statistics)
-    content["statistics"]["split"] = first.split.value
+    content["statistics"]["split"] = first.value
     # Nothing was drawn at random.
     del content["seed"]
-    return {**content, "reconstructed": record}
+    return {**content, "exchange": record}
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """Read a `metadata.json`. Raises InputError, also where there is none."""
+    data = read_json(path)
+    if data is None:
+        raise InputError("expected a JSON file, there is none", where=str(path))
+    return data
 
 
 def begin(out: Path, record: dict[str, Any]) -> None:
@@ -235,23 +228,9 @@ def begin(out: Path, record: dict[str, Any]) -> None:
     """
     path = out / RECORD
     if path.exists():
-        if read_metadata(path) != json.loads(json.dumps(record)):
+        if read_metadata(path) != record:
             raise InputError("expected the conversion that this folder was begun with, found another", where=str(path))
     elif out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
         raise InputError("expected an empty folder, or one that this conversion has begun", where=str(out))
     else:
         write_json(path, record)
-
-
-def digest(paths: Sequence[Path], folder: Path) -> str:
-    """A fingerprint of files in `folder`: of an NPZ from the checksums it states, of any other from all its bytes."""
-    total = hashlib.sha256()
-    for path in paths:
-        if path.suffix == ".npz":
-            with open_npz(path) as file:
-                content = json.dumps(file.checksums)
-        else:
-            with path.open("rb") as raw:
-                content = hashlib.file_digest(raw, "sha256").hexdigest()
-        total.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
-    return total.hexdigest()

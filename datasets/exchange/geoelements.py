@@ -5,7 +5,6 @@ A split is one file (`train.npz`, `valid.npz`, `test.npz`); each of its keys hol
 in one array, `gns_data`; such a file cannot be read one trajectory at a time.
 """
 
-import pickle
 import zipfile
 from collections.abc import Container, Iterable, Iterator
 from enum import IntEnum
@@ -37,23 +36,8 @@ EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of every member: the same trajectories give the same bytes."""
 
 
-class OlderNames(pickle._Pickler):
-    """Pickles arrays by the name `numpy.core.multiarray`, which every numpy reads; `_core` none before 1.26."""
-
-    write: Any
-    memoize: Any
-
-    def save_global(self, obj: Any, name: str | None = None) -> None:
-        """Write the name of a function of numpy; of any other as usual."""
-        if getattr(obj, "__module__", None) == "numpy._core.multiarray":
-            self.write(pickle.GLOBAL + f"numpy.core.multiarray\n{name or obj.__name__}\n".encode())
-            self.memoize(obj)
-        else:
-            super().save_global(obj, name)  # type: ignore[misc]
-
-
 def write(path: Path, clouds: Iterable[Cloud]) -> None:
-    """Write a split, one trajectory in memory at a time; numpy 1 and 2 read it alike."""
+    """Write a split, one trajectory in memory at a time."""
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
         for cloud in clouds:
             if cloud.name == ALL:
@@ -65,17 +49,15 @@ def write(path: Path, clouds: Iterable[Cloud]) -> None:
                 # A byte order of its own is what their tensors cannot take.
                 objects[index] = np.ascontiguousarray(item, item.dtype.newbyteorder("="))
             with archive.open(zipfile.ZipInfo(f"{cloud.name}.npy", EARLIEST), "w", force_zip64=True) as stream:
-                header = {"descr": "|O", "fortran_order": False, "shape": objects.shape}
-                np.lib.format.write_array_header_1_0(stream, header)
-                OlderNames(stream, protocol=4).dump(objects)
+                np.lib.format.write_array(stream, objects, allow_pickle=True)
 
 
 def metadata(described: Described) -> dict[str, Any]:
     """What `metadata.json` says; the counts of features are those of their network with one material property."""
-    axes = len(described.size)
+    axes = described.shared["dim"]
     velocities, walls, embedding, material = 5 * axes, 2 * axes, 16, 1
     return {
-        **described.shared_keys(),
+        **described.shared,
         "sequence_length": described.frames,
         "material_feature_len": material,
         "nnode_in": velocities + walls + embedding + material,
@@ -101,24 +83,18 @@ def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
     Never executes a pickle. Raises InputError, which names the file and the trajectory.
     """
     with open_npz(path) as file:
-        together = ALL in file.keys
-        entries = (
-            ((f"{index:05d}", parts) for index, parts in enumerate(file.read(ALL, objects=True)))
-            if together
-            else ((name, file.read(name, objects=True)) for name in file.keys if name in requested)
-        )
-        for name, parts in entries:
-            if name in requested:
-                try:
-                    yield _cloud(name, parts)
-                except InputError as error:
-                    raise error.at(str(path)) from None
-
-
-def _cloud(name: str, parts: Any) -> Cloud:
-    if isinstance(parts, np.ndarray) and parts.ndim == 0 and parts.dtype.hasobject:
-        parts = parts.item()
-    if not isinstance(parts, tuple | list | np.ndarray) or len(parts) not in (2, 3):
-        raise InputError("expected positions, particle types and perhaps a material property", key=name)
-    positions, types, material = (*parts, None)[:3]
-    return checked_cloud(name, positions, types, material, stationary=STATIONARY)
+        whole = file.read(ALL, objects=True) if ALL in file.keys else None
+        for index, name in enumerate(names(path)):
+            if name not in requested:
+                continue
+            parts = file.read(name, objects=True) if whole is None else whole[index]
+            if isinstance(parts, np.ndarray) and parts.ndim == 0 and parts.dtype.hasobject:
+                parts = parts.item()
+            try:
+                if not isinstance(parts, tuple | list | np.ndarray) or len(parts) not in (2, 3):
+                    message = "expected positions, particle types and perhaps a material property"
+                    raise InputError(message, key=name)
+                positions, types, material = (*parts, None)[:3]
+                yield checked_cloud(name, positions, types, material, stationary=STATIONARY)
+            except InputError as error:
+                raise error.at(str(path)) from None

@@ -49,8 +49,8 @@ def metadata(described: Described) -> dict[str, Any]:
     return {
         "case": "TALUS",
         "solver": "MLS-MPM",
-        **described.shared_keys(),
-        "t_end": (described.frames - 1) * described.frame_dt,
+        **described.shared,
+        "t_end": (described.frames - 1) * described.shared["dt"],
         "write_every": 1,
         "sequence_length_train": described.frames - 1,
         "num_trajs_train": described.trajectories["train"],
@@ -71,18 +71,13 @@ def names(path: Path) -> list[str]:
 def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
     """The trajectories of a split whose names are `requested`, one in memory at a time. Raises InputError."""
     with open_hdf5(path) as file:
-        for name in names(path):
-            if name in requested:
-                with reading(path, WHOLE_HDF5, name):
-                    cloud = _cloud(file, name)
-                yield cloud
-
-
-def _cloud(file: h5py.File, name: str) -> Cloud:
-    positions = read_array(file, f"{name}/position")
-    types = read_array(file, f"{name}/particle_type")
-    material = read_array(file, f"{name}/material_property") if "material_property" in file[name] else None
-    # Sets of the original GNS, as LagrangeBench converts them, keep the numbers they had there.
-    original = geoelements.ParticleType.SAND in types
-    stationary = geoelements.STATIONARY if original else STATIONARY
-    return checked_cloud(name, positions, types, material, stationary=stationary)
+        for name in filter(requested.__contains__, names(path)):
+            with reading(path, WHOLE_HDF5, name):
+                positions, types = (read_array(file, f"{name}/{key}") for key in ("position", "particle_type"))
+                known = "material_property" in file[name]
+                material = read_array(file, f"{name}/material_property") if known else None
+                # Sets of the original GNS, as LagrangeBench converts them, keep the numbers they had there.
+                original = geoelements.ParticleType.SAND in types
+                stationary = geoelements.STATIONARY if original else STATIONARY
+                cloud = checked_cloud(name, positions, types, material, stationary=stationary)
+            yield cloud

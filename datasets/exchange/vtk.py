@@ -77,24 +77,16 @@ class Meshes:
     def material(self) -> NDArray[np.int32]:
         """Index into `materials` of each particle, shape [N].
 
-        Where the trajectory does not say its mass, that of the mass that the particle is in (or nearest to) at the
-        start; that of the nearest of the scene's own particles where a mass is no box.
+        Where the trajectory does not say its mass, that of the nearest of the scene's own particles at the start.
         """
-        scene, start = self.trajectory.scene, self.start
-        materials = self.materials
+        scene = self.trajectory.scene
         if self.trajectory.mass is not None:
-            of_masses = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)
-            return of_masses[self.trajectory.mass]
-        if any(mass.kind != "box" for mass in scene.masses):
-            own = initial_particles(scene)
-            return np.asarray(own.material[cKDTree(own.positions).query(start)[1]])
-        nearest, index = np.full(len(start), np.inf), np.zeros(len(start), np.int32)
-        for mass in scene.masses:
-            lower, upper = np.array(mass.lower), np.add(mass.lower, mass.size)
-            outside = np.linalg.norm(start - start.clip(lower, upper), axis=1)
-            closer = outside < nearest
-            nearest[closer], index[closer] = outside[closer], materials.index(scene.material_of(mass))
-        return index
+            of_masses = [self.materials.index(scene.material_of(mass)) for mass in scene.masses]
+            return np.array(of_masses, np.int32)[self.trajectory.mass]
+        if len(self.materials) == 1:
+            return np.zeros(len(self.start), np.int32)
+        own = initial_particles(scene)
+        return np.asarray(own.material[cKDTree(own.positions).query(self.start)[1]])
 
     @cached_property
     def friction_deg(self) -> NDArray[np.float32]:
@@ -277,7 +269,7 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 
 def write_vtk(
     trajectory: Trajectory,
-    folder: Path,
+    folder: str | Path,
     *,
     every: int = 1,
     suffix: Literal[".vtp", ".vtu"] = ".vtp",
@@ -289,6 +281,7 @@ def write_vtk(
     Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole
     until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
     collection = ElementTree.SubElement(series, "Collection")
@@ -317,7 +310,10 @@ def write_vtk(
 def _write(mesh: "pyvista.PolyData", path: Path) -> None:
     """Write a VTP or a VTU: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
     if path.suffix == ".vtu":
-        _write_by_meshio(mesh, path)
+        import meshio
+        import pyvista
+
+        meshio.write(path, pyvista.to_meshio(mesh), binary=True)
         return
     from pyvista.core.utilities.writer import XMLPolyDataWriter
 
@@ -326,14 +322,3 @@ def _write(mesh: "pyvista.PolyData", path: Path) -> None:
     writer.EncodeAppendedDataOff()
     if not writer.Write():
         raise WorkFailed(f"{path.name} could not be written: is the disk full?")
-
-
-def _write_by_meshio(mesh: "pyvista.PolyData", path: Path) -> None:
-    """Write a VTU. Raises WorkFailed."""
-    import meshio
-    import pyvista
-
-    try:
-        meshio.write(path, pyvista.to_meshio(mesh), binary=True)
-    except OSError as error:
-        raise WorkFailed(f"{path.name} could not be written: {error.strerror}") from None

@@ -8,7 +8,6 @@ lie one behind the other, `Steps` says where each begins; what never changes is 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -19,6 +18,7 @@ from datasets.files import replacing
 from datasets.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    import h5py
     import pyvista
 
 FILE = "trajectory.vtkhdf"
@@ -29,7 +29,7 @@ VERSION = (2, 6)
 class Block:
     """A part of the trajectory in the file, one frame of it at a time."""
 
-    def __init__(self, group: h5py.Group, meshes: Meshes, name: str, times: NDArray[np.float64]) -> None:
+    def __init__(self, group: "h5py.Group", meshes: Meshes, name: str, times: NDArray[np.float64]) -> None:
         self.group, self.meshes, self.name, self.count = group, meshes, name, len(times)
         self.steps = group.create_group("Steps")
         group.attrs["Version"] = np.array(VERSION)
@@ -87,13 +87,15 @@ class Block:
             self.steps[name] = np.zeros((self.count, 4), np.int64)
 
 
-def write_vtkhdf(trajectory: Trajectory, path: Path, *, every: int = 1, progress: bool = False) -> None:
+def write_vtkhdf(trajectory: Trajectory, path: str | Path, *, every: int = 1, progress: bool = False) -> None:
     """Write every `every`-th frame of `trajectory`, and the last, into the VTKHDF file `path`.
 
     The same parts and arrays as `datasets.exchange.vtk.write_vtk` writes as a series; the unit of an array is its HDF5
     attribute `units`, since VTK's reader passes over the field data of a part. Raises WorkFailed.
     """
-    meshes, frames = Meshes(trajectory), frames_of(trajectory, every)
+    import h5py
+
+    path, meshes, frames = Path(path), Meshes(trajectory), frames_of(trajectory, every)
     times = trajectory.time[frames]
     try:
         with replacing(path) as part, h5py.File(part, "w") as file:

@@ -1,27 +1,32 @@
-"""python -m datasets.exchange: there and back, finished after an interruption, nothing overwritten."""
+"""python -m datasets.exchange: there and back, finished after an interruption; nothing overwritten or executed."""
 
 import dataclasses
 import json
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.exchange import conversion, geoelements, lagrangebench
+from datasets.errors import InputError
+from datasets.exchange import geoelements, lagrangebench
 from datasets.exchange.__main__ import command
-from datasets.exchange.cloud import ForeignMetadata
+from datasets.exchange.cloud import Cloud, cloud_of
 from datasets.exchange.conversion import LAYOUTS
 from datasets.files import write_json
 from datasets.geometry.solid import Solid
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
-from tests.datasets.toys import FRAMES, foreign_dataset, foreign_metadata, strewn, toy, toy_dataset, toy_scene
+from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "exchange.md"
 SPLITS = ("train", "valid", "test")
+
+layouts = pytest.mark.parametrize("layout", list(LAYOUTS))
 
 
 def exchange(*arguments: object) -> int:
@@ -40,7 +45,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("layout", ["geoelements", "lagrangebench"])
+@layouts
 def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
     ours, theirs, back, again = (tmp_path / name for name in ("ours", "theirs", "back", "again"))
     toy_dataset(ours, dimension)
@@ -48,25 +53,20 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
     assert exchange(theirs, "--from", layout, "--out", back) == 0
     for split in SPLITS:
         before, after = (sorted((folder / split).glob("*.npz")) for folder in (ours, back))
-        assert len(before) == len(after) > 0
-        if layout == "geoelements":
-            assert [path.name for path in before] == [path.name for path in after]
+        assert [path.name for path in before] == [path.name for path in after] != []
         for path, other in zip(before, after, strict=True):
             a, b = Trajectory.load(path), Trajectory.load(other)
             np.testing.assert_array_equal(a.positions, b.positions)
             np.testing.assert_array_equal(a.friction, b.friction)
             np.testing.assert_allclose(a.time, b.time, rtol=1e-12)
-            assert a.scene.domain == b.scene.domain
-            assert a.scene.baffles == b.scene.baffles
-            assert a.scene.material.friction_deg == b.scene.material.friction_deg
-            assert b.summary["reconstructed"]["spacing_from"] == "dx"
+            assert a.scene == b.scene
     # Types too: what comes back gives the peers the same bytes.
     assert exchange(back, "--to", layout, "--out", again) == 0
-    suffix = LAYOUTS[layout].SUFFIX
     for split in SPLITS:
-        assert (theirs / f"{split}{suffix}").read_bytes() == (again / f"{split}{suffix}").read_bytes()
+        name = f"{split}{LAYOUTS[layout].SUFFIX}"
+        assert (theirs / name).read_bytes() == (again / name).read_bytes()
     before, after = (json.loads((folder / "metadata.json").read_text()) for folder in (ours, back))
-    for key in ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt", "cell", "particles_per_axis"):
+    for key in ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt", "cell", "friction_deg"):
         assert before[key] == after[key]
     for key in ("vel_mean", "vel_std", "acc_mean", "acc_std"):
         np.testing.assert_allclose(before[key], after[key], rtol=1e-12)
@@ -74,7 +74,7 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
     assert "seed" not in after
 
 
-@pytest.mark.parametrize("layout", ["geoelements", "lagrangebench"])
+@layouts
 def test_what_the_metadata_of_other_codes_says(tmp_path: Path, layout: str) -> None:
     toy_dataset(tmp_path / "ours", 3)
     exchange(tmp_path / "ours", "--to", layout, "--out", tmp_path / "theirs")
@@ -84,25 +84,19 @@ def test_what_the_metadata_of_other_codes_says(tmp_path: Path, layout: str) -> N
     train = np.stack([toy(3, seed).positions for seed in range(2)])
     expected = sum((motion_statistics(each, 0.0025) for each in train[1:]), motion_statistics(train[0], 0.0025))
     np.testing.assert_allclose(written["vel_std"], expected.velocity.std)
-    particles = max(
-        each.positions.shape[1]
-        for split in SPLITS
-        for path in [tmp_path / "theirs" / f"{split}{LAYOUTS[layout].SUFFIX}"]
-        for each in LAYOUTS[layout].read(path, set(LAYOUTS[layout].names(path)))
-    )
     if layout == "geoelements":
         # Of the peers' network: 5 velocities and 2 walls per axis, an embedding of 16, tan(phi).
         assert (written["nnode_in"], written["nedge_in"], written["material_feature_len"]) == (38, 4, 1)
         assert written["sequence_length"] == FRAMES
     else:
         assert (written["sequence_length_train"], written["num_trajs_train"]) == (FRAMES - 1, 2)
-        assert written["num_particles_max"] == particles
+        assert written["num_particles_max"] == max(len(cloud_of(toy(3, seed), "").stationary) for seed in range(4))
         assert written["periodic_boundary_conditions"] == [False] * 3
         assert written["t_end"] == pytest.approx((FRAMES - 1) * 0.0025)
 
 
 @pytest.mark.parametrize("direction", ["--to", "--from"])
-@pytest.mark.parametrize("layout", ["geoelements", "lagrangebench"])
+@layouts
 def test_an_interrupted_conversion_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str, direction: str
 ) -> None:
@@ -111,7 +105,6 @@ def test_an_interrupted_conversion_is_finished(
         exchange(source, "--to", layout, "--out", tmp_path / "theirs")
         source = tmp_path / "theirs"
     assert exchange(source, direction, layout, "--out", tmp_path / "whole") == 0
-
     calls = 0
     load, save = Trajectory.load, Trajectory.save
 
@@ -132,12 +125,10 @@ def test_an_interrupted_conversion_is_finished(
             patch.setattr(Trajectory, "save", stop(save))
         assert exchange(source, direction, layout, "--out", tmp_path / "broken") == 130
     assert not (tmp_path / "broken" / "metadata.json").exists()
-    finished = contents(tmp_path / "broken")
-    assert 1 < len(finished) < len(contents(tmp_path / "whole"))
-    assert exchange(source, direction, layout, "--out", tmp_path / "broken") == 0
-    assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
-    assert exchange(source, direction, layout, "--out", tmp_path / "broken") == 0
-    assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
+    assert 1 < len(contents(tmp_path / "broken")) < len(contents(tmp_path / "whole"))
+    for _ in range(2):
+        assert exchange(source, direction, layout, "--out", tmp_path / "broken") == 0
+        assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
 
 
 def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,7 +138,6 @@ def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
     before = contents(tmp_path / "theirs")
     assert "begun with" in refused(capsys, ours, "--to", "lagrangebench", "--out", tmp_path / "theirs")
     other = toy_dataset(tmp_path / "other", 2)
-    toy(2, 9).save(other / "train" / "toy-0000.npz")
     assert "begun with" in refused(capsys, other, "--to", "geoelements", "--out", tmp_path / "theirs")
     assert contents(tmp_path / "theirs") == before
     exchange(tmp_path / "theirs", "--from", "geoelements", "--out", tmp_path / "back")
@@ -156,105 +146,88 @@ def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "stranger.npz" in line
 
 
-def test_trajectories_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_their_formats_do_not_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = toy_dataset(tmp_path / "ours", 2)
     toy(3).save(ours / "train" / "toy-0009.npz")
+    assert "toy-0009.npz" in refused(capsys, ours, "--to", "geoelements", "--out", tmp_path / "theirs")
+    flow = toy(2)
+    wall = Solid(lower=(0.45, 0.0), size=(0.02, 0.1))
+    path = ours / "train" / "toy-0000.npz"
+    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(wall,))).save(path)
     line = refused(capsys, ours, "--to", "geoelements", "--out", tmp_path / "theirs")
-    assert "toy-0009.npz" in line
+    assert "toy-0000.npz: solids: expected a scene without solids" in line
     assert not (tmp_path / "theirs").exists()
 
 
-def test_solids_are_refused_by_the_other_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    ours = toy_dataset(tmp_path / "ours", 2)
-    flow = toy(2)
-    wall = Solid(lower=(0.45, 0.0), size=(0.02, 0.1))
-    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(wall,))).save(
-        ours / "train" / "toy-0000.npz"
-    )
-    line = refused(capsys, ours, "--to", "geoelements", "--out", tmp_path / "theirs")
-    assert "toy-0000.npz: solids: expected a scene without solids" in line
-
-
 def foreign(folder: Path, dimension: int, *, material: Any = 0.7, **more: Any) -> Path:
-    """A set as geoelements' own generator makes it: points at random, obstacles too, bounds away from the origin."""
-    stream = np.random.default_rng(dimension)
-    spacing = 0.01 if dimension == 2 else 0.025
-    sand = strewn(stream, (0.15, 0.11, 0.2)[:dimension], (0.2, 0.3, 0.3)[:dimension], spacing)
-    obstacles = strewn(stream, (0.5, 0.1, 0.2)[:dimension], (0.1, 0.3, 0.1)[:dimension], spacing)
-    points = np.concatenate([sand, obstacles])
-    types = np.repeat([6, 3], [len(sand), len(obstacles)])
-    step = np.zeros_like(points)
-    step[: len(sand), 0] = 0.0025
-    positions = points + step * np.arange(FRAMES)[:, None, None]
-    trajectories = [(positions, types, material), (positions[:, : len(sand)], 6, material)]
-    return foreign_dataset(
-        folder,
-        [each if material is not None else each[:2] for each in trajectories],
-        {"train": foreign_metadata(dimension, **more), "rollout": foreign_metadata(dimension, **more)},
-    )
+    """A set as geoelements' own generator makes it: one array of all trajectories, a box away from the origin."""
+    cloud = cloud_of(toy(dimension), "")
+    positions, types = cloud.positions + 0.1, np.where(cloud.stationary, 3, 6)
+    data = np.empty(2, dtype=object)
+    for index, each in enumerate([(positions, types, material), (positions[:, types == 6], 6, material)]):
+        data[index] = each if material is not None else each[:2]
+    folder.mkdir(parents=True)
+    np.savez_compressed(folder / "train.npz", gns_data=data)
+    described = {
+        "bounds": [[0.1, 0.1 + length] for length in toy_scene(dimension, 0).domain.size],
+        "default_connectivity_radius": 0.029,
+        "dim": dimension,
+        "dt": 0.0025,
+        **more,
+    }
+    write_json(folder / "metadata.json", {"train": described, "rollout": described})
+    return folder
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_set_that_geoelements_generated(tmp_path: Path, dimension: int) -> None:
-    source = foreign(tmp_path / "theirs", dimension)
-    assert exchange(source, "--from", "geoelements", "--out", tmp_path / "back") == 0
-    first, second = (Trajectory.load(tmp_path / "back" / "train" / f"{name}.npz") for name in ("00000", "00001"))
-    assert first.scene.domain.size == (0.8,) * dimension
-    assert first.scene.domain == second.scene.domain
-    assert first.scene.particle_volume == pytest.approx((0.01 if dimension == 2 else 0.025) ** dimension, rel=0.2)
-    (baffle,) = first.scene.baffles
-    np.testing.assert_allclose(baffle.lower, [0.4, 0.0, 0.1][:dimension], atol=0.01)
-    assert second.scene.baffles == ()
-    (mass,) = first.scene.masses
-    np.testing.assert_allclose(mass.velocity, [1.0, 0.0, 0.0][:dimension], atol=1e-3)
-    np.testing.assert_allclose(first.friction, 0.7)
-    assert first.summary["reconstructed"]["spacing_from"] == "estimate"
+def test_a_set_that_geoelements_generated_is_given_a_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], dimension: int
+) -> None:
+    source, scene = foreign(tmp_path / "theirs", dimension), tmp_path / "scene.toml"
+    scene.write_text(toml_of(dimension))
+    assert "--scene" in refused(capsys, source, "--from", "geoelements", "--out", tmp_path / "none")
+    assert exchange(source, "--from", "geoelements", "--scene", scene, "--out", tmp_path / "back") == 0
+    for name in ("00000", "00001"):
+        flow = Trajectory.load(tmp_path / "back" / "train" / f"{name}.npz")
+        np.testing.assert_allclose(flow.positions, toy(dimension).positions, atol=1.0e-6)
+        np.testing.assert_allclose(flow.velocity0[:, 0], 1.0, atol=0.05)
+        np.testing.assert_allclose(flow.friction, 0.7)
+        assert (flow.scene.domain, flow.scene.frames) == (toy_scene(dimension, 0).domain, FRAMES)
     described = json.loads((tmp_path / "back" / "metadata.json").read_text())
-    assert described["definition"] == "geoelements"
-    assert described["reconstructed"]["from"] == "geoelements"
-    assert described["vel_mean"][0] == pytest.approx(0.0025, rel=1e-3)
+    assert (described["definition"], described["exchange"]["from"]) == ("geoelements", "geoelements")
+    bare = foreign(tmp_path / "bare", dimension, material=None)
+    assert exchange(bare, "--from", "geoelements", "--scene", scene, "--out", tmp_path / "bare-back") == 0
+    friction = Trajectory.load(tmp_path / "bare-back" / "train" / "00000.npz").friction
+    np.testing.assert_allclose(friction, np.tan(np.radians(25.0)), rtol=1e-6)
+    line = refused(capsys, source, "--from", "geoelements", "--scene", "column-tall-42", "--out", tmp_path / "b")
+    assert "expected a scene in the box of the set" in line
 
 
-def test_the_spacing_and_the_angle_that_a_user_gives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = foreign(tmp_path / "theirs", 2, material=None)
-    assert "--friction-deg" in refused(capsys, source, "--from", "geoelements", "--out", tmp_path / "none")
-    options = ("--friction-deg", 35, "--spacing", 0.01)
-    assert exchange(source, "--from", "geoelements", "--out", tmp_path / "back", *options) == 0
-    trajectory = Trajectory.load(tmp_path / "back" / "train" / "00000.npz")
-    assert trajectory.scene.domain.cell == 0.02
-    assert trajectory.scene.material.friction_deg == 35.0
-    both = foreign(tmp_path / "both", 2)
-    assert "no --friction-deg" in refused(capsys, both, "--from", "geoelements", "--out", tmp_path / "b", *options)
+def toml_of(dimension: int) -> str:
+    """The box of the toys, with one mass."""
+    domain, mass = toy_scene(dimension, 0).domain, toy_scene(dimension, 0).masses[0]
+    return (
+        f"duration = 1.0\n[domain]\nsize = {list(domain.size)}\ncell = {domain.cell}\n[material]\nfriction_deg = 25.0\n"
+        f"[[masses]]\nlower = {list(mass.lower)}\nsize = {list(mass.size)}\n"
+    )
 
 
 def test_z_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = foreign(tmp_path / "theirs", 3, dx=0.025)
-    for up in "yz":
-        assert exchange(source, "--from", "geoelements", "--out", tmp_path / up, "--up", up) == 0
-    a, b = (Trajectory.load(tmp_path / up / "train" / "00000.npz") for up in "yz")
-    np.testing.assert_array_equal(a.positions[..., [0, 2, 1]], b.positions)
-    assert b.scene.baffles[0].size == tuple(a.scene.baffles[0].size[axis] for axis in (0, 2, 1))
+    (tmp_path / "scene.toml").write_text(toml_of(3))
+    size = toy_scene(3, 0).domain.size
+    source = foreign(tmp_path / "theirs", 3, bounds=[[0.1, 0.1 + size[axis]] for axis in (0, 2, 1)])
+    arguments = ("--from", "geoelements", "--scene", tmp_path / "scene.toml", "--up", "z")
+    assert exchange(source, *arguments, "--out", tmp_path / "back") == 0
+    flow = Trajectory.load(tmp_path / "back" / "train" / "00000.npz")
+    np.testing.assert_allclose(flow.positions, toy(3).positions[..., [0, 2, 1]], atol=1.0e-6)
     flat = foreign(tmp_path / "flat", 2)
-    assert "3D" in refused(capsys, flat, "--from", "geoelements", "--out", tmp_path / "f", "--up", "z")
-
-
-def test_names_that_are_no_file_names(tmp_path: Path) -> None:
-    source = toy_dataset(tmp_path / "ours", 2)
-    exchange(source, "--to", "geoelements", "--out", tmp_path / "theirs")
-    (particles,) = geoelements.read(tmp_path / "theirs" / "test.npz", {"toy-0003"})
-    data = np.empty(3, dtype=object)
-    for index, part in enumerate((particles.positions, np.where(particles.stationary, 3, 6), particles.friction)):
-        data[index] = part
-    np.savez(tmp_path / "theirs" / "test.npz", **{"../../results/column": data, "b c": data})
-    assert exchange(tmp_path / "theirs", "--from", "geoelements", "--out", tmp_path / "back") == 0
-    assert sorted(path.name for path in (tmp_path / "back" / "test").iterdir()) == ["00000.npz", "00001.npz"]
+    assert "3D" in refused(capsys, flat, *arguments, "--out", tmp_path / "f")
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"dim": 4}, "dim: expected 2 or 3"),
-        ({"bounds": [[0.0, 1.0]]}, "bounds: expected a lower"),
+        ({"bounds": [[0.0, 1.0]]}, "bounds: expected two ends"),
         ({"dt": None}, "dt: expected"),
         ({"dt": 0.0}, "dt: expected a positive"),
         ({"periodic_boundary_conditions": [True, True, True]}, "expected walls"),
@@ -274,20 +247,12 @@ def test_metadata_that_makes_no_scene(
     assert not (tmp_path / "back").exists()
 
 
-def test_frames_of_a_solver_that_writes_every_so_often() -> None:
-    described = ForeignMetadata(
-        bounds=((0.0, 1.0),) * 2, dim=2, dt=0.0004, write_every=100, default_connectivity_radius=1
-    )
-    assert described.frame_dt == pytest.approx(0.04)
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (("--out", "o"), "one of --to and --from"),
         (("--to", "geoelements", "--from", "geoelements", "--out", "o"), "one of --to and --from"),
-        (("--to", "geoelements", "--spacing", "0.1", "--out", "o"), "with --from alone"),
-        (("--from", "geoelements", "--spacing", "-1", "--out", "o"), "positive length"),
+        (("--to", "geoelements", "--up", "z", "--out", "o"), "with --from alone"),
         (("--from", "geoelements", "--out", "o"), "metadata.json"),
         (("--to", "geoelements", "--out", "o"), "metadata.json"),
         (("--to", "deepmind", "--out", "o"), "deepmind"),
@@ -300,29 +265,172 @@ def test_mistakes(
     assert "there is none" in refused(capsys, tmp_path / "absent", "--to", "geoelements", "--out", "o")
 
 
-def test_a_folder_without_trajectories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_json(tmp_path / "metadata.json", foreign_metadata(2))
-    assert "expected trajectories" in refused(capsys, tmp_path, "--from", "geoelements", "--out", tmp_path / "o")
-    assert "expected trajectories" in refused(capsys, tmp_path, "--to", "geoelements", "--out", tmp_path / "o")
+STREAM = np.random.default_rng(0)
+POSITIONS = STREAM.random((4, 5, 2))
+TYPES = np.array([6, 3, 6, 6, 3])
+FRICTION = np.array([0.5, 0.0, 0.6, 0.7, 0.0], np.float32)
+
+
+def stored_npz(path: Path, *parts: Any) -> Path:
+    data = np.empty(len(parts), dtype=object)
+    for index, part in enumerate(parts):
+        data[index] = part
+    np.savez(path, simulation_trajectory_0=data)
+    return path
+
+
+def stored_hdf5(path: Path, **arrays: Any) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, array in arrays.items():
+            file[f"00000/{name}"] = array
+    return path
+
+
+def only(path: Path) -> Cloud:
+    """The one trajectory of a file in either layout."""
+    layout: Any = geoelements if path.suffix == ".npz" else lagrangebench
+    (name,) = layout.names(path)
+    (cloud,) = layout.read(path, {name})
+    assert isinstance(cloud, Cloud)
+    return cloud
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_their_readers_take_what_talus_writes(tmp_path: Path, dimension: int) -> None:
+    written = [cloud_of(toy(dimension, seed), f"toy-{seed}") for seed in range(2)]
+    for name in ("a", "b"):
+        geoelements.write(tmp_path / f"{name}.npz", written)
+        lagrangebench.write(tmp_path / f"{name}.h5", written)
+    for suffix in (".npz", ".h5"):
+        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    # As the peers' loader does it, on a file that this test has just written.
+    with np.load(tmp_path / "a.npz", allow_pickle=True) as file:
+        assert file.files == ["toy-0", "toy-1"]
+        for (positions, types, material), cloud in zip([file[key] for key in file.files], written, strict=True):
+            assert positions.dtype == np.float32
+            np.testing.assert_array_equal(positions, cloud.positions)
+            np.testing.assert_array_equal(types == 3, cloud.stationary)
+            assert set(types.tolist()) == {3, 6}
+            np.testing.assert_array_equal(material == 0.0, cloud.stationary)
+    with h5py.File(tmp_path / "a.h5") as file:
+        for name, cloud in zip(file, written, strict=True):
+            np.testing.assert_array_equal(file[f"{name}/position"][1:3], cloud.positions[1:3])
+            np.testing.assert_array_equal(file[f"{name}/particle_type"][:], cloud.stationary.astype(int))
+            np.testing.assert_array_equal(file[f"{name}/material_property"][:], cloud.friction)
+
+
+def test_obstacles_come_last_and_fill_their_boxes(tmp_path: Path) -> None:
+    trajectory = toy(3)
+    cloud, sand = cloud_of(trajectory, "toy"), trajectory.positions.shape[1]
+    assert cloud.stationary.tolist() == [False] * sand + [True] * (len(cloud.stationary) - sand)
+    assert (np.ptp(cloud.positions[:, sand:], axis=0) == 0.0).all()
+    for baffle in trajectory.scene.baffles:
+        lower, upper = np.array(baffle.lower), np.array(baffle.lower) + baffle.size
+        inside = ((cloud.positions[0] > lower) & (cloud.positions[0] < upper)).all(axis=1)
+        assert inside.sum() == pytest.approx(np.prod(baffle.size) / trajectory.scene.particle_spacing**3, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("material", "expected"),
+    [
+        (None, None),
+        (FRICTION.astype(np.float64)[:, None], FRICTION),
+        (0.5, [0.5, 0.0, 0.5, 0.5, 0.0]),
+        (np.array(0.5), [0.5, 0.0, 0.5, 0.5, 0.0]),
+        (FRICTION[TYPES == 6], FRICTION),
+    ],
+)
+def test_material_properties(tmp_path: Path, material: Any, expected: Any) -> None:
+    cloud = only(stored_npz(tmp_path / "train.npz", POSITIONS, TYPES, *(() if material is None else (material,))))
+    np.testing.assert_array_equal(cloud.stationary, TYPES == 3)
+    np.testing.assert_array_equal(cloud.positions, POSITIONS)
+    if expected is None:
+        assert cloud.friction is None
+    else:
+        np.testing.assert_array_equal(cloud.friction, np.asarray(expected, np.float32))
+
+
+@pytest.mark.parametrize("types", [np.where(TYPES == 3, 1, 0), TYPES])
+def test_the_numbers_of_lagrangebench_and_of_the_original_sets(tmp_path: Path, types: np.ndarray) -> None:
+    cloud = only(stored_hdf5(tmp_path / "train.h5", position=POSITIONS, particle_type=types))
+    assert cloud.friction is None
+    np.testing.assert_array_equal(cloud.stationary, TYPES == 3)
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ((POSITIONS,), "positions, particle types"),
+        ((POSITIONS.tolist(), TYPES), "positions as an array"),
+        ((POSITIONS[0], TYPES), "shape [T, N, 2 or 3]"),
+        ((POSITIONS[:1], TYPES), "two frames"),
+        ((np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), "positions within"),
+        ((POSITIONS, TYPES[:3]), "for each of 5"),
+        ((POSITIONS, TYPES.astype(float)), "integers"),
+        ((POSITIONS, np.array([6, 5, 6, 6, 3])), "types of [3, 6], got [3, 5, 6]"),
+        ((POSITIONS, 3), "sand that moves"),
+        ((POSITIONS, TYPES, np.ones(4)), "one material property"),
+        ((POSITIONS, TYPES, np.full(5, np.nan)), "a tan(phi)"),
+        ((POSITIONS, TYPES, 10**30), "material properties as numbers"),
+        ((POSITIONS, TYPES, np.array(["a"] * 5)), "found the dtype"),
+    ],
+)
+def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected: str) -> None:
+    path = stored_npz(tmp_path / "train.npz", *parts)
+    with pytest.raises(InputError) as caught:
+        only(path)
+    assert expected in str(caught.value)
+    assert (caught.value.where, caught.value.key) == (str(path), "simulation_trajectory_0")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "expected"),
+    [
+        ({"particle_type": TYPES}, "an array of numbers in the file"),
+        ({"position": POSITIONS, "particle_type": [0, 2, 0, 0, 0]}, "types of [0, 1]"),
+        ({"position": POSITIONS, "particle_type": [b"a"] * 5}, "array of numbers"),
+    ],
+)
+def test_what_is_no_trajectory_in_hdf5(tmp_path: Path, arrays: dict[str, Any], expected: str) -> None:
+    path = stored_hdf5(tmp_path / "train.h5", **arrays)
+    with pytest.raises(InputError, match=re.escape(expected)) as caught:
+        only(path)
+    assert caught.value.where == str(path)
+
+
+def test_links_out_of_the_file(tmp_path: Path) -> None:
+    stored_hdf5(tmp_path / "other.h5", position=POSITIONS)
+    path = stored_hdf5(tmp_path / "train.h5", particle_type=TYPES)
+    with h5py.File(path, "a") as file:
+        file["00000/position"] = h5py.ExternalLink("other.h5", "00000/position")
+    with pytest.raises(InputError, match="an array of numbers in the file"):
+        only(path)
+
+
+def test_a_failing_source_leaves_no_file_and_a_name_means_all(tmp_path: Path) -> None:
+    def interrupted() -> Any:
+        yield cloud_of(toy(2), "toy")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        geoelements.write(tmp_path / "train.npz", interrupted())
+    with pytest.raises(InputError, match="gns_data"):
+        geoelements.write(tmp_path / "train.npz", [cloud_of(toy(2), "gns_data")])
+    assert list(tmp_path.iterdir()) == []
+    geoelements.write(tmp_path / "train.npz", [cloud_of(toy(2), "toy")])
+    with zipfile.ZipFile(tmp_path / "train.npz") as archive:
+        assert archive.testzip() is None
 
 
 def test_the_page_names_every_key(tmp_path: Path) -> None:
     page = PAGE.read_text(encoding="utf-8")
     toy_dataset(tmp_path / "ours", 2)
-    for layout in LAYOUTS:
+    for layout, module in LAYOUTS.items():
         section = page.split(f"\n## {layout}\n")[1].split("\n## ")[0]
         exchange(tmp_path / "ours", "--to", layout, "--out", tmp_path / layout)
         written = json.loads((tmp_path / layout / "metadata.json").read_text())
         assert written.keys() <= set(re.findall(r"`(\w+)`", section))
-    for module in (geoelements, lagrangebench):
-        section = page.split(f"\n## {module.__name__.split('.')[-1]}\n")[1].split("\n## ")[0]
         for kind in module.ParticleType:
             assert f"{int(kind)} ({kind.name.lower().replace('_', ' ')})" in section
-    exchange(tmp_path / "geoelements", "--from", "geoelements", "--out", tmp_path / "back")
-    summary = Trajectory.load(tmp_path / "back" / "train" / "toy-0000.npz").summary
-    assert set(summary["reconstructed"]) <= set(re.findall(r"`(\w+)`", page))
-    assert set(json.loads((tmp_path / "back" / "exchange.json").read_text())) <= set(re.findall(r"`(\w+)`", page))
-    for flag in ("--to", "--from", "--out", "--friction-deg", "--spacing", "--up"):
+    for flag in ("--to", "--from", "--out", "--scene", "--up", "scenes.json", "exchange.json"):
         assert flag in page
-    assert conversion.SAFE_NAME.fullmatch("toy-0000")
-    assert toy_scene(2, 0).dimension == 2

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from datasets.command_line import WorkFailed
 from datasets.exchange import vtk
@@ -114,13 +112,6 @@ def test_velocity_by_differences(tmp_path: Path, flow: Trajectory) -> None:
         np.testing.assert_allclose(points["velocity"], np.tile(true, (4, 1)), atol=2e-5)
 
 
-def test_velocity_as_recorded(tmp_path: Path, flow: Trajectory) -> None:
-    recorded = np.random.default_rng(3).random((5, 4, 3), np.float32)
-    write_vtk(dataclasses.replace(flow, velocities=recorded), tmp_path)
-    for frame, (points, *_) in enumerate(read(tmp_path).values()):
-        np.testing.assert_array_equal(points["velocity"], recorded[frame])
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_stress_and_density_as_recorded(tmp_path: Path, flow: Trajectory, dimension: int) -> None:
     stream, width = np.random.default_rng(4), 4 if dimension == 2 else 6
@@ -187,24 +178,6 @@ def test_two_dimensions(tmp_path: Path, flow: Trajectory) -> None:
     assert domain.length == pytest.approx(np.hypot(0.3, 0.2))
     # What never changes has one file.
     assert (tmp_path / "baffles.vtp").exists()
-
-
-def test_no_baffles(tmp_path: Path, trajectory: Trajectory) -> None:
-    write_vtk(trajectory, tmp_path)
-    assert all(len(parts) == 2 for parts in read(tmp_path).values())
-    assert "baffles.vtp" not in {file.name for file in tmp_path.iterdir()}
-
-
-def test_the_reader_that_paraview_has(tmp_path: Path, flow: Trajectory) -> None:
-    write_vtk(flow, tmp_path)
-    reader = vtkXMLPolyDataReader()
-    reader.SetFileName(str(tmp_path / "particles-0004.vtp"))
-    reader.Update()
-    values = reader.GetOutput().GetPointData().GetArray("displacement")
-    np.testing.assert_array_equal(vtk_to_numpy(values), flow.positions[4] - flow.positions[0])
-    head = (tmp_path / "particles-0004.vtp").read_bytes()
-    assert b"vtkZLibDataCompressor" in head
-    assert b'<AppendedData encoding="raw">' in head
 
 
 def test_materials_are_those_of_the_points(flow: Trajectory) -> None:
@@ -283,23 +256,6 @@ def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> 
     assert not set(np.unique(points[~on_ground, 0])) & set(np.array([0.2, 0.22], np.float32))
 
 
-def test_solids_in_two_dimensions_are_lines(tmp_path: Path, flow: Trajectory) -> None:
-    flow = flat(flow)
-    ground = Solid(kind="terrain", points=((0.0, 0.0), (0.1, 0.0), (0.3, 0.02)))
-    scene = dataclasses.replace(flow.scene, baffles=(), solids=(ground,))
-    write_vtk(dataclasses.replace(flow, scene=scene), tmp_path)
-    solids = read(tmp_path)[0.02][1]
-    points = np.asarray(solids.points)
-    inside = (points[:, 0] >= 0.0) & (points[:, 0] <= 0.3)
-    assert {tuple(point) for point in np.round(points[inside, :2].astype(float), 6).tolist()} == {
-        (0.0, 0.0),
-        (0.1, 0.0),
-        (0.3, 0.02),
-    }
-    assert solids.n_lines == solids.n_cells
-    assert (tmp_path / "solids.vtp").exists()
-
-
 def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path)
     (tmp_path / "particles-of-interest.txt").write_text("mine")
@@ -340,15 +296,6 @@ def test_a_break_leaves_the_older_series(tmp_path: Path, flow: Trajectory, break
     with pytest.raises(KeyboardInterrupt):
         write_vtk(flat(flow), tmp_path)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
-
-
-def test_a_break_of_the_first_leaves_nothing(
-    tmp_path: Path, flow: Trajectory, break_after: Callable[[int], None]
-) -> None:
-    break_after(3)
-    with pytest.raises(KeyboardInterrupt):
-        write_vtk(flow, tmp_path)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_break_among_the_moves_leaves_no_series(

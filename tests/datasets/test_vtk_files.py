@@ -1,4 +1,4 @@
-"""VTKHDF, XDMF and VTU: read back with VTK's own readers and meshio's, every part, array and time."""
+"""VTKHDF and VTU: read back with VTK's own readers and meshio's, every part, array and time."""
 
 import dataclasses
 from pathlib import Path
@@ -9,16 +9,13 @@ import meshio
 import numpy as np
 import pytest
 import pyvista
-from meshio.xdmf import TimeSeriesReader
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
-from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
 from datasets.command_line import WorkFailed
 from datasets.exchange import vtkhdf
 from datasets.exchange.vtk import Meshes, write_vtk
 from datasets.exchange.vtkhdf import write_vtkhdf
-from datasets.exchange.xdmf import write_xdmf
 from datasets.geometry.solid import Solid
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import toy
@@ -83,12 +80,6 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
         since = frame
 
 
-def test_pyvista_reads_vtkhdf_as_it_is(tmp_path: Path, flow: Trajectory) -> None:
-    write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
-    blocks = pyvista.read(tmp_path / "trajectory.vtkhdf")
-    np.testing.assert_array_equal(blocks["particles"].points[:, :2], flow.positions[0, :, :2])
-
-
 def test_vtkhdf_says_its_units_and_stores_once_what_stays(tmp_path: Path, flow: Trajectory) -> None:
     write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
     with h5py.File(tmp_path / "trajectory.vtkhdf") as file:
@@ -115,40 +106,6 @@ def test_a_vtkhdf_that_fails_leaves_the_older_one(
         write_vtkhdf(flow, path)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["trajectory.vtkhdf"]
-
-
-def test_xdmf_by_meshio(tmp_path: Path, flow: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    write_xdmf(flow, tmp_path / "out", every=2)
-    assert list(elsewhere.iterdir()) == []
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"trajectory.xdmf", "trajectory.h5"}
-    meshes, kept = Meshes(flow), [0, 2, 4, 5]
-    with TimeSeriesReader(tmp_path / "out" / "trajectory.xdmf") as reader:
-        assert reader.num_steps == 4
-        for step, frame in enumerate(kept):
-            reader.mesh_grid = reader.collection[step]
-            points, cells = reader.read_points_cells()
-            time, arrays, _ = reader.read_data(step)
-            assert time == flow.time[frame]
-            np.testing.assert_array_equal(points[:, : flow.scene.dimension], flow.positions[frame])
-            np.testing.assert_array_equal(cells[0].data.ravel(), np.arange(len(points)))
-            expected = meshes.arrays("particles", frame, 0)
-            assert arrays.keys() == expected.keys()
-            for name, values in expected.items():
-                np.testing.assert_array_equal(arrays[name], values)
-
-
-def test_xdmf_by_vtk(tmp_path: Path, flow: Trajectory) -> None:
-    write_xdmf(flow, tmp_path)
-    frames = frames_in(vtkXdmfReader(), tmp_path / "trajectory.xdmf")
-    assert list(frames) == flow.time.tolist()
-    for frame, points in enumerate(frames.values()):
-        expected = Meshes(flow).part("particles", frame, 0)
-        np.testing.assert_array_equal(points.points, expected.points)
-        np.testing.assert_array_equal(points["displacement"], expected["displacement"])
-        assert points.n_cells == points.n_points
 
 
 def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:

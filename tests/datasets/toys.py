@@ -1,8 +1,6 @@
-"""Small datasets made by hand: sand that slides past baffles, and the same as a peer would write it."""
+"""Small datasets made by hand: sand that slides past baffles."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -81,36 +79,4 @@ def toy_dataset(folder: Path, dimension: int) -> Path:
         draw=lambda _, index: entries[index].scene,
     )
     write_json(folder / "metadata.json", metadata(definition, entries, seed=0, statistics=statistics))
-    return folder
-
-
-def strewn(
-    stream: np.random.Generator, lower: tuple[float, ...], size: tuple[float, ...], spacing: float
-) -> np.ndarray:
-    """Points at random in a box, one per cubed spacing: positions [m], shape [N, D]."""
-    count = round(float(np.prod(np.array(size) / spacing)))
-    return np.array(lower) + stream.random((count, len(size))) * np.array(size)
-
-
-def foreign_metadata(dimension: int, **more: Any) -> dict[str, Any]:
-    """What a peer's `metadata.json` holds, the box away from the origin."""
-    return {
-        "bounds": [[0.1, 0.9]] * dimension,
-        "sequence_length": FRAMES,
-        "default_connectivity_radius": 0.029,
-        "dim": dimension,
-        "dt": 0.0025,
-        **{key: [0.0] * dimension for key in ("vel_mean", "vel_std", "acc_mean", "acc_std")},
-        **more,
-    }
-
-
-def foreign_dataset(folder: Path, trajectories: list[tuple[Any, ...]], described: dict[str, Any]) -> Path:
-    """A training set as geoelements' generator writes it: all trajectories in one array, compressed."""
-    data = np.empty(len(trajectories), dtype=object)
-    for index, trajectory in enumerate(trajectories):
-        data[index] = trajectory
-    folder.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(folder / "train.npz", gns_data=data)
-    (folder / "metadata.json").write_text(json.dumps(described))
     return folder
