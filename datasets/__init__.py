@@ -14,11 +14,11 @@ For example:
 import warnings
 from importlib.metadata import PackageNotFoundError, distribution
 
+from datasets import checks as checks
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.library import read_scene, write_scene
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory, read_trajectory
 
 __version__ = "0.1.0"
@@ -35,6 +35,10 @@ __all__ = [
     "read_trajectory",
     "write_scene",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
 
 
 def _warn_of_namesake() -> None:

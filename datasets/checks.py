@@ -1,14 +1,12 @@
-"""What a scene must fulfil to be simulated, each key with what is expected of it."""
+"""What a scene must fulfil to be simulated, each key with what is expected of it. A new scene runs these checks."""
 
 import math
-
-import numpy as np
+import warnings
 
 from datasets.errors import InputError
-from datasets.field import check_fields
-from datasets.geometry.solid import FARTHEST, check_solid, usual
-from datasets.particles import lattice_counts
-from datasets.scene import DOMAIN_SIDES, TOLERANCE, Baffle, Mass, Scene, has_shapes, overlaps
+from datasets.field import FRICTION, VELOCITIES
+from datasets.geometry.shapes import FARTHEST, check_solid, check_vector, require, usual
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene
 
 MOST_CELLS = 2**31 - 1
 """Of the box: what 32 bits count."""
@@ -17,6 +15,26 @@ MOST_FRAMES = 10_000_000
 MOST_PER_AXIS = 1000
 MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
+SMALL_ANGLE = 3.0
+"""Angle of friction [deg] below which no sand is: one in radians is."""
+SOFTEST = 30.0
+"""Young's modulus over the largest pressure rho g h below which a body visibly sinks under its own weight [-]."""
+
+
+def complete(scene: Scene) -> None:
+    """Check a new scene, and give its masses the boxes around them. Raises InputError."""
+    check_sizes(scene)
+    if any(mass.kind != "box" for mass in scene.masses):
+        # The libraries of solid geometry load only where there is more than boxes.
+        from datasets.geometry.bodies import with_boxes
+
+        for index, solid in enumerate(scene.solids):
+            check_solid(solid, f"solids[{index}]", scene.dimension)
+        object.__setattr__(scene, "masses", with_boxes(scene))
+    check(scene)
+
+
+Scene.complete = staticmethod(complete)
 
 
 def check_sizes(scene: Scene) -> None:
@@ -24,22 +42,13 @@ def check_sizes(scene: Scene) -> None:
 
     First of all, because shapes are filled with particles before the rest is checked.
     """
-
-    def require(ok: bool, key: str, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=key)
-
     domain = scene.domain
     require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
     require(0.0 < domain.cell <= FARTHEST, "domain.cell", f"a positive length in m, up to {FARTHEST:g}", domain.cell)
     cells = [length / domain.cell for length in domain.size]
-    for length, count in zip(domain.size, cells, strict=True):
-        require(
-            0.0 < length <= FARTHEST and count < MOST_CELLS and whole(count),
-            "domain.size",
-            f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m",
-            list(domain.size),
-        )
+    fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
+    expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"
+    require(fits, "domain.size", expected, list(domain.size))
     few = math.prod(cells) <= MOST_CELLS
     require(few, "domain.cell", f"a box of at most {MOST_CELLS} cells, so larger ones", f"{math.prod(cells):.3g}")
     for key in ("frame_dt", "duration"):
@@ -58,135 +67,169 @@ def check_sizes(scene: Scene) -> None:
 
 def whole(count: float) -> bool:
     """Whether a number is a whole one of at least 1, but for rounding."""
-    return round(count) >= 1 and abs(count - round(count)) < 1e-6 * count
-
-
-def check_particles(scene: Scene) -> None:
-    """Raise InputError for boxes of more particles than can be counted; other shapes say so when they are filled."""
-    counts = [math.prod(lattice_counts(scene, mass)) for mass in scene.masses if mass.kind == "box"]
-    if sum(counts) > MOST_PARTICLES:
-        raise InputError(
-            f"expected at most {MOST_PARTICLES} particles, got {sum(counts):.3g}: larger cells are fewer",
-            key="masses",
-        )
+    return 0.5 <= count < MOST_CELLS and abs(count - round(count)) < 1e-6 * count
 
 
 def check(scene: Scene) -> None:
     """Raise InputError for a scene that cannot be simulated: each key with what was expected of it."""
-
-    def require(ok: bool, key: str, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=key)
-
-    domain, dimension = scene.domain, len(scene.domain.size)
-    for key in ("gravity", "floor_friction", "wall_friction", "baffle_friction", "relaxation_time"):
-        require((getattr(scene, key) or 0.0) <= FARTHEST, key, f"a number up to {FARTHEST:g}", getattr(scene, key))
-    require(scene.gravity >= 0.0, "gravity", "an acceleration of at least 0 m/s^2", scene.gravity)
+    domain, dimension = scene.domain, scene.dimension
+    coefficients = ("floor_friction", "wall_friction", "baffle_friction")
+    bounds = dict.fromkeys(coefficients, ("a coefficient of at least 0", 0.0)) | {
+        "gravity": ("an acceleration of at least 0 m/s^2", 0.0),
+        "relaxation_time": ("a time of at least 0 s", 0.0),
+        "seed": ("an integer of at least 0", 0),
+    }
+    for key, (expected, lowest) in bounds.items():
+        value = getattr(scene, key)
+        require(value is None or lowest <= value <= FARTHEST or (key == "seed" and value >= 0), key, expected, value)
     require(-90.0 < scene.slope_deg < 90.0, "slope_deg", "an angle in (-90, 90) degrees", scene.slope_deg)
-    require(scene.floor_friction >= 0.0, "floor_friction", "a coefficient of at least 0", scene.floor_friction)
-    require(scene.wall_friction >= 0.0, "wall_friction", "a coefficient of at least 0", scene.wall_friction)
-    require(scene.baffle_friction >= 0.0, "baffle_friction", "a coefficient of at least 0", scene.baffle_friction)
     require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
-    relaxation = scene.relaxation_time
-    require(relaxation is None or relaxation >= 0.0, "relaxation_time", "a time of at least 0 s", relaxation)
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
-    require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
-    groups: dict[str, tuple[Mass | Baffle, ...]] = {"masses": scene.masses, "baffles": scene.baffles}
-    for kind, boxes in groups.items():
-        for index, box in enumerate(boxes):
+    for kind in ("masses", "baffles"):
+        for index, box in enumerate(getattr(scene, kind)):
             key = f"{kind}[{index}]"
             for name in ("lower", "size"):
                 if getattr(box, name) == ():
                     raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
-            require(len(box.lower) == dimension, f"{key}.lower", f"{dimension} lengths in m", list(box.lower))
-            require(len(box.size) == dimension, f"{key}.size", f"{dimension} lengths in m", list(box.size))
+                check_vector(getattr(box, name), f"{key}.{name}", dimension)
             require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
-            require(all(map(usual, box.lower)), f"{key}.lower", f"lengths within {FARTHEST:g} m", list(box.lower))
             inside = all(
                 low >= -TOLERANCE and low + size <= limit + TOLERANCE
                 for low, size, limit in zip(box.lower, box.size, domain.size, strict=True)
             )
-            require(
-                inside, key, f"a box inside the domain {list(domain.size)}", f"{list(box.lower)} + {list(box.size)}"
-            )
-    open_sides = DOMAIN_SIDES[: 2 * dimension]
+            expected = f"a box inside the domain {list(domain.size)}"
+            require(inside, key, expected, f"{list(box.lower)} + {list(box.size)}")
+    sides = DOMAIN_SIDES[: 2 * dimension]
     for index, side in enumerate(scene.open_sides):
-        require(side in open_sides, f"open_sides[{index}]", f"one of {', '.join(open_sides)}", repr(side))
+        require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for index, baffle in enumerate(scene.baffles):
-        friction = baffle.friction
-        require(
-            friction is None or 0.0 <= friction <= FARTHEST,
-            f"baffles[{index}].friction",
-            "a coefficient of at least 0",
-            friction,
-        )
+        mu = baffle.friction
+        ok = mu is None or 0.0 <= mu <= FARTHEST
+        require(ok, f"baffles[{index}].friction", "a coefficient of at least 0", mu)
     for index, solid in enumerate(scene.solids):
         check_solid(solid, f"solids[{index}]", dimension)
     for index, mass in enumerate(scene.masses):
-        if mass.velocity is not None:
-            require(
-                len(mass.velocity) == dimension and all(map(usual, mass.velocity)),
-                f"masses[{index}].velocity",
-                f"{dimension} finite components in m/s",
-                list(mass.velocity),
-            )
-        if mass.angular_velocity is not None:
-            turn = mass.angular_velocity
-            parts = turn if isinstance(turn, tuple) else (turn,)
-            require(
-                len(parts) in {2: (1,), 3: (1, 3)}[dimension] and all(map(usual, parts)),
-                f"masses[{index}].angular_velocity",
-                "a finite number in rad/s, in 3D that or 3 components",
-                list(parts),
-            )
         check_start(scene, mass, f"masses[{index}]")
     check_particles(scene)
     check_fields(scene)
-    names = [f"{kind}[{index}]" for kind, group in groups.items() for index in range(len(group))]
-    shared = overlaps((*scene.masses, *scene.baffles))
-    shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
-    upright = [mass.kind == "box" for mass in scene.masses] + [baffle.turned_deg == 0.0 for baffle in scene.baffles]
-    shared &= np.outer(upright, upright)  # others are more than boxes
-    if shared.any():
-        first, second = np.argwhere(shared)[0]
-        raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
-    if has_shapes(scene):
-        from datasets.geometry.overlaps import check_overlaps
+    from datasets.geometry.placement import check_overlaps
 
-        check_overlaps(scene)
+    check_overlaps(scene)
+
+
+def check_particles(scene: Scene) -> None:
+    """Raise InputError for boxes of more particles than can be counted; other shapes say so when they are filled."""
+    sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]
+    count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
+    require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
 
 
 def check_start(scene: Scene, mass: Mass, key: str) -> None:
-    """Raise InputError for a mass that cannot begin as its `k0` and `release` ask."""
+    """Raise InputError for a mass that cannot begin as its velocities, its `k0` and its `release` ask."""
+    dimension, velocity, turn, k0, release = (
+        scene.dimension,
+        mass.velocity,
+        mass.angular_velocity,
+        mass.k0,
+        mass.release,
+    )
+    if velocity is not None:
+        ok = len(velocity) == dimension and all(map(usual, velocity))
+        require(ok, f"{key}.velocity", f"{dimension} finite components in m/s", list(velocity))
+    if turn is not None:
+        parts = turn if isinstance(turn, tuple) else (turn,)
+        ok = len(parts) in {2: (1,), 3: (1, 3)}[dimension] and all(map(usual, parts))
+        require(ok, f"{key}.angular_velocity", "a finite number in rad/s, in 3D that or 3 components", list(parts))
+    for name, given in (("k0", k0), ("release", release)):
+        box = given is None or mass.kind == "box"
+        require(box, f"{key}.{name}", f"none of a {mass.kind}, which is no box", repr(given))
+    if isinstance(k0, str):
+        require(k0 == "elastic", f"{key}.k0", "a ratio of stresses or 'elastic'", repr(k0))
+    elif k0 is not None:
+        require(0.0 <= k0 <= FARTHEST, f"{key}.k0", "a ratio of at least 0", k0)
+    if isinstance(release, str):
+        require(release == "settled", f"{key}.release", "a time in s or 'settled'", repr(release))
+    elif release is not None:
+        frames = release / scene.frame_dt
+        expected = f"a positive whole number of frames of {scene.frame_dt:g} s"
+        require(whole(frames), f"{key}.release", expected, release)
+        early = round(frames) < scene.frames - 1
+        require(early, f"{key}.release", f"a time before the end at {scene.duration:g} s", release)
+    if release is not None:
+        still = not any(velocity or ())
+        require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
 
-    def require(ok: bool, name: str, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=f"{key}.{name}")
 
-    for name in ("k0", "release"):
-        given = getattr(mass, name)
-        require(given is None or mass.kind == "box", name, f"none of a {mass.kind}, which is no box", repr(given))
-    if isinstance(mass.k0, str):
-        require(mass.k0 == "elastic", "k0", "a ratio of stresses or 'elastic'", repr(mass.k0))
-    elif mass.k0 is not None:
-        require(0.0 <= mass.k0 <= FARTHEST, "k0", "a ratio of at least 0", mass.k0)
-    if isinstance(mass.release, str):
-        require(mass.release == "settled", "release", "a time in s or 'settled'", repr(mass.release))
-    elif mass.release is not None:
-        frames = mass.release / scene.frame_dt
-        require(
-            mass.release > 0.0 and abs(frames - round(frames)) < 1e-6 * max(frames, 1.0),
-            "release",
-            f"a positive whole number of frames of {scene.frame_dt:g} s",
-            mass.release,
-        )
-        require(
-            round(frames) < scene.frames - 1, "release", f"a time before the end at {scene.duration:g} s", mass.release
-        )
-    if mass.release is not None:
-        require(
-            not any(mass.velocity or ()), "velocity", "a mass at rest behind its barriers", list(mass.velocity or ())
-        )
+def check_fields(scene: Scene) -> None:
+    """Raise InputError for fields that the particles of `scene` cannot have."""
+    dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
+    for index, field in enumerate(scene.fields):
+        key = f"fields[{index}]"
+        require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
+        for name in ("origin", "spacing", "nodes"):
+            count = len(getattr(field, name))
+            require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
+        require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
+        require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
+        count = field.grid.count
+        require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
+        masses = range(len(scene.masses))
+        require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
+        others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
+        alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
+        require(alone, key, f"one field of {field.quantity} for each mass", "another one")
+        if field.quantity != FRICTION:
+            continue
+        lowest, highest = min(field.values), max(field.values)
+        require(lowest > 0.0 and highest < 90.0, f"{key}.values", "angles in (0, 90) degrees", (lowest, highest))
+        for number in masses if field.mass is None else (field.mass,):
+            material = scene.material_of(scene.masses[number])
+            smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
+            message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
+            require(lowest >= smallest, f"{key}.values", message, lowest)
+
+
+def check_plain(scene: Scene, who: str, where: str = "", *, terrain: bool = False) -> None:
+    """Raise InputError for a scene with solids, turned baffles or open sides, which `who` does not know.
+
+    terrain: whether it knows terrain under Coulomb friction, and turned baffles.
+    """
+    refused: list[tuple[bool, str, str]] = [(bool(scene.open_sides), "open_sides", "a closed box")]
+    if terrain:
+        for index, solid in enumerate(scene.solids):
+            refused.append((solid.kind != "terrain", f"solids[{index}].kind", "baffles and terrain alone"))
+            other = solid.contact != "coulomb" or solid.adhesion > 0.0
+            refused.append((other, f"solids[{index}].contact", "Coulomb friction alone"))
+    else:
+        refused.append((bool(scene.solids), "solids", "a scene without solids but baffles"))
+        turned = ((each.turned_deg != 0.0, f"baffles[{index}].turned_deg") for index, each in enumerate(scene.baffles))
+        refused += [(bad, key, "a baffle along the axes") for bad, key in turned]
+    for bad, key, expected in refused:
+        if bad:
+            raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)
+
+
+def warn_if_unlikely(scene: Scene) -> None:
+    """One UserWarning for each number that looks like another unit's: an angle in radians, a modulus in MPa."""
+    for key, material in {
+        "material": scene.material,
+        **{f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material},
+    }.items():
+        if 0.0 < material.friction_deg < SMALL_ANGLE:
+            radians = math.degrees(material.friction_deg)
+            warnings.warn(
+                f"{key}.friction_deg = {material.friction_deg:g} degrees is less than any sand's"
+                + (f"; in radians it would be {radians:.3g} degrees" if radians < 60.0 else ""),
+                stacklevel=3,
+            )
+        heights = [mass.size[1] for mass in scene.masses if scene.material_of(mass) == material]
+        pressure = material.density * scene.gravity * max(heights, default=0.0)
+        if material.young < SOFTEST * pressure:
+            warnings.warn(
+                f"{key}.young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {SOFTEST * pressure:.3g} Pa: "
+                "the body sinks under its own weight",
+                stacklevel=3,
+            )

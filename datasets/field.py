@@ -8,16 +8,12 @@ with h the spacing of the grid, and x outside of the grid moved to its edge.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.records import Record
-
-if TYPE_CHECKING:
-    from datasets.scene import Scene
 
 Floats = NDArray[np.float64]
 
@@ -110,36 +106,3 @@ class Field(Record):
     def at(self, positions: Floats) -> Floats:
         """Its values at `positions` [m], shape [N, D]; shape [N]."""
         return np.asarray(self.grid.weights(positions) @ np.array(self.values))
-
-
-def check_fields(scene: "Scene") -> None:
-    """Raise InputError for fields that the particles of `scene` cannot have."""
-    dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
-
-    def require(ok: bool, key: str, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=key)
-
-    for index, field in enumerate(scene.fields):
-        key = f"fields[{index}]"
-        require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
-        for name in ("origin", "spacing", "nodes"):
-            require(len(getattr(field, name)) == dimension, f"{key}.{name}", f"{dimension} numbers", len(field.origin))
-        require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
-        require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
-        count = field.grid.count
-        require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
-        masses = range(len(scene.masses))
-        require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
-        others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
-        alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
-        require(alone, key, f"one field of {field.quantity} for each mass", "another one")
-        if field.quantity != FRICTION:
-            continue
-        lowest, highest = min(field.values), max(field.values)
-        require(lowest > 0.0 and highest < 90.0, f"{key}.values", "angles in (0, 90) degrees", (lowest, highest))
-        for number in masses if field.mass is None else (field.mass,):
-            material = scene.material_of(scene.masses[number])
-            smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
-            message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
-            require(lowest >= smallest, f"{key}.values", message, lowest)

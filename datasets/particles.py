@@ -5,18 +5,15 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.field import FRICTION
+from datasets.geometry.bodies import filling
 from datasets.material import Material
 from datasets.memory import require
-from datasets.scene import TOLERANCE, Mass, Scene, corners
-
-if TYPE_CHECKING:
-    from datasets.geometry.masses import Filling
+from datasets.scene import TOLERANCE, Mass, Scene
 
 PARTICLE = 60
 """Bytes that a particle takes while it is made, over the square of the dimensions."""
@@ -88,7 +85,7 @@ def initial_particles(scene: Scene) -> Particles:
     A mass gets a lattice of about `cell / particles_per_axis`, fitted to its size along every axis (`lattice_counts`),
     and each of its N particles the volume prod(size) / N; each is moved at random inside the share `jitter` of its own
     lattice cell. A mass draws from its own stream, so that adding one leaves the others. Bodies that are no boxes:
-    `datasets.geometry.masses`.
+    `datasets.geometry.bodies`.
     """
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
@@ -154,14 +151,6 @@ def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
     """
     share = scene.particle_spacing
     return [max(1, round(length / share)) for length in mass.size]
-
-
-def filling(scene: Scene, mass: Mass) -> "Filling":
-    """What fills a mass that is no box, before its jitter."""
-    # The libraries of solid geometry load only where there is such a mass.
-    from datasets.geometry import masses
-
-    return masses.filling(scene, mass)
 
 
 def mass_counts(scene: Scene) -> list[int]:
@@ -249,14 +238,14 @@ def warn_if_unresolved(scene: Scene) -> None:
     A mass that continues in another one of its material across its thin side is no thinner than the two together, and
     a mass of a single particle is meant to be one.
     """
-    cell, boxes = scene.domain.cell, corners(scene.masses)
+    cell = scene.domain.cell
     thin = [
         index
         for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
         if count > 1
         and mass.kind != "particles"
         and thinnest(scene, mass) < cell - TOLERANCE
-        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size)), boxes))
+        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
     ]
     if thin:
         names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
@@ -278,9 +267,10 @@ def thinnest(scene: Scene, mass: Mass) -> float:
     return min(thickness, *(length for axis, length in enumerate(mass.size) if axis != 1))
 
 
-def continues(scene: Scene, mass: Mass, axis: int, boxes: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
-    """Whether a mass of the same material shares a face with `mass` across `axis`; boxes: `corners` of the masses."""
-    lower, upper = boxes
+def continues(scene: Scene, mass: Mass, axis: int) -> bool:
+    """Whether a mass of the same material shares a face with `mass` across `axis`."""
+    lower = np.array([each.lower for each in scene.masses])
+    upper = lower + np.array([each.size for each in scene.masses])
     gaps = np.maximum(lower - np.add(mass.lower, mass.size), mass.lower - upper)
     beside = (np.delete(gaps, axis, axis=1) < -TOLERANCE).all(axis=1) & (np.abs(gaps[:, axis]) <= TOLERANCE)
     others = (scene.masses[index] for index in np.flatnonzero(beside))

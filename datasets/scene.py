@@ -3,20 +3,22 @@
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.field import Field
-from datasets.geometry.solid import Rows, Solid, Triangles
 from datasets.material import Material
 from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 
 Vector = tuple[float, ...]
+Rows = tuple[Vector, ...]
+Triangles = tuple[tuple[int, int, int], ...]
 
 TOLERANCE = 1.0e-9
 """Slack [m] in comparisons of lengths that a user wrote in decimals."""
@@ -40,10 +42,15 @@ class Domain(Record):
     cell: float
     """Edge of a grid cell [m]."""
 
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return len(self.size)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Record):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.masses`).
+    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
 
     For example:
 
@@ -115,6 +122,50 @@ class Baffle(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Solid(Record):
+    """A fixed rigid body; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
+
+    For example:
+
+        Solid(kind="polygon", vertices=((0.5, 0.0), (0.9, 0.0), (0.7, 0.2)), friction=0.4)
+        Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.0), (2.0, 0.0)))  # solid below this line
+    """
+
+    name: str | None = None
+    """What it is called in records; `solids[I]` where absent."""
+    kind: str = "box"
+    """`box`, `polygon` (2D), `terrain` (solid below a line or a surface) or `mesh` (3D)."""
+    lower: Vector | None = None
+    """Lower corner of a box before it is turned [m]."""
+    size: Vector | None = None
+    """Extent of a box [m]."""
+    turned_deg: float = 0.0
+    """Turn of a box about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
+    vertices: Rows | None = None
+    """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
+    triangles: Triangles | None = None
+    """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
+    points: Rows | None = None
+    """Ground line of a terrain in 2D from small to large x [m], shape [P, 2]."""
+    origin: Vector | None = None
+    """x and z of the first height of a terrain in 3D [m]."""
+    spacing: Vector | None = None
+    """Distance between its heights along x and z [m]."""
+    heights: Rows | None = None
+    """Elevation y of a terrain in 3D [m], linear on triangles: rows along x of columns along z, shape [X, Z]."""
+    corner: Vector | None = None
+    """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
+    crs: str | None = None
+    """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
+    friction: float | Vector | Rows = 0.0
+    """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
+    contact: str = "coulomb"
+    """`coulomb` or `no-slip`."""
+    adhesion: float = 0.0
+    """Tension that the surface bears [Pa]."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scene(Record):
     """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
 
@@ -133,7 +184,7 @@ class Scene(Record):
     """What varies over the particles at the start: friction, velocities (`datasets.field`)."""
     baffles: tuple[Baffle, ...] = ()
     solids: tuple[Solid, ...] = ()
-    """Other fixed rigid bodies: boxes, polygons, terrain, meshes (`datasets.geometry.solid`)."""
+    """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
     open_sides: tuple[str, ...] = ()
     """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: float = 1.0
@@ -172,16 +223,11 @@ class Scene(Record):
     seed: int = 0
     """Seed of that displacement."""
 
+    complete: ClassVar[Callable[["Scene"], None]]
+    """Checks a new scene and works out the boxes around its masses; `datasets.checks` puts it here."""
+
     def __post_init__(self) -> None:
-        # Imported here, because the checks speak of scenes.
-        from datasets.checks import check, check_sizes
-
-        check_sizes(self)
-        if any(mass.kind != "box" for mass in self.masses):
-            from datasets.geometry.masses import with_boxes
-
-            object.__setattr__(self, "masses", with_boxes(self))
-        check(self)
+        Scene.complete(self)
 
     @property
     def dimension(self) -> int:
@@ -194,20 +240,6 @@ class Scene(Record):
         if self.relaxation_time is not None:
             return self.relaxation_time
         return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
-
-    @property
-    def remembers_gaps(self) -> bool:
-        """Whether gaps between particles are remembered: as `volume_correction` says, or if a body is in flight."""
-        if self.volume_correction is not None:
-            return self.volume_correction
-        upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in self.masses]
-        upwards += [
-            max(0.0, sum(each.values) / len(each.values)) for each in self.fields if each.quantity == "velocity_y"
-        ]
-        return self.gravity > 0.0 and (
-            max(upwards) ** 2 >= 2.0 * self.gravity * self.domain.cell
-            or bool((heights_above_ground(self) >= self.domain.cell - TOLERANCE).any())
-        )
 
     @property
     def frames(self) -> int:
@@ -251,52 +283,3 @@ class Scene(Record):
         except InputError as error:
             raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
         return from_mapping(Scene, data)
-
-
-def has_shapes(scene: Scene) -> bool:
-    """Whether there is more in a scene than boxes along the axes."""
-    return bool(
-        scene.solids
-        or any(baffle.turned_deg != 0.0 for baffle in scene.baffles)
-        or any(mass.kind != "box" for mass in scene.masses)
-    )
-
-
-def heights_above_ground(scene: Scene) -> NDArray[np.float64]:
-    """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
-
-    That of the body is the least of its masses', each above the floor or the highest box beneath it; shape [masses].
-    """
-    boxes: Sequence[Mass | Baffle] = (*scene.masses, *scene.baffles)
-    count = len(scene.masses)
-    shaped = has_shapes(scene)
-    lower, upper = corners(scene.masses if shaped else boxes)
-    level = [axis for axis in range(scene.dimension) if axis != 1]
-    over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
-    beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
-    height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
-    if shaped:
-        from datasets.geometry.overlaps import heights_above_solids
-
-        height = np.minimum(height, heights_above_solids(scene))
-    in_contact = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
-    # Imported here: most commands of this package need no graphs.
-    from scipy.sparse.csgraph import connected_components
-
-    count_connected, body = connected_components(in_contact & in_contact.T)
-    lowest = np.full(count_connected, np.inf)
-    np.minimum.at(lowest, body, height)
-    return np.asarray(lowest[body])
-
-
-def corners(boxes: Sequence[Mass | Baffle]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The smallest and the largest coordinates of each box [m], both of shape [N, D]."""
-    lower = np.array([box.lower for box in boxes])
-    return lower, lower + np.array([box.size for box in boxes])
-
-
-def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
-    """Which boxes share volume with a later one, shape [N, N]; touching faces do not count."""
-    lower, upper = corners(boxes)
-    below = lower[:, None] + TOLERANCE < upper[None]
-    return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.geometry.ground import ground_raster
+from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.material import Material
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Mass, Scene, heights_above_ground
+from datasets.scene import Baffle, Mass, Scene
 from gns.model.settings import ModelSettings
 
 MARGIN = 0.1
@@ -199,7 +200,7 @@ def barriers(scene: Scene, _: Body) -> list[float]:
 def corrections(scene: Scene, _: Body) -> list[float]:
     """Volume correction (0 or 1) where the scene asks for another than scenes have by themselves."""
     given = scene.volume_correction
-    if given is None or given == dataclasses.replace(scene, volume_correction=None).remembers_gaps:
+    if given is None or given == remembers_gaps(dataclasses.replace(scene, volume_correction=None)):
         return []
     return [float(given)]
 

@@ -17,6 +17,7 @@ from tqdm import tqdm
 from datasets import __version__
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from datasets.geometry.placement import remembers_gaps
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Scene
@@ -65,7 +66,7 @@ class Run:
             scene.damping > 0.0,
             scene.material.cohesion > 0.0,
             bool(scene.baffles),
-            scene.remembers_gaps,
+            remembers_gaps(scene),
         )
 
 

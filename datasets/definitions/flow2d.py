@@ -15,9 +15,8 @@ import numpy as np
 from datasets.definitions.definition import Definition, Storage
 from datasets.definitions.variants import Rounds
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 
 AREA = 0.08
 """Released in every scene [m^2]."""

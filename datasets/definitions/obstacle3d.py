@@ -19,9 +19,8 @@ from datasets.definitions.flow2d import jitter_seed
 from datasets.definitions.held_out import boxes
 from datasets.definitions.variants import Rounds
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 
 VOLUME = 0.032
 """Released in every scene [m^3]: a body of length 0.32 m."""

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from datasets.checks import check_plain
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements, lagrangebench
 from datasets.exchange.cloud import Cloud, Described, cloud_of, obstacle_particles
 from datasets.files import write_json
-from datasets.geometry.plain import check_plain
 from datasets.measures import front, runout, toe
 from datasets.reading import read_json
 from datasets.records import Record, from_mapping

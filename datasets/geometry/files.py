@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from datasets.arrays import open_npz
 from datasets.errors import InputError
-from datasets.geometry.ground import interpolated
-from datasets.geometry.margins import BEYOND
+from datasets.geometry.ground import BEYOND, interpolated
 from datasets.geometry.meshes import read_mesh
 from datasets.geometry.rasters import RASTERS, UNITS, Field, read_field
 from datasets.reading import read_columns

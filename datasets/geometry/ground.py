@@ -1,141 +1,130 @@
 """The ground: lines and height fields of terrain, beyond the sides of the box, and their elevation anywhere in plan."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.geometry.margins import BEYOND, TOUCHING, Box
-from datasets.geometry.solid import Solid
-
-if TYPE_CHECKING:
-    from datasets.scene import Scene
+from datasets.geometry.shapes import require
+from datasets.scene import Domain, Scene, Solid
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+BEYOND = 8.0
+"""Cells by which a solid that reaches a side of the box goes on beyond it, so that none of its faces lies there."""
+TOUCHING = 1.0e-9
+"""Distance [m] up to which lengths that a user wrote in decimals are the same."""
+CLOSING = 1.0e-6
+"""Half of the widest gap, in cells, that touching solids leave between them by rounding."""
+OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
 
 
-def elevation(solids: tuple[Solid, ...], box: Box, plan: Floats) -> Floats:
+def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats:
     """Elevation [m] of the highest terrain, or of the floor y = 0, at places in plan [m], [N, D - 1]; shape [N]."""
-    height = np.zeros(len(plan))
-    for index, solid in enumerate(solids):
-        if solid.kind != "terrain":
-            continue
-        key = f"solids[{index}]"
-        if box.dimension == 2:
-            points, _ = ground_line(solid, key, box)
-            height = np.maximum(height, np.interp(plan[:, 0], points[:, 0], points[:, 1]))
-        else:
-            x, z, heights, _ = ground_grid(solid, key, box)
-            height = np.maximum(height, interpolated(x, z, heights, plan))
-    return height
+    return highest(solids, domain, plan, 0.0)[0]
 
 
-def ground_raster(scene: "Scene", spacing: float) -> tuple[Floats, Floats]:
+def ground_raster(scene: Scene, spacing: float) -> tuple[Floats, Floats]:
     """Elevation [m] and Coulomb coefficient [-] of the ground of `scene`, `spacing` [m] apart from the box's corner on.
 
     Both of shape [X], in 3D [X, Z], to the first place at or beyond the end of the box. Where no terrain is, it is the
     floor.
     """
-    height, friction, _ = _ground_at(scene, spacing)
+    height, friction, _ = raster(scene, spacing)
     return height, friction
 
 
-def topmost(scene: "Scene", spacing: float) -> NDArray[np.int64]:
+def topmost(scene: Scene, spacing: float) -> Integers:
     """Number of the solid that is the ground at each place of `ground_raster`, -1 for the floor; shape [X(, Z)]."""
-    return _ground_at(scene, spacing)[2]
+    return raster(scene, spacing)[2]
 
 
-def _ground_at(scene: "Scene", spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Elevation [m], Coulomb coefficient [-] and number of the solid that is the ground, each of shape [X(, Z)]."""
-    size, dimension = scene.domain.size, scene.dimension
-    box = Box(size, scene.domain.cell)
-    axes = [spacing * np.arange(math.ceil(size[axis] / spacing - 1.0e-6) + 1) for axis in range(dimension) if axis != 1]
+def raster(scene: Scene, spacing: float) -> tuple[Floats, Floats, Integers]:
+    """`highest` of a scene at places `spacing` [m] apart, each of shape [X(, Z)]."""
+    lengths = [length for axis, length in enumerate(scene.domain.size) if axis != 1]
+    axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths]
     grids = np.meshgrid(*axes, indexing="ij")
     plan = np.stack([grid.ravel() for grid in grids], axis=1)
-    height, friction = np.zeros(len(plan)), np.full(len(plan), scene.floor_friction)
-    top = np.full(len(plan), -1)
-    for index, solid in enumerate(scene.solids):
-        if solid.kind != "terrain":
-            continue
-        if dimension == 2:
-            points, rough = ground_line(solid, f"solids[{index}]", box)
-            own, mu = (np.interp(plan[:, 0], points[:, 0], values) for values in (points[:, 1], rough))
-        else:
-            x, z, heights, roughs = ground_grid(solid, f"solids[{index}]", box)
-            own, mu = interpolated(x, z, heights, plan), interpolated(x, z, roughs, plan)
-        higher = own >= height
-        friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
-        height = np.maximum(height, own)
+    height, friction, top = highest(scene.solids, scene.domain, plan, scene.floor_friction)
     shape = grids[0].shape
     return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
 
 
-def ground_line(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats]:
-    """Points [P, 2] of a ground line [m] and friction at them [P], to some cells beyond the box. Raises InputError."""
-    points = np.array(solid.points, dtype=np.float64)
-    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(points)).copy()
-    length = box.size[0]
-    for gap, name in ((points[0, 0], "start at x = 0"), (length - points[-1, 0], f"end at x = {length:g}")):
-        if gap > box.cell + TOUCHING:
-            raise InputError(
-                f"expected a ground line over the whole box, to {name} or within a cell of it, "
-                f"got x from {points[0, 0]:g} to {points[-1, 0]:g}",
-                key=f"{key}.points",
-            )
-    return lengthened(points, friction, length, BEYOND * box.cell)
+def highest(
+    solids: tuple[Solid, ...], domain: Domain, plan: Floats, floor_friction: float
+) -> tuple[Floats, Floats, Integers]:
+    """Elevation [m], Coulomb coefficient [-] and number of the highest terrain at places in plan [m], [N, D - 1].
 
-
-def lengthened(points: Floats, friction: Floats, length: float, beyond: float) -> tuple[Floats, Floats]:
-    """A ground line that begins before -beyond and ends after length + beyond.
-
-    To the sides of the box, 0 and `length`, it goes on level; from there on as it arrives, where it does so at a side.
+    Each of shape [N]; where no terrain is above it, that of the floor y = 0, whose number is -1.
     """
-    for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
-        end, other = (0, 1) if first else (-1, -2)
-        inner = (points[end, 0] > outer) if first else (points[end, 0] < outer)
-        if not inner:
+    height, friction, top = np.zeros(len(plan)), np.full(len(plan), floor_friction), np.full(len(plan), -1)
+    for index, solid in enumerate(solids):
+        if solid.kind != "terrain":
             continue
-        run = points[end, 0] - points[other, 0]
-        on_side = abs(points[end, 0] - limit) <= TOUCHING and abs(run) > TOUCHING
-        slope = (points[end, 1] - points[other, 1]) / run if on_side else 0.0
-        new = np.array([[outer, points[end, 1] + slope * (outer - points[end, 0])]])
-        points = np.concatenate([new, points] if first else [points, new])
-        friction = np.concatenate([friction[:1], friction] if first else [friction, friction[-1:]])
-    return points, friction
+        if domain.dimension == 2:
+            points, rough = ground_line(solid, f"solids[{index}]", domain)
+            own, mu = (np.interp(plan[:, 0], points[:, 0], values) for values in (points[:, 1], rough))
+        else:
+            x, z, heights, roughs = ground_grid(solid, f"solids[{index}]", domain)
+            own, mu = interpolated(x, z, heights, plan), interpolated(x, z, roughs, plan)
+        higher = own >= height
+        friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
+        height = np.maximum(height, own)
+    return height, friction, top
 
 
-def ground_grid(solid: Solid, key: str, box: Box) -> tuple[Floats, Floats, Floats, Floats]:
+def ground_line(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats]:
+    """Points [P, 2] and friction [P] of a ground line, from some cells before the box to some cells behind it."""
+    points = np.array(solid.points, dtype=np.float64)
+    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(points))
+    x = points[:, 0]
+    check_covers(x, "x", domain.size[0], domain.cell, f"{key}.points")
+    x, y, place = extended(x, points[:, 1], domain.size[0], BEYOND * domain.cell)
+    return np.stack([x, y], axis=1), friction[place]
+
+
+def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats, Floats, Floats]:
     """x [X], z [Z] and elevations [X, Z] of a terrain [m], its friction [X, Z], to some cells beyond the box."""
     heights = np.array(solid.heights, dtype=np.float64)
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), heights.shape)
     axes: list[Floats] = []
     for number, (axis, name) in enumerate(((0, "x"), (2, "z"))):
         origin, spacing = (solid.origin or ())[number], (solid.spacing or ())[number]
-        coordinates = origin + spacing * np.arange(heights.shape[number])
-        length, beyond = box.size[axis], BEYOND * box.cell
-        slack = max(box.cell, spacing) + TOUCHING
-        if coordinates[0] > slack or coordinates[-1] < length - slack:
-            raise InputError(
-                f"expected heights over the whole box, {name} from 0 to {length:g} or within a cell of it, "
-                f"got {coordinates[0]:g} to {coordinates[-1]:g}",
-                key=f"{key}.heights",
-            )
-        h, mu = np.moveaxis(heights, number, 0), np.moveaxis(friction, number, 0)
-        for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
-            end, other = (0, 1) if first else (-1, -2)
-            if coordinates[end] <= outer if first else coordinates[end] >= outer:
-                continue
-            slope = (h[end] - h[other]) / (coordinates[end] - coordinates[other])
-            on_side = abs(coordinates[end] - limit) <= TOUCHING
-            new = h[end] + (slope * (outer - coordinates[end]) if on_side else 0.0)
-            coordinates = np.concatenate([[outer], coordinates] if first else [coordinates, [outer]])
-            h = np.concatenate([new[None], h] if first else [h, new[None]])
-            mu = np.concatenate([mu[:1], mu] if first else [mu, mu[-1:]])
-        axes.append(np.asarray(coordinates, np.float64))
-        heights, friction = np.moveaxis(h, 0, number), np.moveaxis(mu, 0, number)
+        at, length = origin + spacing * np.arange(heights.shape[number]), domain.size[axis]
+        check_covers(at, name, length, max(domain.cell, spacing), f"{key}.heights")
+        at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
+        axes.append(at)
+        heights, friction = np.moveaxis(h, 0, number), np.take(friction, place, axis=number)
     return axes[0], axes[1], heights, friction
+
+
+def check_covers(at: Floats, name: str, length: float, slack: float, key: str) -> None:
+    """Raise InputError unless coordinates [m] go from 0 to `length`, or to within `slack` of both."""
+    covers = at[0] <= slack + TOUCHING and at[-1] >= length - slack - TOUCHING
+    expected = f"ground over the whole box, {name} from 0 to {length:g} or within a cell of it"
+    require(covers, key, expected, f"{at[0]:g} to {at[-1]:g}")
+
+
+def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:
+    """Coordinates [N] and values [N, ...] that begin before -beyond and end after length + beyond [m].
+
+    To the sides of the box, 0 and `length`, they go on level; from there on as they arrive, where they end at a side.
+    The third are the places, of those given, whose other properties the new ones have.
+    """
+    place = np.arange(len(at))
+    for limit, outer, first in ((0.0, -beyond, True), (length, length + beyond, False)):
+        end, other = (0, 1) if first else (-1, -2)
+        if at[end] <= outer if first else at[end] >= outer:
+            continue
+        run = at[end] - at[other]
+        on_side = abs(at[end] - limit) <= TOUCHING and abs(run) > TOUCHING
+        slope = (values[end] - values[other]) / run if on_side else 0.0
+        new = values[end] + slope * (outer - at[end])
+        where = 0 if first else len(at)
+        at, values = np.insert(at, where, outer), np.insert(values, where, new, axis=0)
+        place = np.insert(place, where, place[end])
+    return at, values, place
 
 
 def first_diagonal(values: Floats) -> NDArray[np.bool_]:
@@ -144,6 +133,22 @@ def first_diagonal(values: Floats) -> NDArray[np.bool_]:
     They do along the diagonal whose ends differ less, so that mirror images have mirrored triangles.
     """
     return np.asarray(np.abs(values[:-1, :-1] - values[1:, 1:]) <= np.abs(values[1:, :-1] - values[:-1, 1:]))
+
+
+def grid_triangles(values: Floats) -> Integers:
+    """The two triangles of every cell of a grid [X, Z], by the numbers of its nodes, anticlockwise from above; [T, 3].
+
+    y points up, so z runs to the right of x.
+    """
+    number = np.arange(values.size).reshape(values.shape)
+    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    first = first_diagonal(values).ravel()[:, None, None]
+    halves = np.where(
+        first,
+        np.stack([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)], axis=1),
+        np.stack([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)], axis=1),
+    )
+    return halves.reshape(-1, 3)
 
 
 def interpolated(x: Floats, z: Floats, values: Floats, plan: Floats) -> Floats:

@@ -1,7 +1,9 @@
 """Solids in two dimensions: each as a ring of points, and the boundary of their union as segments."""
 
+import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import shapely
@@ -10,9 +12,8 @@ from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError
-from datasets.geometry.ground import ground_line
-from datasets.geometry.margins import BEYOND, CLOSING, DOMAIN_SIDES, OUTSIDE, TOUCHING, Box
-from datasets.geometry.solid import Solid
+from datasets.geometry.ground import BEYOND, CLOSING, OUTSIDE, TOUCHING, ground_line
+from datasets.scene import Domain, Solid
 
 Floats = NDArray[np.float64]
 
@@ -45,27 +46,13 @@ class Ring:
         return np.asarray(shapely.distance(shapely.points(positions), shapely.linearrings(self.points)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Segments:
-    """The boundary of a union of rings."""
-
-    corners: Floats
-    """Start and end, the solid on the left [m], shape [F, 2, 2]."""
-    corner_normals: Floats
-    """Of the two segments that meet at each corner, the mean [-], shape [F, 2, 2]."""
-    ring: NDArray[np.int32]
-    """The ring that each segment belongs to, shape [F]."""
-    friction: Floats
-    """At the corners [-], shape [F, 2]."""
-
-
 def turned(corners: Floats, centre: Floats, angle_deg: float) -> Floats:
     """Points of a plane turned about `centre` by an angle from the first axis to the second, shape [N, 2]."""
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return np.asarray((corners - centre) @ np.array([[c, s], [-s, c]]) + centre)
 
 
-def ring_of(solid: Solid, key: str, box: Box) -> Ring:
+def ring_of(solid: Solid, key: str, box: Domain) -> Ring:
     """The outline of `solid`, continued where it meets a side of the box. Raises InputError."""
     if solid.kind == "terrain":
         return ground_ring(solid, key, box)
@@ -78,19 +65,12 @@ def ring_of(solid: Solid, key: str, box: Box) -> Ring:
         points = np.array(solid.vertices, dtype=np.float64)
         check_simple(points, f"{key}.vertices")
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(points)).copy()
-    area = signed_area(points)
-    if area < 0.0:
+    if not shapely.is_ccw(shapely.linearrings(points)):
         points, friction = points[::-1].copy(), friction[::-1].copy()
     ring = Ring(points=points, friction=friction, key=key)
-    for axis, side in DOMAIN_SIDES[2]:
+    for axis, side in itertools.product((0, 1), (0, 1)):
         ring = continued(ring, axis, side, box)
     return ring
-
-
-def signed_area(points: Floats) -> float:
-    """Area of a ring [m^2], positive where it runs anticlockwise."""
-    after = np.roll(points, -1, axis=0)
-    return 0.5 * float((points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]).sum())
 
 
 def check_simple(points: Floats, key: str) -> None:
@@ -115,7 +95,7 @@ def check_simple(points: Floats, key: str) -> None:
         )
 
 
-def ground_ring(solid: Solid, key: str, box: Box) -> Ring:
+def ground_ring(solid: Solid, key: str, box: Domain) -> Ring:
     """All that lies below a ground line, some cells beyond the box: it goes on level, or straight from a side."""
     points, friction = ground_line(solid, key, box)
     beyond = BEYOND * box.cell
@@ -129,7 +109,7 @@ def ground_ring(solid: Solid, key: str, box: Box) -> Ring:
     )
 
 
-def continued(ring: Ring, axis: int, side: int, box: Box) -> Ring:
+def continued(ring: Ring, axis: int, side: int, box: Domain) -> Ring:
     """The ring cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side.
 
     What lies on the side is moved outwards, along the two faces that end there.
@@ -190,14 +170,16 @@ def cut(ring: Ring, axis: int, limit: float, out: float) -> tuple[Floats, Floats
     return kept, ring.friction_at(kept)
 
 
-def boundary(rings: list[Ring], box: Box) -> Segments:
-    """The boundary of the union of `rings`, the solid on the left; touching rings are one."""
+def boundary(rings: list[Ring], box: Domain) -> dict[str, NDArray[Any]]:
+    """The boundary of the union of `rings` as segments, the solid on the left; touching rings are one.
+
+    The arrays of `datasets.geometry.surface.Surface` by their names, but for contact without slip and adhesion.
+    """
     if len(rings) == 1:
         (ring,) = rings
         corners, corner_normals = with_normals(ring.points)
         friction = np.stack([ring.friction, np.roll(ring.friction, -1)], axis=1)
-        owner = np.zeros(len(corners), np.int32)
-        return Segments(corners=corners, corner_normals=corner_normals, ring=owner, friction=friction)
+        return segments(corners, corner_normals, np.zeros(len(corners), np.int32), friction)
     # Closing by a distance far below what matters merges rings that touch but for rounding.
     gap = CLOSING * box.cell
     grown = [Polygon(ring.points).buffer(gap, join_style="mitre", mitre_limit=50.0) for ring in rings]
@@ -218,7 +200,21 @@ def boundary(rings: list[Ring], box: Box) -> Segments:
         mine = owner == number
         if mine.any():
             friction[mine] = ring.friction_at(corners[mine].reshape(-1, 2)).reshape(-1, 2)
-    return Segments(corners=corners, corner_normals=corner_normals, ring=owner, friction=friction)
+    return segments(corners, corner_normals, owner, friction)
+
+
+def segments(corners: Floats, corner_normals: Floats, owner: NDArray[np.int32], friction: Floats) -> dict[str, Any]:
+    """The arrays of a boundary, with the normals of its segments; only triangles have others at their edges."""
+    along = corners[:, 1] - corners[:, 0]
+    normals = unit(np.stack([along[:, 1], -along[:, 0]], axis=1))
+    return {
+        "corners": corners,
+        "normals": normals,
+        "corner_normals": corner_normals,
+        "edge_normals": np.zeros((len(corners), 0, 2)),
+        "solid": owner,
+        "friction": friction,
+    }
 
 
 def with_normals(loop: Floats) -> tuple[Floats, Floats]:

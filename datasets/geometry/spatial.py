@@ -1,6 +1,8 @@
 """Solids in three dimensions: each as a closed surface of triangles, and the boundary of their union."""
 
+import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -9,10 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from datasets.errors import InputError
-from datasets.geometry.ground import first_diagonal, ground_grid
-from datasets.geometry.margins import BEYOND, CLOSING, DOMAIN_SIDES, OUTSIDE, TOUCHING, Box
+from datasets.geometry.ground import BEYOND, CLOSING, OUTSIDE, TOUCHING, grid_triangles, ground_grid
 from datasets.geometry.planar import turned, unit
-from datasets.geometry.solid import Solid
+from datasets.scene import Domain, Solid
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -48,25 +49,7 @@ class Body:
     """Where the solid stands in the scene, such as `solids[0]`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Triangles:
-    """The boundary of a union of solids."""
-
-    corners: Floats
-    """Anticlockwise from outside [m], shape [F, 3, 3]."""
-    normals: Floats
-    """Outward unit normals, shape [F, 3]."""
-    corner_normals: Floats
-    """Pseudonormals, weighted by the angles at a corner, shape [F, 3, 3]."""
-    edge_normals: Floats
-    """Means of the two faces at an edge, shape [F, 3, 3]; edge k joins corners k and k + 1."""
-    body: NDArray[np.int32]
-    """The body that each triangle belongs to, shape [F]."""
-    friction: Floats
-    """At the corners [-], shape [F, 3]."""
-
-
-def body_of(solid: Solid, key: str, box: Box) -> Body:
+def body_of(solid: Solid, key: str, box: Domain) -> Body:
     """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
     if solid.kind == "terrain":
         return ground_body(solid, key, box)
@@ -80,7 +63,8 @@ def body_of(solid: Solid, key: str, box: Box) -> Body:
         triangles = outward(vertices, triangles, f"{key}.triangles")
     assert isinstance(solid.friction, int | float)
     body = Body(vertices=vertices, triangles=triangles, friction=np.full(len(vertices), solid.friction), key=key)
-    for axis, side in DOMAIN_SIDES[3]:
+    # The floor last.
+    for axis, side in itertools.product((0, 2, 1), (0, 1)):
         body = continued(body, axis, side, box)
     return body
 
@@ -103,7 +87,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
     return triangles if volume > 0.0 else triangles[:, ::-1].copy()
 
 
-def ground_body(solid: Solid, key: str, box: Box) -> Body:
+def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     """All that lies below a height field, some cells beyond the box; it goes on level, or straight from a side."""
     x, z, heights, friction = ground_grid(solid, key, box)
     count = len(x) * len(z)
@@ -111,13 +95,6 @@ def ground_body(solid: Solid, key: str, box: Box) -> Body:
     plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
     number = np.arange(count).reshape(len(x), len(z))
-    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    first = first_diagonal(heights).ravel()[:, None, None]
-    faces = np.where(
-        first,
-        np.stack([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)], axis=1),
-        np.stack([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)], axis=1),
-    ).reshape(-1, 3)
     # Around the edge once, then down to a floor far below that fans from one corner.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     below = count + np.arange(len(rim))
@@ -129,13 +106,13 @@ def ground_body(solid: Solid, key: str, box: Box) -> Body:
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
     return Body(
         vertices=np.concatenate([top, bottom, centre]),
-        triangles=np.concatenate([faces, skirt, floor]),
+        triangles=np.concatenate([grid_triangles(heights), skirt, floor]),
         friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
         key=key,
     )
 
 
-def continued(body: Body, axis: int, side: int, box: Box) -> Body:
+def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     """The body cut off at a side of the box (0 or 1 of `axis`) and continued straight beyond, where it reaches it."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
     vertices, triangles, friction = body.vertices.copy(), body.triangles, body.friction
@@ -184,8 +161,11 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
     return manifold3d.Manifold(mesh)
 
 
-def boundary(solids: list[Body], box: Box) -> Triangles:
-    """The boundary of the union of `solids`; touching solids are one."""
+def boundary(solids: list[Body], box: Domain) -> dict[str, NDArray[Any]]:
+    """The boundary of the union of `solids` as triangles; touching solids are one.
+
+    The arrays of `datasets.geometry.surface.Surface` by their names, but for contact without slip and adhesion.
+    """
     if len(solids) == 1:
         (body,) = solids
         vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
@@ -193,15 +173,16 @@ def boundary(solids: list[Body], box: Box) -> Triangles:
     else:
         vertices, triangles, friction, owner = union(solids, CLOSING * box.cell)
     normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
-    flat = ~normals.any(axis=1)
-    return Triangles(
-        corners=vertices[triangles][~flat],
-        normals=normals[~flat],
-        corner_normals=corner_normals[~flat],
-        edge_normals=edge_normals[~flat],
-        body=owner[~flat],
-        friction=friction[~flat],
-    )
+    found = {
+        "corners": vertices[triangles],
+        "normals": normals,
+        "corner_normals": corner_normals,
+        "edge_normals": edge_normals,
+        "solid": owner,
+        "friction": friction,
+    }
+    # Triangles without area have no normal.
+    return {name: values[normals.any(axis=1)] for name, values in found.items()}
 
 
 def union(solids: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:

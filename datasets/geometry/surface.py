@@ -5,18 +5,18 @@ some cells beyond the box where it reaches a side of it, so that no face lies on
 comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
-import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.margins import KEPT, Box
-from datasets.geometry.solid import Solid
-from datasets.scene import Scene
+from datasets.scene import Domain, Scene, Solid
 
 Floats = NDArray[np.float64]
+
+KEPT = 3.0
+"""Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ def surface_of(scene: Scene) -> Surface | None:
     """
     if not scene.baffles and not scene.solids:
         return None
-    return surface_in(Box(scene.domain.size, scene.domain.cell), *solids_of(scene))
+    return surface_in(scene.domain, *solids_of(scene))
 
 
 def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
@@ -70,45 +70,21 @@ def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
 
 
 @lru_cache(maxsize=32)
-def surface_in(box: Box, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
-    """The surface of `solids` in `box`; errors name the keys."""
+def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
+    """The surface of `solids` in a box; errors name the keys."""
     # The libraries of solid geometry load only where there is something solid.
-    if box.dimension == 2:
+    if domain.dimension == 2:
         from datasets.geometry import planar
 
-        segments = planar.boundary([planar.ring_of(*each, box) for each in zip(solids, keys, strict=True)], box)
-        corners, corner_normals, owner, friction = (
-            segments.corners,
-            segments.corner_normals,
-            segments.ring,
-            segments.friction,
-        )
-        along = corners[:, 1] - corners[:, 0]
-        normals = planar.unit(np.stack([along[:, 1], -along[:, 0]], axis=1))
-        edge_normals = np.zeros((len(corners), 0, 2))
+        found = planar.boundary([planar.ring_of(*each, domain) for each in zip(solids, keys, strict=True)], domain)
     else:
         from datasets.geometry import spatial
 
-        triangles = spatial.boundary([spatial.body_of(*each, box) for each in zip(solids, keys, strict=True)], box)
-        corners, corner_normals, owner, friction = (
-            triangles.corners,
-            triangles.corner_normals,
-            triangles.body,
-            triangles.friction,
-        )
-        normals, edge_normals = triangles.normals, triangles.edge_normals
-    stuck = np.array([solid.contact == "no-slip" for solid in solids])[owner]
-    everything = Surface(
-        corners=corners,
-        normals=normals,
-        corner_normals=corner_normals,
-        edge_normals=edge_normals,
-        solid=owner,
-        friction=np.where(stuck[:, None], np.inf, friction),
-        adhesion=np.array([solid.adhesion for solid in solids])[owner],
-    )
-    margin = KEPT * box.cell
-    near = (corners.max(axis=1) >= -margin).all(axis=1) & (corners.min(axis=1) <= np.array(box.size) + margin).all(
-        axis=1
-    )
-    return Surface(**{field.name: getattr(everything, field.name)[near] for field in dataclasses.fields(Surface)})
+        found = spatial.boundary([spatial.body_of(*each, domain) for each in zip(solids, keys, strict=True)], domain)
+    stuck = np.array([solid.contact == "no-slip" for solid in solids])[found["solid"]]
+    found["friction"] = np.where(stuck[:, None], np.inf, found["friction"])
+    found["adhesion"] = np.array([solid.adhesion for solid in solids])[found["solid"]]
+    margin, high = KEPT * domain.cell, np.array(domain.size)
+    corners = found["corners"]
+    near = ((corners.max(axis=1) >= -margin) & (corners.min(axis=1) <= high + margin)).all(axis=1)
+    return Surface(**{name: values[near] for name, values in found.items()})

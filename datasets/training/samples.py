@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from datasets.checks import check_plain
 from datasets.errors import InputError
 from datasets.geometry.ground import ground_raster
-from datasets.geometry.plain import check_plain
 from datasets.particles import mass_counts
 from datasets.scene import Scene
 from datasets.training.thinning import thin

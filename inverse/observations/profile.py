@@ -22,7 +22,6 @@ from torch import Tensor
 from datasets import measures
 from datasets.errors import InputError
 from datasets.geometry.ground import elevation
-from datasets.geometry.margins import Box
 from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -283,7 +282,7 @@ class SurfaceProfile(SampledProfile):
             across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
             index = index * count + across
         plan = np.delete(positions.astype(np.float64), 1, axis=1)
-        base = elevation(scene.solids, Box(size=scene.domain.size, cell=scene.domain.cell), plan)
+        base = elevation(scene.solids, scene.domain, plan)
         top = np.zeros(rows * math.prod(widths))
         np.maximum.at(top, index, positions[:, 1] - base)
         return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
@@ -293,7 +292,7 @@ def ground(scene: Scene, x: Values) -> Values:
     """Elevation of the highest terrain, or of the floor, at `x` [m], both of shape [R]. Raises InputError in 3D."""
     if scene.dimension != 2:
         raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
-    return elevation(scene.solids, Box(size=scene.domain.size, cell=scene.domain.cell), x[:, None])
+    return elevation(scene.solids, scene.domain, x[:, None])
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene, Solid
 from gns.initial import InitialState
 
 Vector = NDArray[np.float64]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.records import Record
 from datasets.scene import Scene
@@ -281,7 +282,7 @@ def features_of(
         cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
-        volume_correction=any(scene.remembers_gaps for scene in scenes),
+        volume_correction=any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(
             len(each.materials) > 1
             or each.common_volume is None

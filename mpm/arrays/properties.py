@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
@@ -29,7 +30,7 @@ CONTACT_WIDTH = 1.0
 
 def search_distance(scene: Scene) -> float:
     """Distance from solids [m] up to which a particle's is computed: the contact's width, or the cut-off of gaps."""
-    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_CUTOFF) if scene.remembers_gaps else CONTACT_WIDTH)
+    return scene.domain.cell * (max(CONTACT_WIDTH, GAP_CUTOFF) if remembers_gaps(scene) else CONTACT_WIDTH)
 
 
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
@@ -56,7 +57,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.SEARCH_DISTANCE: search_distance(scene),
         Setting.FACE_DISTANCE: search_distance(scene) + scene.domain.cell,
         Setting.DAMPING: scene.damping,
-        Setting.CORRECTED: float(scene.remembers_gaps),
+        Setting.CORRECTED: float(remembers_gaps(scene)),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,

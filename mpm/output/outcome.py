@@ -154,7 +154,7 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)
     wave_speed = stiffest.wave_speed
-    young = _rounded_up(stiffest.young * (speed / (RUNAWAY * wave_speed)) ** 2)
+    young = _rounded_up(stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2)
     return (
         f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
         f"{wave_speed:.3g} m/s: a shorter step does not help; "

@@ -9,7 +9,7 @@ import pytest
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError
-from datasets.scene import overlaps
+from datasets.geometry.placement import overlaps
 from datasets.training.metadata import metadata
 from datasets.training.statistics import motion_statistics
 

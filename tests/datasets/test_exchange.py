@@ -18,7 +18,7 @@ from datasets.exchange.__main__ import command
 from datasets.exchange.cloud import Cloud, cloud_of
 from datasets.exchange.conversion import LAYOUTS
 from datasets.files import write_json
-from datasets.geometry.solid import Solid
+from datasets.scene import Solid
 from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene

@@ -16,14 +16,13 @@ from datasets.definitions.definition import Definition, Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.field import Field
 from datasets.forces import write_forces
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
 from datasets.library import read_scene
 from datasets.maps import __main__ as maps
 from datasets.material import Material
 from datasets.particles import initial_particles, mass_volumes
 from datasets.records import from_mapping
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, motion_statistics
 from datasets.trajectory import Trajectory

@@ -13,14 +13,13 @@ from shapely.geometry import shape
 
 from datasets.command_line import run
 from datasets.exchange.rasters import LOCAL, Georeference, area, outline, write_outlines, write_raster
-from datasets.geometry.solid import Solid
 from datasets.library import read_scene
 from datasets.maps.__main__ import COLUMNS, command, summary, write_maps, write_profile
 from datasets.maps.pictures import draw_map
 from datasets.maps.plan import map_edges, maps_of, station_edges
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 
 ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.training.samples import (
     Flow,
     Sample,

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.library import SCENES, read_scene, write_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 
 START = """
 [domain]

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
-from datasets.scene import Baffle
+from datasets.scene import Baffle, Solid
 from datasets.trajectory import FIELDS, Trajectory, solid_names, stored_scene
 
 

@@ -15,10 +15,9 @@ import pyvista
 from datasets.command_line import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
-from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 
 LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)

@@ -16,7 +16,7 @@ from datasets.command_line import WorkFailed
 from datasets.exchange import vtkhdf
 from datasets.exchange.vtk import Meshes, write_vtk
 from datasets.exchange.vtkhdf import write_vtkhdf
-from datasets.geometry.solid import Solid
+from datasets.scene import Solid
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import toy
 

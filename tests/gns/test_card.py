@@ -14,9 +14,8 @@ from datasets import command_line
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.library import read_scene
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns import card
 from gns.card import Card
 from gns.inference import models, shipped

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.initial import Start, initial_state
 from gns.model.settings import ModelSettings
 from gns.units import Units

@@ -12,9 +12,8 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.geometry.solid import Solid
 from datasets.lock import locked
-from datasets.scene import Baffle, Domain
+from datasets.scene import Baffle, Domain, Solid
 from datasets.training.samples import Flow, load_flows
 from datasets.trajectory import Trajectory
 from gns import train as command

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.material import Material
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.inference import simulate
 from gns.model.settings import GRAVITY, ModelSettings
 from gns.model.simulator import Simulator

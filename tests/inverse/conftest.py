@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.model.settings import ModelSettings
 from gns.model.simulator import Normalisation, Simulator
 from inverse.parameters import kind

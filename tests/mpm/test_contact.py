@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from datasets.geometry.nearest import nearest
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
 from mpm.exact_solutions import total_energy

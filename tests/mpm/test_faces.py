@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, nearest
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Baffle, Domain, Mass, Material, Scene
+from datasets.scene import Baffle, Domain, Mass, Material, Scene, Solid
 from mpm.arrays.layout import PADDING
 from mpm.solids.faces import Faces, faces_near, node_positions, node_shape
 

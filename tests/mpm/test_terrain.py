@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from datasets.geometry.nearest import nearest
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import surface_of
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from mpm import Recording, simulate
 from mpm.output.smoothing import density

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from mpm import LAST, simulate
@@ -58,7 +59,7 @@ def test_gaps_are_remembered_where_a_body_is_in_flight() -> None:
     box = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
 
     def remembers(*masses: Mass, correction: bool | None = None) -> bool:
-        return dataclasses.replace(BED, masses=masses, volume_correction=correction).remembers_gaps
+        return remembers_gaps(dataclasses.replace(BED, masses=masses, volume_correction=correction))
 
     assert not remembers(box)
     assert not remembers(box, Mass(lower=(0.2, 0.1), size=(0.2, 0.1)))

@@ -20,7 +20,6 @@ from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes, box, spatial
 from datasets.files import replacing
-from datasets.geometry.margins import Box
 from datasets.geometry.planar import ring_of
 from datasets.geometry.surface import solids_of
 from datasets.scene import Baffle, Mass
@@ -172,7 +171,7 @@ class Picture:
             return
         solids, keys = solids_of(scene)
         for solid, key in list(zip(solids, keys, strict=True))[len(scene.baffles) :]:
-            ring = spatial(ring_of(solid, key, Box(scene.domain.size, scene.domain.cell)).points)
+            ring = spatial(ring_of(solid, key, scene.domain).points)
             area = pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate()
             self.plotter.add_mesh(self._clipped(area), color=GROUND, lighting=False)
         self._lines(self._clipped(self.meshes.solid_surface), INK)

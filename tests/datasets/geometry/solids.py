@@ -1,8 +1,7 @@
 """Scenes of solids alone, for the tests of their geometry."""
 
-from datasets.geometry.solid import Solid
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 
 
 def scene_of(

@@ -195,7 +195,7 @@ CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
     ("dem.asc", TERRAIN, holes, "expected a raster without holes in the box, got 2 cells without data"),
     ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "a geographic one in degrees"),
     ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:2263"), "metres, got one in US survey foot"),
-    ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "heights over the whole box, x from 0"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     ("dem.tif", TERRAIN, csv("no raster"), "expected a readable raster"),
     ("dem.png", TERRAIN, csv("no raster"), "expected a raster (.asc, .tif, .tiff) or a CSV"),
     ("dem.asc", TERRAIN, None, "there is none"),
@@ -246,7 +246,7 @@ def test_an_array_of_objects_is_not_loaded(tmp_path: Path) -> None:
     [
         (
             TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1]]\n",
-            "solids[0].points: expected a ground line over the whole box",
+            "solids[0].points: expected ground over the whole box",
         ),
         (TERRAIN + "points = [[0.0, 0.1], [0.0, 0.1], [2.0, 0.1]]\n", "solids[0].points[1]: expected different points"),
         (TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1], [1.0, 0.2]]\n", "solids[0].points[2]: expected x not to fall"),

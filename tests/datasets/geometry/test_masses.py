@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
+from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.material import Material
 from datasets.particles import (
     initial_particles,
@@ -17,7 +17,7 @@ from datasets.particles import (
     released_volume,
     warn_if_unresolved,
 )
-from datasets.scene import Domain, Mass, Scene, heights_above_ground
+from datasets.scene import Domain, Mass, Scene, Solid
 from tests.datasets.geometry.test_nearest import sphere
 
 SLOPE = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.1), (2.0, 0.1)))
@@ -175,8 +175,8 @@ def test_a_box_among_other_masses_begins_as_it_does_alone() -> None:
         (Mass(kind="polygon"), "masses[0].vertices", "`vertices` of a polygon"),
         (Mass(kind="polygon", vertices=TRIANGLE, thickness=1.0), "masses[0].thickness", "no such key"),
         (Mass(kind="cone"), "masses[0].kind", "box, polygon, layer, particles in 2D"),
-        (Mass(kind="layer", thickness=-1.0), "masses[0].thickness", "positive"),
-        (Mass(kind="layer", thickness=2.0), "masses[0]", "its top is at y = 2"),
+        (Mass(kind="layer", thickness=-1.0), "masses[0].thickness", "at least 0, and some"),
+        (Mass(kind="layer", thickness=2.0), "masses[0]", "its top at y = 2"),
         (Mass(kind="layer", thickness=((0.0, 0.1), (0.0, 0.1))), "masses[0].thickness[1]", "twice"),
         (Mass(kind="layer", thickness=((0.0, 0.1), (1.0, -0.1))), "masses[0].thickness", "at least 0"),
         (Mass(kind="layer", thickness=0.1, outline=((3.0,), (4.0,))), "masses[0]", "lies in the box"),
@@ -185,7 +185,7 @@ def test_a_box_among_other_masses_begins_as_it_does_alone() -> None:
         (Mass(kind="particles", positions=((0.5, 2.5),)), "masses[0].positions[0]", "inside the domain"),
         (Mass(kind="particles", positions=((0.5, 0.5),), volume=0.0), "masses[0].volume", "positive volumes"),
         (Mass(kind="particles", positions=((0.5, 0.5),), volume=(1.0, 1.0)), "masses[0].volume", "1 volumes"),
-        (Mass(kind="particles", positions=((0.5, 0.5),), velocities=()), "masses[0].velocities", "one for each"),
+        (Mass(kind="particles", positions=((0.5, 0.5),), velocities=()), "masses[0].velocities", "at least 1 rows"),
         (Mass(lower=(0.1, 0.1)), "masses[0].size", "missing"),
     ],
 )
@@ -264,7 +264,7 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     on_box = Mass(lower=(1.7, 0.4 + gap), size=(0.1, 0.1))
     scene = scene_of(flat, along, on_box, solids=(SLOPE, box))
     np.testing.assert_allclose(heights_above_ground(scene), gap, atol=0.0125)
-    assert scene.remembers_gaps == (gap > 0.05)
+    assert remembers_gaps(scene) == (gap > 0.05)
     cell = Domain(size=(2.0, 1.0, 1.0), cell=0.05)
     deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3, domain=cell)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)

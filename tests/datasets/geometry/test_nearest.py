@@ -8,9 +8,8 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.geometry.nearest import inside, nearest
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Scene
+from datasets.scene import Scene, Solid
 from tests.datasets.geometry.solids import scene_of
 
 Floats = NDArray[np.float64]

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from datasets.geometry.nearest import inside, nearest
-from datasets.geometry.solid import Solid
 from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Baffle, Scene
+from datasets.scene import Baffle, Scene, Solid
 from tests.datasets.geometry.solids import scene_of
 
 SPACE = (2.0, 1.0, 1.0)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
+from datasets.scene import Solid
 from inverse.observations import Target
 from inverse.observations.measured_profile import closed
 from inverse.observations.profile import REPRESENTATION, Profile, SampledProfile, SurfaceProfile

@@ -5,9 +5,8 @@ import dataclasses
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene, Solid
 from inverse.parameters import kind, with_parameters
 from inverse.problem import read_problem
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene, Solid
 from mpm.adjoint.gradient import Gradient, gradient
 from tests.mpm.adjoint.flows import Weighted, central, moved, parameters, plane, room, value_of
 

@@ -6,9 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datasets.geometry.solid import Solid
 from datasets.particles import Particles, initial_particles
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene, Solid
 from mpm.adjoint.gradient import Gradient, pull_back
 from mpm.adjoint.tape import Tape
 from tests.mpm.adjoint.flows import Floats, central, moved, parameters

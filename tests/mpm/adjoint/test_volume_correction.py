@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Baffle, Mass, Scene
@@ -45,7 +46,7 @@ def shaken(particles: Particles) -> Particles:
 def flow(request: pytest.FixtureRequest) -> tuple[Scene, Weighted, Gradient]:
     """A scene, an objective of its end, and the gradient."""
     scene: Scene = SCENES[request.param]
-    assert scene.remembers_gaps
+    assert remembers_gaps(scene)
     objective = Weighted(scene)
     _, slope = gradient(scene, objective, threads=1, exact=True, particles=[shaken(initial_particles(scene))])
     return scene, objective, slope

@@ -14,8 +14,7 @@ from torch import Tensor
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.geometry.solid import Solid
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Domain, Mass, Scene, Solid
 from gns import card
 from gns.model import checkpoint
 from gns.model.settings import ModelSettings

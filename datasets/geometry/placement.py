@@ -1,0 +1,247 @@
+"""Where bodies stand: clear of solids and of each other, and how high above what is beneath them."""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.geometry.bodies import Plan, filling, inside_mesh, lattice_in
+from datasets.geometry.ground import CLOSING, TOUCHING, elevation
+from datasets.geometry.surface import Surface, solids_of, surface_in, surface_of
+from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
+
+Floats = NDArray[np.float64]
+
+SAMPLES = 32
+"""Most places along an axis at which the height of a body above ground is looked for."""
+PAIRS = 4_000_000
+"""Pairs of a place and a face that are looked at together."""
+
+
+def check_overlaps(scene: Scene) -> None:
+    """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
+    boxes = (*scene.masses, *scene.baffles)
+    shared = overlaps(boxes)
+    shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
+    upright = np.array([each.kind == "box" if isinstance(each, Mass) else each.turned_deg == 0.0 for each in boxes])
+    names = [f"masses[{index}]" for index in range(len(scene.masses))]
+    names += [f"baffles[{index}]" for index in range(len(scene.baffles))]
+    for first, second in np.argwhere(shared & np.outer(upright, upright)):
+        raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
+    if not has_shapes(scene):
+        return
+    surface_of(scene)  # says what is wrong with the shapes
+    for index, mass in enumerate(scene.masses):
+        for solid, key in zip(*solids_of(scene), strict=True):
+            if mass.kind == "box" and key.startswith("baffles") and solid.turned_deg == 0.0:
+                continue  # compared above
+            if overlaps_solid(scene, mass, solid, key):
+                hint = " (on a slope a body is a layer, or a polygon along it)" if solid.kind == "terrain" else ""
+                raise InputError(f"expected a body clear of {key}, got an overlap{hint}", key=f"masses[{index}]")
+    # Bodies of which one at least is no box, by their particles.
+    for first, a in enumerate(scene.masses):
+        for second, b in enumerate(scene.masses[:first]):
+            if (a.kind == "box" and b.kind == "box") or not overlaps((a, b)).any():
+                continue
+            if contains(scene, b, lattice_of(scene, a)).any() or contains(scene, a, lattice_of(scene, b)).any():
+                raise InputError(f"expected a body clear of masses[{second}], got an overlap", key=f"masses[{first}]")
+
+
+def has_shapes(scene: Scene) -> bool:
+    """Whether there is more in a scene than boxes along the axes."""
+    turned = any(baffle.turned_deg != 0.0 for baffle in scene.baffles)
+    return bool(scene.solids) or turned or any(mass.kind != "box" for mass in scene.masses)
+
+
+def corners(boxes: Sequence[Mass | Baffle]) -> tuple[Floats, Floats]:
+    """The smallest and the largest coordinates of each box [m], both of shape [N, D]."""
+    lower = np.array([box.lower for box in boxes])
+    return lower, lower + np.array([box.size for box in boxes])
+
+
+def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
+    """Which boxes share volume with a later one, shape [N, N]; touching faces do not count."""
+    lower, upper = corners(boxes)
+    below = lower[:, None] + TOLERANCE < upper[None]
+    return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))
+
+
+def overlaps_solid(scene: Scene, mass: Mass, solid: Solid, key: str) -> bool:
+    """Whether a mass shares volume with a solid: boxes, polygons and meshes exactly, others by their particles."""
+    if mass.kind == "layer" and solid.kind == "terrain":
+        return False  # it lies on the highest terrain
+    if mass.kind in ("layer", "particles"):
+        return bool(in_solid(solid, key, scene.domain, lattice_of(scene, mass)).any())
+    shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
+    return shapes_overlap(shape, solid, key, scene.domain)
+
+
+def in_solid(solid: Solid, key: str, domain: Domain, places: Floats) -> NDArray[np.bool_]:
+    """Which of N places [m], shape [N, D], lie in a solid, shape [N]."""
+    from datasets.geometry.nearest import inside
+
+    if solid.kind == "terrain":
+        level = [axis for axis in range(domain.dimension) if axis != 1]
+        return np.asarray(places[:, 1] < elevation((solid,), domain, places[:, level]) - TOUCHING)
+    return inside(surface_in(domain, (solid,), (key,)), places)
+
+
+@lru_cache(maxsize=256)
+def shapes_overlap(mass: Mass, solid: Solid, key: str, domain: Domain) -> bool:
+    """Whether a box, a polygon or a mesh of material shares more than a margin of rounding with a solid."""
+    margin = 10.0 * TOUCHING
+    if domain.dimension == 2:
+        import shapely
+
+        from datasets.geometry.planar import ring_of
+
+        box = shapely.box(*mass.lower, *np.add(mass.lower, mass.size))
+        shape = shapely.Polygon(mass.vertices) if mass.kind == "polygon" else box
+        return bool(shape.buffer(-margin).intersects(shapely.Polygon(ring_of(solid, key, domain).points)))
+    body, other = mass_manifold(mass), solid_manifold(solid, key, domain)
+    return bool((body ^ other).volume() > margin * body.surface_area())
+
+
+def mass_manifold(mass: Mass) -> Any:
+    """A box or a mesh of material for the operations of manifold3d."""
+    from datasets.geometry import spatial
+
+    if mass.kind == "box":
+        vertices = np.array(mass.lower) + spatial.CUBE * np.array(mass.size)
+        return spatial.manifold(vertices, spatial.CUBE_TRIANGLES)
+    vertices = np.array(mass.vertices)
+    return spatial.manifold(vertices, spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses"))
+
+
+@lru_cache(maxsize=64)
+def solid_manifold(solid: Solid, key: str, domain: Domain) -> Any:
+    """A solid in 3D for these operations."""
+    from datasets.geometry import spatial
+
+    body = spatial.body_of(solid, key, domain)
+    return spatial.manifold(body.vertices, body.triangles)
+
+
+def lattice_of(scene: Scene, mass: Mass) -> Floats:
+    """Where the particles of a mass are before their jitter [m], shape [N, D]."""
+    if mass.kind == "box":
+        lower = np.array(mass.lower)
+        return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]
+    found = filling(scene, mass)
+    return found.raised(found.lattice)
+
+
+def contains(scene: Scene, mass: Mass, places: Floats) -> NDArray[np.bool_]:
+    """Which of N places [m], shape [N, D], lie in a body; none in single particles."""
+    low, high = np.array(mass.lower) + TOUCHING, np.add(mass.lower, mass.size) - TOUCHING
+    found = np.asarray(((places > low) & (places < high)).all(axis=1))
+    if mass.kind == "particles" or not found.any():
+        return np.zeros(len(places), bool)
+    here = places[found]
+    if mass.kind == "polygon":
+        import shapely
+
+        found[found] = shapely.contains_xy(shapely.Polygon(mass.vertices), here[:, 0], here[:, 1])
+    elif mass.kind == "mesh":
+        found[found] = inside_mesh(mass, scene.domain.cell, "masses", here)
+    elif mass.kind == "layer":
+        plan = Plan(mass, scene.domain, "masses")
+        level = here[:, [axis for axis in range(scene.dimension) if axis != 1]]
+        above = here[:, 1] - elevation(scene.solids, scene.domain, level)
+        found[found] = plan.contains(level) & (above > 0.0) & (above < plan.thickness(level))
+    return found
+
+
+def remembers_gaps(scene: Scene) -> bool:
+    """Whether gaps between particles are remembered: as `volume_correction` says, or if a body is in flight."""
+    if scene.volume_correction is not None:
+        return scene.volume_correction
+    upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in scene.masses]
+    thrown = [each.values for each in scene.fields if each.quantity == "velocity_y"]
+    upwards += [max(0.0, sum(values) / len(values)) for values in thrown]
+    return scene.gravity > 0.0 and (
+        max(upwards) ** 2 >= 2.0 * scene.gravity * scene.domain.cell
+        or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
+    )
+
+
+def heights_above_ground(scene: Scene) -> Floats:
+    """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
+
+    That of the body is the least of its masses', each above the floor or the highest box beneath it; shape [masses].
+    """
+    count, shaped = len(scene.masses), has_shapes(scene)
+    lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
+    beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
+    height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
+    if shaped:
+        height = np.minimum(height, heights_above_solids(scene))
+    touches = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
+    touches &= touches.T
+    # A height passes from mass to mass that touch, until none changes.
+    while (lowest := np.where(touches, height[None], np.inf).min(axis=1, initial=np.inf)).tolist() != height.tolist():
+        height = lowest
+    return height
+
+
+def heights_above_solids(scene: Scene) -> Floats:
+    """Height [m] of the underside of each mass above the highest solid beneath it, or the floor; shape [masses]."""
+    surface = surface_of(scene)
+    heights = np.zeros(len(scene.masses))
+    for index, mass in enumerate(scene.masses):
+        if mass.kind != "layer":
+            places = underside(scene, mass)
+            tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, scene.domain.cell)
+            heights[index] = max(0.0, float((places[:, 1] - tops).min()))
+    return heights
+
+
+def underside(scene: Scene, mass: Mass) -> Floats:
+    """Places on the underside of a body [m], shape [N, D]."""
+    low, size = np.array(mass.lower), np.array(mass.size)
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    step = np.maximum(0.5 * scene.domain.cell, size / SAMPLES)[level]
+    if mass.kind == "box":
+        counts = [max(2, round(length / each) + 1) for length, each in zip(size[level], step, strict=True)]
+        axes = [np.linspace(low[a], low[a] + size[a], count) for a, count in zip(level, counts, strict=True)]
+        plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(level))
+        return np.insert(plan, 1, low[1], axis=1)
+    found = filling(scene, mass)
+    places = found.lattice - [0.0, 0.5 * found.spacing[1], 0.0][: scene.dimension]
+    order = np.argsort(places[:, 1], kind="stable")
+    column = np.floor((places[order][:, level] - low[level]) / step).astype(np.int64)
+    return np.asarray(places[order][np.unique(column, axis=0, return_index=True)[1]])
+
+
+def tops_beneath(surface: Surface, points: Floats, cell: float) -> Floats:
+    """Elevation [m] of the highest place of the surface at or beneath each point, 0 where there is none; shape [N]."""
+    # Not more than rounding: the sides of a turned box have no area in plan.
+    up = surface.normals[:, 1] > 1.0e-9
+    corners = surface.corners[up]
+    flat = [axis for axis in range(surface.dimension) if axis != 1]
+    tops = np.zeros(len(points))
+    portion = max(1, PAIRS // max(1, len(corners)))
+    for first in range(0, len(points), portion):
+        some = points[first : first + portion]
+        offset = some[:, None, flat] - corners[None, :, 0, flat]
+        edges = (corners[:, 1:] - corners[:, :1])[..., flat]
+        if surface.dimension == 2:
+            shares = [offset[..., 0] / edges[:, 0, 0]]
+        else:
+            area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+            shares = [
+                (offset[..., 0] * edges[:, 1, 1] - offset[..., 1] * edges[:, 1, 0]) / area,
+                (offset[..., 1] * edges[:, 0, 0] - offset[..., 0] * edges[:, 0, 1]) / area,
+            ]
+        over = (np.stack(shares) >= -1.0e-9).all(axis=0) & (sum(shares) <= 1.0 + 1.0e-9)
+        rise = corners[:, 1:, 1] - corners[:, :1, 1]
+        y = corners[:, 0, 1] + sum(share * rise[:, k] for k, share in enumerate(shares))
+        beneath = over & (y <= some[:, 1:2] + 10.0 * CLOSING * cell)
+        tops[first : first + portion] = np.where(beneath, y, 0.0).max(axis=1, initial=0.0)
+    return tops

@@ -1,0 +1,164 @@
+"""Which keys give a solid or a mass its shape, and what each of them must be."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+from datasets.errors import InputError
+from datasets.scene import Mass, Rows, Solid
+
+SOLIDS: dict[tuple[str, int], tuple[str, ...]] = {
+    ("box", 2): ("lower", "size"),
+    ("polygon", 2): ("vertices",),
+    ("terrain", 2): ("points",),
+    ("box", 3): ("lower", "size"),
+    ("terrain", 3): ("origin", "spacing", "heights"),
+    ("mesh", 3): ("vertices", "triangles"),
+}
+"""Keys that a kind of solid needs in two and in three dimensions."""
+MASSES: dict[tuple[str, int], tuple[str, ...]] = {
+    ("box", 2): (),
+    ("polygon", 2): ("vertices",),
+    ("layer", 2): ("thickness",),
+    ("particles", 2): ("positions",),
+    ("box", 3): (),
+    ("mesh", 3): ("vertices", "triangles"),
+    ("layer", 3): ("thickness",),
+    ("particles", 3): ("positions",),
+}
+"""Keys that a kind of mass needs, beside the box around it, which a scene works out where it is no box itself."""
+OPTIONAL = {
+    "terrain": ("corner", "crs"),
+    "layer": ("origin", "spacing", "outline"),
+    "particles": ("velocities", "volume"),
+}
+"""Keys that a kind may have."""
+CONTACTS = ("coulomb", "no-slip")
+FARTHEST = 1.0e9
+"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
+
+
+def require(ok: bool, key: str, expected: str, got: object) -> None:
+    """Raise InputError where `ok` does not hold of `key`."""
+    if not ok:
+        raise InputError(f"expected {expected}, got {got}", key=key)
+
+
+def usual(number: float) -> bool:
+    """Whether a number is finite, and no larger than a length can be."""
+    return abs(number) <= FARTHEST
+
+
+def check_keys(shape: Solid | Mass, table: Mapping[tuple[str, int], tuple[str, ...]], key: str, dimension: int) -> None:
+    """Raise InputError unless a solid or a mass has the keys that its kind needs, and none of another kind."""
+    kinds = [kind for kind, axes in table if axes == dimension]
+    require(shape.kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(shape.kind))
+    needed, optional = table[shape.kind, dimension], OPTIONAL.get(shape.kind, ())
+    every = set(itertools.chain(*table.values(), *OPTIONAL.values()))
+    for name in sorted(name for name in every if hasattr(shape, name)):
+        given = getattr(shape, name) is not None
+        files = " or a file" if shape.kind in ("terrain", "mesh") else ""
+        require(
+            given or name not in needed, f"{key}.{name}", f"`{'`, `'.join(needed)}`{files} of a {shape.kind}", "none"
+        )
+        require(not given or name in (*needed, *optional), f"{key}.{name}", f"no such key of a {shape.kind}", "one")
+
+
+def check_vector(vector: Sequence[float], key: str, dimension: int) -> None:
+    """Raise InputError unless a vector has `dimension` finite components."""
+    ok = len(vector) == dimension and all(map(usual, vector))
+    require(ok, key, f"{dimension} lengths in m within {FARTHEST:g}", list(vector)[:dimension])
+
+
+def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
+    """Raise InputError unless there are at least `least` rows of `width` finite numbers each."""
+    require(len(rows) >= least, key, f"at least {least} rows of {width} numbers", len(rows))
+    for index, row in enumerate(rows):
+        check_vector(row, f"{key}[{index}]", width)
+
+
+def check_ground_line(points: Rows, key: str) -> None:
+    """Raise InputError unless the points of a ground line go from small to large x, at least two of them."""
+    check_rows(points, key, 2, least=2)
+    for index, (first, second) in enumerate(itertools.pairwise(points), 1):
+        require(first != second, f"{key}[{index}]", "different points", f"{list(first)} twice")
+        rises = second[0] >= first[0]
+        require(rises, f"{key}[{index}]", "x not to fall from point to point", f"{second[0]:g} after {first[0]:g}")
+
+
+def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
+    """Raise InputError unless `values`, of the key `name`, are at least 2 x 2 numbers on a grid in x and z."""
+    check_vector(shape.origin or (), f"{key}.origin", 2)
+    check_vector(shape.spacing or (), f"{key}.spacing", 2)
+    require(min(shape.spacing or ()) > 0.0, f"{key}.spacing", "positive lengths in m", list(shape.spacing or ()))
+    require(len(values[:1]) and len(values[0]) >= 2, f"{key}.{name}", "at least 2 x 2 numbers", "fewer")
+    check_rows(values, f"{key}.{name}", len(values[0]), least=2)
+
+
+def check_solid(solid: Solid, key: str, dimension: int) -> None:
+    """Raise InputError for a solid that is none in `dimension` dimensions, wherever it lies."""
+    check_keys(solid, SOLIDS, key, dimension)
+    turned = solid.turned_deg
+    require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)
+    require(solid.contact in CONTACTS, f"{key}.contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
+    tension = "a tension of at least 0 Pa, up to 1e15"
+    require(0.0 <= solid.adhesion <= 1.0e15, f"{key}.adhesion", tension, solid.adhesion)
+    if solid.kind == "box":
+        check_vector(solid.lower or (), f"{key}.lower", dimension)
+        check_vector(solid.size or (), f"{key}.size", dimension)
+        require(min(solid.size or ()) > 0.0, f"{key}.size", "positive lengths in m", list(solid.size or ()))
+    if solid.points is not None:
+        check_ground_line(solid.points, f"{key}.points")
+    if solid.vertices is not None:
+        check_rows(solid.vertices, f"{key}.vertices", dimension, least=dimension + 1)
+    if solid.triangles is not None:
+        check_triangles(solid, key)
+    if solid.heights is not None:
+        check_grid(solid, solid.heights, key, "heights")
+    for name in ("corner", "crs"):
+        require(not getattr(solid, name) or solid.heights, f"{key}.{name}", "no such key but of a terrain in 3D", "one")
+    if solid.corner is not None:
+        check_vector(solid.corner, f"{key}.corner", 2)
+    check_friction(solid, key)
+
+
+def check_triangles(shape: Solid | Mass, key: str) -> None:
+    """Raise InputError for triangles of vertices that there are not."""
+    count = len(shape.vertices or ())
+    for index, triangle in enumerate(shape.triangles or ()):
+        ok = all(0 <= corner < count for corner in triangle) and len(set(triangle)) == 3
+        expected = f"three different vertices of the {count}, counted from 0"
+        require(ok, f"{key}.triangles[{index}]", expected, list(triangle))
+
+
+def check_friction(solid: Solid, key: str) -> None:
+    """Raise InputError for friction that is negative or does not fit the shape: a number, or one for every place."""
+    friction, key = solid.friction, f"{key}.friction"
+    if isinstance(friction, int | float):
+        require(0.0 <= friction <= FARTHEST, key, "a coefficient of at least 0", friction)
+        return
+    require(solid.contact == "coulomb", key, "a single number, or none, of a surface without slip", "more")
+    places = solid.points or (solid.vertices if solid.kind == "polygon" else None) or solid.heights
+    require(places is not None, key, f"a single number of a {solid.kind}", "more")
+    counts = [len(row) if isinstance(row, tuple) else 0 for row in friction]
+    expected = [len(row) if solid.heights else 0 for row in places or ()]
+    one_each = "a coefficient for every height, in the same rows" if solid.heights else f"{len(expected)} coefficients"
+    require(counts == expected, key, one_each, f"{len(counts)} rows" if any(counts) else len(counts))
+    for value in itertools.chain.from_iterable(row if isinstance(row, tuple) else (row,) for row in friction):
+        require(0.0 <= value <= FARTHEST, key, "coefficients of at least 0", value)
+
+
+def check_mass(mass: Mass, key: str, dimension: int) -> None:
+    """Raise InputError for a mass that is no box and whose keys give no shape in `dimension` dimensions."""
+    check_keys(mass, MASSES, key, dimension)
+    for name, least in (("vertices", dimension + 1), ("positions", 1), ("velocities", 1)):
+        rows = getattr(mass, name)
+        if rows is not None:
+            check_rows(rows, f"{key}.{name}", dimension, least=least)
+    if mass.triangles is not None:
+        check_triangles(mass, key)
+    if mass.outline is not None:
+        check_rows(mass.outline, f"{key}.outline", dimension - 1, least=dimension)
+    if mass.velocities is not None:
+        same = len(mass.velocities) == len(mass.positions or ())
+        require(same, f"{key}.velocities", "one for each position", len(mass.velocities))
+        require(mass.velocity is None, f"{key}.velocity", "no velocity of the whole beside those of particles", "one")
