@@ -63,7 +63,7 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
         print("talus: the memory of this machine did not do: larger cells, fewer frames or fewer jobs", file=sys.stderr)
         return 1
     except KeyboardInterrupt as interrupt:
-        print("talus: interrupted; what was finished is kept", file=sys.stderr)
+        print(f"talus: interrupted; {str(interrupt) or 'what was finished is kept'}", file=sys.stderr)
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     return status if isinstance(status, int) else 0
 

@@ -2,9 +2,12 @@
 
 simulator = gns.load("flow2d")
 trajectory = gns.simulate("column-tall-42", model=simulator)
+prediction = gns.predict("column-tall-42")  # with its band
 """
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 # Torch reads both when it is loaded, so they must precede it.
 # Huge pages for large tensors: page faults dominate otherwise (2.5 times the time of a step).
@@ -21,6 +24,21 @@ except ImportError as error:
         "environment of its own"
     ) from None
 
-from gns.inference import load, simulate
+if TYPE_CHECKING:
+    from gns.inference import load, simulate
+    from gns.uncertainty import predict
 
-__all__ = ["load", "simulate"]
+_MODULES = {"load": "gns.inference", "predict": "gns.uncertainty", "simulate": "gns.inference"}
+
+__all__ = ["load", "predict", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: torch takes seconds, which no `--help` should."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

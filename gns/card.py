@@ -1,11 +1,11 @@
 """The card of a surrogate: what it is, what it was trained on, how well it does, and whether a scene is within.
 
-    python -m gns.card gns/weights/flow2d.safetensors --scores scores.md
+    python -m gns.card runs/mine/best.safetensors
 
-writes `gns/weights/flow2d.json` beside the weights. Its ranges are the least and the greatest value of each quantity
-(`gns.ranges`) over the scenes that the model was trained on, drawn anew from the definitions of its datasets. A network
-interpolates; outside of these ranges its error is unknown. What was trained on data that no shipped definition draws
-is given its folders: `python -m gns.card MODEL DATASET...`.
+writes `runs/mine/best.json` beside the weights, as a training does at its end. Its ranges are the least and the
+greatest value of each quantity (`gns.ranges`) over the scenes that the model was trained on, in the folders that it
+names, or drawn anew from a shipped definition. A network interpolates; outside of these ranges its error is unknown.
+ `python -m gns.score DATASET... --model MODEL --keep` adds scores and bands.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from datasets import files
 from datasets.command_line import run
@@ -24,15 +24,15 @@ from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory, trajectory_files
-from gns.inference import shipped
-from gns.model import checkpoint, rheology, traction
-from gns.model.context import channels
-from gns.model.settings import GRAVITY, ModelSettings
-from gns.model.simulator import Simulator, conditions_count
-from gns.model.solids import feature_count
+from gns.library import shipped
 from gns.ranges import Body, Range, outside, ranges_of
-from gns.training.convergence import SHORT, summary, total_updates
+from gns.settings import GRAVITY, features
 
+if TYPE_CHECKING:
+    from gns.simulator import Simulator
+
+SHORT, FAR_TOO_SHORT = 0.25, 0.05
+"""Below these shares of a shipped model's updates a training is called too short."""
 LICENCE = "MIT"
 """That of the repository."""
 
@@ -65,8 +65,6 @@ class Calibration(Record):
     """Level -> q, the quantile of the absolute errors over the same [-]."""
     flows: int
     """Number of flows that it was found on."""
-    command: str
-    """What found it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +97,7 @@ class Card(Record):
 
 
 def describe(
-    simulator: Simulator, provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
+    simulator: "Simulator", provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
 ) -> Card:
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
     settings = simulator.settings
@@ -128,31 +126,23 @@ def describe(
     )
 
 
-def features(settings: ModelSettings) -> dict[str, int]:
-    """Features of a particle in their order -> how many numbers."""
-    dimension = settings.dimension
-    return {
-        "past displacements": settings.history * dimension,
-        "their changes": (settings.history - 1) * dimension,
-        "solids within the radius": feature_count(dimension),
-        "volume": 1,
-        "friction, cohesion, floor, walls, damping, gravity": conditions_count(dimension),
-        "column on the grid": channels(settings),
-        "tractions of surfaces and damping": traction.count(dimension),
-        "cohesion over the weight above": 1,
-        "forces of pressure and internal friction": rheology.count(dimension),
-        "basal friction and damped motion": traction.sliding_count(dimension),
-    }
+def named(provenance: Mapping[str, Any]) -> dict[str, list[Scene]]:
+    """The training scenes of the datasets that a model names, folders or shipped definitions: `flow2d: 640 ...`.
 
-
-def defined(counts: Mapping[str, int]) -> dict[str, list[Scene]]:
-    """The first training scenes of shipped definitions, so many of each. Raises InputError for an unknown one."""
-    if unknown := sorted(counts.keys() - DEFINITIONS.keys()):
-        raise InputError(f"expected the folders of its data, {unknown[0]} is no shipped definition", key="DATASET")
-    return {
-        name: [each.scene for each in DEFINITIONS[name].entries(seed=0) if each.split is Split.TRAIN][:count]
-        for name, count in counts.items()
-    }
+    Raises InputError where one is neither.
+    """
+    found: dict[str, list[Scene]] = {}
+    for each in map(str, provenance.get("datasets", [])):
+        definition = re.fullmatch(r"([\w-]+): (\d+) trajectories", each)
+        if definition is None:
+            found |= stored([Path(each)])
+        elif definition[1] in DEFINITIONS:
+            entries = DEFINITIONS[definition[1]].entries(seed=0)
+            found[definition[1]] = [each.scene for each in entries if each.split is Split.TRAIN][: int(definition[2])]
+        else:
+            message = f"expected the folders of its data, {definition[1]} is no shipped definition"
+            raise InputError(message, key="DATASET")
+    return found
 
 
 def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
@@ -196,10 +186,16 @@ def warning(weights: Path, scene: Scene) -> str | None:
     reasons = []
     if found := card.outside(scene):
         reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
-    updates, reference = card.data.updates, reference_updates(scene.dimension)
-    if updates is not None and reference is not None and updates < SHORT * reference:
-        reasons.append(f"{weights.name}: {summary(updates, reference, shipped(scene.dimension).name)}")
+    updates = card.data.updates
+    if updates is not None and updates < SHORT * (reference_updates(scene.dimension) or 0):
+        reasons.append(f"{weights.name}: {length_of_training(updates, scene.dimension)}")
     return "; ".join(reasons) or None
+
+
+def total_updates(provenance: Mapping[str, Any]) -> int:
+    """Updates of the weights in all: of a training and of those that it began with."""
+    begin = provenance.get("begin")
+    return int((provenance.get("log") or {}).get("updates", 0)) + (total_updates(begin) if begin else 0)
 
 
 def reference_updates(dimension: int) -> int | None:
@@ -209,40 +205,38 @@ def reference_updates(dimension: int) -> int | None:
     return None if card is None else card.data.updates
 
 
-def length_of_training(updates: int, dimension: int, scores: Sequence[float] = ()) -> str:
-    """A line on so many updates against those of the shipped model; scores: of the validations, in order."""
+def length_of_training(updates: int, dimension: int) -> str:
+    """A line on so many updates against those of the shipped model."""
     reference = reference_updates(dimension)
     if reference is None:
         return f"{updates} updates in all"
-    return summary(updates, reference, shipped(dimension).name, scores)
+    share = updates / reference
+    text = f"{updates} updates in all, {100.0 * share:.3g} % of those of {shipped(dimension).name} ({reference})"
+    if share < SHORT:
+        text += ": far too short, no answer should rest on this model" if share < FAR_TOO_SHORT else ": train longer"
+    return text
 
 
-def main(model: Path, /, *datasets: Path, scores: Path | None = None) -> None:
-    """Write the card of a model beside it.
+def main(model: Path, /, *datasets: Path) -> None:
+    """Write the card of a model beside it; scores and bands of a former one stay.
 
     Parameters
     ----------
     model
         The model's file.
     datasets
-        Folders of its training data; the shipped definitions that its provenance names unless given.
-    scores
-        Table that python -m gns.score wrote, for the card.
+        Folders of its training data; those that the model names unless given, or shipped definitions of that name.
     """
-    loaded = checkpoint.load(model)
-    if datasets:
-        scenes = stored(datasets)
-    else:
-        named = loaded.provenance.get("datasets", [])
-        matches = [re.fullmatch(r"([\w-]+): (\d+) trajectories", str(each)) for each in named]
-        scenes = defined({match[1]: int(match[2]) for match in matches if match})
+    # Here, because torch takes seconds, which --help should not.
+    from gns import checkpoint
+
+    loaded, former = checkpoint.load(model), read(model)
+    scenes = stored(datasets) if datasets else named(loaded.provenance)
     if not scenes:
         raise InputError("expected the datasets in the model's provenance, there are none", where=str(model))
-    try:
-        table = "" if scores is None else scores.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"expected a table, {error}", where=str(scores)) from None
-    card = describe(loaded.simulator, loaded.provenance, scenes, table)
+    card = describe(loaded.simulator, loaded.provenance, scenes)
+    if former is not None:
+        card = dataclasses.replace(card, scores=former.scores, calibration=former.calibration)
     write(model, card)
     print(f"{card_path(model)}: {len(card.ranges)} ranges over {sum(card.data.scenes.values())} scenes")
 

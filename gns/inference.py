@@ -1,8 +1,6 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`."""
 
 import dataclasses
-import itertools
-import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,56 +13,23 @@ from datasets import measures
 from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.trajectory import Floats, Trajectory
+from gns import checkpoint
 from gns.initial import initial_state
-from gns.model import checkpoint
-from gns.model.simulator import Simulator
+from gns.library import model_path, shipped
+from gns.simulator import Simulator
 from gns.unroll import unroll
 
-WEIGHTS = Path(__file__).parent / "weights"
-"""The models that ship."""
-MEMBER = re.compile(r".*-\d+")
-"""How a member of the ensemble of a model is called: its name and a number."""
 
-
-def shipped(dimension: int) -> Path:
-    """The model that is used in 2D or 3D where none is named."""
-    return WEIGHTS / f"{'flow2d' if dimension == 2 else 'obstacle3d'}{checkpoint.ENDING}"
-
-
-SHIPPED = shipped(2)
-"""The model that is used in 2D where none is named."""
-
-
-def models(folder: Path = WEIGHTS) -> list[Path]:
-    """The models in a folder, by name; without the members of ensembles."""
-    found = [path for path in folder.glob(f"*{checkpoint.ENDING}") if not MEMBER.fullmatch(path.stem)]
-    return sorted(found, key=lambda path: path.stem)
-
-
-def members(model: Path) -> list[Path]:
-    """The members of the ensemble of a model, NAME-1, NAME-2 and so on beside it."""
-    return list(itertools.takewhile(Path.exists, (member_path(model, number) for number in itertools.count(1))))
-
-
-def member_path(model: Path, number: int) -> Path:
-    """The file of a member of the ensemble of a model, counted from 1."""
-    return model.with_name(f"{model.stem}-{number}{checkpoint.ENDING}")
-
-
-def model_path(model: str | Path) -> Path:
-    """The file of a model: a path, or the name of one that ships (flow2d, obstacle3d)."""
-    named = WEIGHTS / f"{model}{checkpoint.ENDING}"
-    return named if named.is_file() and not Path(model).exists() else Path(model)
-
-
-def load(model: str | Path) -> Simulator:
-    """A trained simulator, ready for inference: a file, or the name of a model that ships.
+def load(model: str | Path, *, training: bool = False) -> Simulator:
+    """A trained simulator: a file, or the name of a model that ships.
 
         simulator = gns.load("flow2d")
 
-    Raises InputError, which names the file.
+    Its weights are frozen: a gradient with respect to the flow costs a fraction of one that is recorded for the weights
+    too. training: leave them free, for one with respect to the weights. Raises InputError, which names the file.
     """
-    return checkpoint.load(model_path(model)).simulator
+    simulator = checkpoint.load(model_path(model)).simulator
+    return simulator.train(training).requires_grad_(training)
 
 
 def simulate(

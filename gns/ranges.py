@@ -1,6 +1,6 @@
 """The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
 
-With l, g and rho, length of the released body, gravity and density (`gns.units`), lengths are over l, speeds over
+With l, g and rho, length of the released body, gravity and density (`gns.state.Units`), lengths are over l, speeds over
 sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside, at any size.
 """
 
@@ -18,7 +18,7 @@ from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.material import Material
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
-from gns.model.settings import ModelSettings
+from gns.settings import ModelSettings
 
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""

@@ -5,16 +5,13 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-import torch
-
 from datasets import command_line, files
 from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
 from datasets.library import read_scene
 from datasets.trajectory import Trajectory
 from gns import card
-from gns.inference import load, model_path, shipped, simulate
-from gns.initial import check
+from gns.library import model_path, shipped
 
 
 def rollout(
@@ -50,6 +47,29 @@ def rollout(
     vtk
         Write a series for ParaView to OUT/vtk too.
     """
+    try:
+        trajectory = _rolled_out(scene, model=model, start=start, seed=seed, threads=threads, device=device)
+    except KeyboardInterrupt as interrupt:
+        raise type(interrupt)("nothing was written") from None
+    summary = trajectory.summary
+    trajectory.save(out / "trajectory.npz")
+    files.write_json(out / "summary.json", summary)
+    if vtk:
+        write_vtk(trajectory, out / "vtk", progress=True)
+    figures = f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {summary['wall_s']:.1f} s"
+    print(f"{figures}, written to {out}")
+
+
+def _rolled_out(
+    scene: str, *, model: Path | None, start: Path | None, seed: int, threads: int, device: str
+) -> Trajectory:
+    """The rollout that the command asks for; a line on standard error where the model may err. Raises InputError."""
+    # Here, because torch takes seconds, which --help should not.
+    import torch
+
+    from gns.inference import load, simulate
+    from gns.initial import check
+
     torch.set_num_threads(threads)
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="--device")
@@ -64,16 +84,9 @@ def rollout(
         check(read, simulator.settings)
         if warning := card.warning(path, read):
             print(warning, file=sys.stderr)
-        trajectory = simulate(read, model=simulator, start=frames, seed=seed, device=device, progress=True)
+        return simulate(read, model=simulator, start=frames, seed=seed, device=device, progress=True)
     except InputError as error:
         raise error if error.where else error.at(scene) from None
-    summary = trajectory.summary
-    trajectory.save(out / "trajectory.npz")
-    files.write_json(out / "summary.json", summary)
-    if vtk:
-        write_vtk(trajectory, out / "vtk", progress=True)
-    figures = f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {summary['wall_s']:.1f} s"
-    print(f"{figures}, written to {out}")
 
 
 if __name__ == "__main__":

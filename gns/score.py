@@ -1,26 +1,25 @@
-"""How good a model is: whole rollouts of held-out flows. `python -m gns.score`."""
+"""How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`."""
 
+import dataclasses
 import itertools
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from datasets import command_line, files, measures
+from datasets.errors import InputError
 from datasets.training.samples import Flow, Sample
 from datasets.trajectory import Floats
-from gns.card import length_of_training
-from gns.inference import model_path
-from gns.model import checkpoint
-from gns.model.simulator import Simulator
-from gns.training.batch import batched
-from gns.training.convergence import total_updates
-from gns.training.flows import flows_of, stretch
-from gns.unroll import unroll
+from gns import card
+from gns.library import members, model_path
+
+if TYPE_CHECKING:
+    from gns.simulator import Simulator
 
 ERRORS = ("profile_error", "kinetic_error")
 """Beside that of the front."""
@@ -49,11 +48,17 @@ class Score:
     """Processor time of the rollout [s]; of several at once each has the same share."""
 
 
-def evaluate(simulator: Simulator, flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
+def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
     """Roll out `flows` from their starts, those of one length that follow each other `at_once` side by side.
 
     The deposits are compared with all particles that the flows have, whichever of them the model follows.
     """
+    # Here, because torch takes seconds, which --help should not.
+    import torch
+
+    from gns.samples import batched, stretch
+    from gns.unroll import unroll
+
     settings = simulator.settings
     rng = np.random.default_rng(seed)
     scores: list[Score] = []
@@ -137,7 +142,13 @@ def table(scores: Sequence[Score]) -> str:
 
 
 def score(
-    *datasets: Path, model: Path, split: str = "test", seed: int = 0, threads: int = 1, out: Path | None = None
+    *datasets: Path,
+    model: Path,
+    split: str = "test",
+    seed: int = 0,
+    threads: int = 1,
+    out: Path | None = None,
+    keep: bool = False,
 ) -> None:
     """Score a model by whole rollouts.
 
@@ -155,21 +166,39 @@ def score(
         Threads of torch.
     out
         Markdown file to write the table to as well.
+    keep
+        Write the table onto the model's card, and where members NAME-1 and so on lie beside it, models of the same
+        settings that were trained apart, how far it may be from the MPM, by the flows of the valid split.
     """
+    import torch
+
+    from gns import checkpoint, uncertainty
+    from gns.samples import flows_of
+
     torch.set_num_threads(threads)
-    loaded = checkpoint.load(model_path(model))
-    simulator = loaded.simulator
-    settings = simulator.settings
+    path = model_path(model)
+    loaded = checkpoint.load(path)
+    settings = loaded.simulator.settings
+    if not datasets:
+        raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
+    described = card.read(path)
+    if keep and described is None:
+        raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
     lines = []
     for dataset in datasets:
         flows = flows_of(dataset, split, settings, progress=True)
-        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(simulator, flows, seed=seed)))
-    if updates := total_updates(loaded.provenance):
-        lines.append(length_of_training(updates, settings.dimension) + "\n")
+        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows, seed=seed)))
+    if updates := card.total_updates(loaded.provenance):
+        lines.append(card.length_of_training(updates, settings.dimension) + "\n")
     text = "\n".join(lines)
     print(text)
     if out is not None:
         files.write_text(out, text)
+    if keep and described is not None:
+        card.write(path, dataclasses.replace(described, scores=text))
+    if keep and members(path):
+        valid = [flow for dataset in datasets for flow in flows_of(dataset, "valid", settings, progress=True)]
+        print(uncertainty.calibrate(path, valid, seed=seed))
 
 
 if __name__ == "__main__":

@@ -22,26 +22,29 @@ Learning 16, 2023, chapter 1); b is found on the same flows, one number, which c
 training ranges (`gns.card`) nothing is promised.
 """
 
+import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from tabulate import tabulate
+from tqdm import tqdm
 
 from datasets import measures
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Scene
-from gns import card, inference
+from datasets.training.samples import Flow
+from gns import card, checkpoint, library
 from gns.card import Calibration
 from gns.initial import initial_state
-from gns.model import checkpoint
-from gns.model.simulator import Simulator
-from gns.model.state import Conditions, State
+from gns.samples import batched, stretch
+from gns.simulator import Simulator
+from gns.state import Conditions, State
 from gns.unroll import unroll
 
 Floats = NDArray[np.float64]
@@ -61,24 +64,15 @@ class Ensemble:
     @staticmethod
     def load(path: Path) -> "Ensemble":
         """The model at `path` and its members beside it. Raises InputError where there are less than two."""
-        paths = inference.members(path)
+        paths = library.members(path)
         if len(paths) < 2:
-            message = f"expected at least two members, such as {inference.member_path(path, 1).name}, got {len(paths)}"
-            raise InputError(f"{message} (python -m gns.average --members)", where=str(path))
-        model, *others = (checkpoint.load(each).simulator.requires_grad_(False) for each in (path, *paths))
+            message = f"expected at least two members, such as {library.member_path(path, 1).name}, got {len(paths)}"
+            raise InputError(message, where=str(path))
+        model, *others = (checkpoint.load(each).simulator for each in (path, *paths))
         for each, other in zip(paths, others, strict=True):
             if other.settings != model.settings:
                 raise InputError(f"expected the settings of {path.name}", where=str(each), key="settings")
         return Ensemble(model=model, members=tuple(others))
-
-    def values(self, state: State, conditions: Conditions, steps: int, observe: Callable[[Tensor], Tensor]) -> Floats:
-        """What each member predicts of an observation, for `standard_deviation`, shape [M, K].
-
-        observe: positions at the start and after each step [m], shape [steps + 1, n, D], to K numbers.
-        """
-        with torch.no_grad():
-            found = [observe(unroll(each, state, conditions, steps)).reshape(-1) for each in self.members]
-        return torch.stack(found).double().numpy()
 
     def outcome(self, state: State, conditions: Conditions, steps: int) -> "Outcome":
         """Roll out all of them from one state of a single flow."""
@@ -121,7 +115,7 @@ def uncertain(spread: Floats | float, extent: Floats | float, floor: float) -> F
     return np.hypot(spread, floor * np.asarray(extent))
 
 
-def calibrated(errors: Floats, spreads: Floats, extents: Floats, command: str = "") -> Calibration:
+def calibrated(errors: Floats, spreads: Floats, extents: Floats) -> Calibration:
     """The calibration by the errors of n flows, spread of the ensemble and extent of each, all [m] and of shape [n].
 
     Raises InputError where n is too small for the highest of `LEVELS`.
@@ -146,30 +140,45 @@ def calibrated(errors: Floats, spreads: Floats, extents: Floats, command: str = 
         deviation=float(np.sqrt(np.mean(ratios**2))),
         quantiles={f"{level:g}": float(ratios[rank - 1]) for level, rank in ranks.items()},
         flows=count,
-        command=command,
     )
 
 
 def half_width(calibration: Calibration, spread: Floats | float, extent: Floats | float, level: float) -> Floats:
     """w [m] of the band of a level, from spread and extent [m], numbers or arrays. Raises InputError."""
-    return quantile(calibration, level) * uncertain(spread, extent, calibration.floor)
-
-
-def quantile(calibration: Calibration, level: float) -> float:
-    """q of the band of a level. Raises InputError."""
     key = f"{level:g}"
     if key not in calibration.quantiles:
         raise InputError(f"expected one of {', '.join(calibration.quantiles)}, got {key}", key="level")
-    return calibration.quantiles[key]
+    return calibration.quantiles[key] * uncertain(spread, extent, calibration.floor)
 
 
-def standard_deviation(calibration: Calibration, values: Floats, extent: Floats | float) -> Floats:
-    """Standard deviation of the error of each number of an observation, for a likelihood; in its unit, shape [K].
+def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
+    """Compare the rollouts of a model and its members with the MPM's `flows`, and write the calibration on its card.
 
-    values: what each member predicts, shape [M, K]; extent: that of the flow where the observation is a length, else
-    the size that the numbers have, such as the greatest of them.
+    Returns a table of the bands in Markdown. Raises InputError.
     """
-    return calibration.deviation * uncertain(values.std(axis=0, ddof=1), extent, calibration.floor)
+    known, ensemble = card.read(path), Ensemble.load(path)
+    if known is None:
+        raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
+    settings, rng = ensemble.model.settings, np.random.default_rng(seed)
+    found: dict[str, list[tuple[float, float, float]]] = {"front": [], "transport": []}
+    for flow in tqdm(flows, desc="bands", unit="flow"):
+        steps = len(flow.positions) - 1
+        sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
+        batch = batched([sample], step=settings.step, history=settings.history)
+        outcome = ensemble.outcome(batch.state, batch.conditions(settings.cell), steps)
+        deposit = flow.positions[-1]
+        apart = measures.transport_distance(outcome.deposit, outcome.volume, deposit, flow.volume)
+        for name, error in (("front", outcome.front - measures.front(deposit)), ("transport", apart)):
+            found[name].append((error, outcome.spreads[name], outcome.extent))
+    calibrations, rows = {}, []
+    for name, numbers in found.items():
+        errors, spreads, extents = np.array(numbers, dtype=np.float64).reshape(-1, 3).T
+        calibrations[name] = calibrated(errors, spreads, extents)
+        for level in LEVELS:
+            width = half_width(calibrations[name], spreads, extents, level)
+            rows.append([name, f"{level:.0%}", f"{100.0 * np.mean(width / extents):.2f}"])
+    card.write(path, dataclasses.replace(known, calibration=calibrations))
+    return tabulate(rows, ["observation", "level", f"half-width / extent [%], {len(flows)} flows"], "github")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,9 +207,12 @@ def predict(
     scene's dimension where absent; level: one of `LEVELS`; seed: of the choice of particles. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    path = inference.model_path(model or inference.shipped(scene.dimension))
-    known = calibrations(path)
-    ensemble = Ensemble.load(path)
+    path = library.model_path(model or library.shipped(scene.dimension))
+    described = card.read(path)
+    if described is None or described.calibration is None:
+        message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
+        raise InputError(message, where=str(card.card_path(path)), key="calibration")
+    known, ensemble = described.calibration, Ensemble.load(path)
     initial = initial_state(scene, ensemble.model.settings, seed=seed)
     outcome = ensemble.outcome(initial.state, initial.conditions, initial.steps)
     front, transport = (
@@ -214,18 +226,3 @@ def predict(
         outcome=outcome,
         warning=card.warning(path, scene),
     )
-
-
-def calibrations(path: Path) -> Mapping[str, Calibration]:
-    """Those on the card of the model at `path`. Raises InputError where there are none."""
-    known = card.read(path)
-    if known is None or known.calibration is None:
-        message = "expected a calibration on the model's card, which python -m gns.calibrate writes"
-        raise InputError(message, where=str(card.card_path(path)), key="calibration")
-    return known.calibration
-
-
-def covered(calibration: Calibration, errors: Floats, spreads: Floats, extents: Floats, level: float) -> float:
-    """Share of flows within the band of a level [-]; errors, spreads and extents [m], shape [n]."""
-    ratios = np.abs(errors) / uncertain(spreads, extents, calibration.floor)
-    return float(np.mean(ratios <= quantile(calibration, level)))

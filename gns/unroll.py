@@ -6,8 +6,8 @@ from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
 from datasets.memory import trimming
-from gns.model.simulator import Simulator
-from gns.model.state import Conditions, State
+from gns.simulator import Simulator
+from gns.state import Conditions, State
 
 
 def unroll(
@@ -24,8 +24,8 @@ def unroll(
     Where gradients are recorded, a step keeps only its state and is computed again in the backward pass (a
     state is a few kilobytes, the activations of a step are megabytes); the last `kept_steps` steps keep their
     activations and save that second computation. The result and the gradient do not depend on `kept_steps`.
-    `step_activation_bytes` is the memory of a kept step. For a gradient with respect to state or conditions freeze
-    the weights (`simulator.requires_grad_(False)`): the backward pass is then much cheaper.
+    `step_activation_bytes` is the memory of a kept step. For a gradient with respect to state or conditions the weights
+    should be frozen, as `gns.load` gives them: the backward pass is then much cheaper.
     """
     lean = trimming(simulator)
     length = conditions.units.length

@@ -8,9 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 
 from datasets.errors import InputError
-from gns import card
-from gns.inference import model_path, shipped
-from gns.model import checkpoint
+from gns import card, checkpoint
+from gns.library import model_path, shipped
 from inverse.bounds import Bounds
 from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
 from inverse.forward.interface import Differentiable, Evaluation

@@ -92,7 +92,7 @@ def test_the_arrows(path: Path) -> None:
     [
         ("datasets", "import mpm.run"),
         ("datasets", "def late():\n    from torch import nn"),
-        ("mpm", "from gns.model.graph import edges"),
+        ("mpm", "from gns.graph import edges"),
         ("mpm", "import importlib\nimportlib.import_module('torch')"),
         ("gns", "import numpy, taichi as ti"),
         ("gns", "from mpm import simulate"),

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from datasets.trajectory import Trajectory
 from gns.initial import InitialState, initial_state
-from gns.model.simulator import Simulator
+from gns.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order

@@ -1,5 +1,6 @@
 """A tiny model, a random cloud, and flows with a formula."""
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,12 +12,23 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Normalisation, Simulator
-from gns.model.state import Conditions, State
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
+from gns.state import Conditions, State
 
 NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]
+TINY = [
+    *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
+    *("--threads", "1", "--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
+]
+"""Flags of a training that takes a second."""
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    """Those of the log of a training."""
+    with (out / "log.csv").open() as file:
+        return list(csv.DictReader(file))
 
 
 @pytest.fixture

@@ -16,13 +16,12 @@ from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
-from gns import card
+from gns import card, checkpoint
 from gns.card import Card
-from gns.inference import models, shipped
-from gns.model import checkpoint
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Simulator
+from gns.library import models, shipped
 from gns.ranges import QUANTITIES, outside, ranges_of
+from gns.settings import ModelSettings
+from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
 
 ROOT = Path(__file__).parents[2]
@@ -41,9 +40,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("card") / "own.safetensors"
     torch.manual_seed(0)
     checkpoint.save(path, Simulator(SCALED, NORMALISATION), PROVENANCE)
-    table = path.with_name("scores.md")
-    table.write_text("| start | flows |\n")
-    assert command_line.run(card.main, "python -m gns.card", [str(path), "--scores", str(table)]) == 0
+    assert command_line.run(card.main, "python -m gns.card", [str(path)]) == 0
     return path
 
 
@@ -67,8 +64,7 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     assert found.data.cells_across["flow2d"][1] == pytest.approx(56.6, abs=0.1)
     assert (found.data.command, found.data.seed, found.data.updates) == (PROVENANCE["command"], 4, 3000)
     assert f'license = "{found.licence}"' in (ROOT / "pyproject.toml").read_text()
-    assert found.scores == "| start | flows |\n"
-    assert found.calibration is None
+    assert (found.scores, found.calibration) == ("", None)
 
 
 def test_the_ranges_are_those_of_the_training_scenes(model: Path) -> None:
@@ -91,6 +87,11 @@ def test_the_folders_of_the_data_do_as_well(model: Path, dataset: Path, tmp_path
     found = known(own)
     assert found.data.scenes == {dataset.name: 4}
     assert found.ranges["friction_deg"] == (20.0, 44.0)
+    # A model names the folders of its training; scores that a former card has stay.
+    card.write(own, dataclasses.replace(found, scores="a table"))
+    checkpoint.save(own, checkpoint.load(model).simulator, {"datasets": [str(dataset)]})
+    assert command_line.run(card.main, "gns.card", [str(own)]) == 0
+    assert known(own).scores == "a table"
 
 
 COLUMN = read_scene("column-tall-42")

@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.simulator import Simulator
-from gns.model.state import Conditions, Ground, State
-from gns.units import Units
+from gns.simulator import Simulator
+from gns.state import Conditions, Ground, State, Units
 from gns.unroll import unroll
 from tests.gns.conftest import Cloud
 

@@ -1,10 +1,68 @@
-"""The radius graph against brute force, and its smooth ends."""
+"""The radius graph: its edges against SciPy's tree, its offsets against brute force, and its smooth ends."""
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
 
-from gns.model.graph import mean_envelope_sum, radius_graph
+from datasets.command_line import WorkFailed
+from gns.graph import mean_envelope_sum, neighbours, radius_graph
+
+
+def assert_right(positions: Tensor, radius: float, batch: Tensor | None = None) -> None:
+    """SciPy's pairs of slightly more than the radius, then those within it, in the order of receivers and senders."""
+    points = positions.double().numpy()
+    samples = np.zeros(len(points), dtype=int) if batch is None else batch.numpy()
+    pairs = [np.empty((0, 2), dtype=int)]
+    for sample in np.unique(samples):
+        (members,) = np.nonzero(samples == sample)
+        tree = cKDTree(points[members])
+        pairs.append(members[tree.query_pairs(radius * (1.0 + 1e-9), output_type="ndarray")])
+    one_way = np.concatenate(pairs)
+    square = sum((points[one_way[:, 0], axis] - points[one_way[:, 1], axis]) ** 2 for axis in range(points.shape[1]))
+    one_way = one_way[square <= radius * radius]
+    senders, receivers = np.concatenate((one_way, one_way[:, ::-1])).T
+    order = np.lexsort((senders, receivers))
+    index, starts = neighbours(positions, radius, batch)
+    np.testing.assert_array_equal(index.numpy(), np.stack((senders[order], receivers[order])))
+    counts = np.bincount(receivers, minlength=len(positions))
+    np.testing.assert_array_equal(starts.numpy(), np.concatenate(([0], np.cumsum(counts))))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("count", [0, 1, 2, 30, 5000])
+def test_random_clouds_of_separate_samples(count: int, dimension: int) -> None:
+    generator = torch.Generator().manual_seed(count)
+    positions = torch.rand(count, dimension, generator=generator) - 0.3
+    radius = 0.05 if dimension == 2 else 0.1
+    assert_right(positions, radius)
+    # Sample 2 is empty; the samples overlap and come in any order.
+    batch = torch.tensor([0, 1, 3])[torch.randint(3, (count,), generator=generator)]
+    assert_right(positions, radius, batch)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.0 / 2.0, 1.0 / 3.0])
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_particles_at_just_the_radius_on_the_edges_of_cells(share: float, kind: torch.dtype) -> None:
+    radius = 0.025
+    assert_right((torch.cartesian_prod(*[torch.arange(9.0)] * 3) * share * radius + 0.1).to(kind), radius)
+
+
+def test_particles_that_coincide_and_one_that_is_far_away() -> None:
+    positions = torch.rand(40, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64).repeat(3, 1)
+    assert_right(positions, 0.15)
+    # It costs neither memory nor neighbours.
+    positions[7] = torch.tensor((1.0e15, -1.0e15))
+    assert_right(positions, 0.15)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_positions_that_are_not_finite_end_a_rollout_in_one_line(value: float) -> None:
+    positions = torch.zeros(5, 2)
+    positions[3, 1] = value
+    with pytest.raises(WorkFailed, match="no longer finite"):
+        neighbours(positions, 0.1)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gns.model.grid import MARGIN, MULTIPLE, REFERENCE_HEIGHT, Stencil, column_features, stencil_of
+from gns.grid import MARGIN, MULTIPLE, REFERENCE_HEIGHT, Stencil, column_features, stencil_of
 
 BOX = torch.ones(1, 2, dtype=torch.float64)
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.ground import nearest_ground
-from gns.model.solids import keep_out, solid_features
-from gns.model.state import Ground
+from gns.contact import keep_out
+from gns.solids import Below, Boxes, nearest_ground, solid_features
+from gns.state import Ground
 from tests.gns.surroundings import ROOM, boxes, conditions, plane
 
 CUTOFF = 0.06
@@ -110,9 +110,6 @@ def test_nothing_is_ever_below_the_ground_or_in_a_baffle_on_it(
     around = dataclasses.replace(
         conditions(count, upright.to(dtype).expand(2, -1, -1, -1), batch=batch, turn=angles), ground=ground
     )
-    from gns.model.boxes import Boxes
-    from gns.model.ground import Below
-
     solid = Boxes.of_conditions(around).select(batch)
     points = torch.rand(count, dimension, generator=generator).to(dtype) * around.size[batch]
     points = keep_out(points, points, around)

@@ -11,8 +11,8 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.initial import Start, initial_state
-from gns.model.settings import ModelSettings
-from gns.units import Units
+from gns.settings import ModelSettings
+from gns.state import Units
 from tests.gns.conftest import spreading
 
 SETTINGS = ModelSettings()

@@ -7,9 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.boxes import Boxes
-from gns.model.grid import Stencil, stencil_of
-from gns.model.occupancy import occupancy
+from gns.grid import Stencil, occupancy, stencil_of
+from gns.solids import Boxes
 from tests.gns.surroundings import ROOM, boxes, conditions, plane, scattered, turned_boxes
 
 dimensions = pytest.mark.parametrize("dimension", [2, 3])

@@ -8,10 +8,10 @@ import pytest
 
 from datasets import command_line
 from datasets.training.samples import Flow, load_flows
-from gns.model import checkpoint
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Simulator
+from gns import checkpoint
 from gns.score import Score, evaluate, grouped, score, table, validation_score
+from gns.settings import ModelSettings
+from gns.simulator import Simulator
 
 
 def flying(flow: Flow) -> Flow:

@@ -1,6 +1,8 @@
 """The models that ship: a rollout and its gradient against stored numbers, and against central differences."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,9 +11,9 @@ import torch
 import gns
 from datasets import measures
 from datasets.library import read_scene
-from gns.inference import models
 from gns.initial import Start, initial_state
-from gns.model.simulator import Simulator
+from gns.library import models
+from gns.simulator import Simulator
 from gns.unroll import unroll
 
 STEPS = 6
@@ -34,7 +36,7 @@ def mean_x(simulator: Simulator, scene: str, change: torch.Tensor) -> torch.Tens
 
 @pytest.mark.parametrize(("model", "scene", "position", "slope"), STORED)
 def test_a_rollout_and_its_gradient_are_as_stored(model: str, scene: str, position: float, slope: float) -> None:
-    simulator = gns.load(model).requires_grad_(False)
+    simulator = gns.load(model)
     change = torch.zeros((), requires_grad=True)
     found = mean_x(simulator, scene, change)
     (gradient,) = torch.autograd.grad(found, change)
@@ -44,7 +46,7 @@ def test_a_rollout_and_its_gradient_are_as_stored(model: str, scene: str, positi
 
 @pytest.mark.parametrize(("model", "scene"), [each[:2] for each in STORED])
 def test_the_gradient_is_that_of_central_differences(model: str, scene: str) -> None:
-    simulator = gns.load(model).requires_grad_(False)
+    simulator = gns.load(model)
     change = torch.zeros((), requires_grad=True)
     (gradient,) = torch.autograd.grad(mean_x(simulator, scene, change), change)
     with torch.no_grad():
@@ -63,6 +65,21 @@ def test_a_simulation_is_a_trajectory_with_volumes_and_its_own_frames(simulator:
     assert trajectory.scene.frames == len(trajectory.positions) == len(trajectory.time) == 11
     assert trajectory.summary["start"] == Start.FROM_REST
     assert trajectory.summary["front"] == measures.front(trajectory.positions[-1])
+
+
+def test_a_loaded_model_is_frozen_unless_it_is_to_be_trained() -> None:
+    frozen, free = gns.load("flow2d"), gns.load("flow2d", training=True)
+    assert not any(weight.requires_grad for weight in frozen.parameters())
+    assert not frozen.training
+    assert all(weight.requires_grad for weight in free.parameters())
+    assert free.training
+
+
+def test_what_the_package_gives_is_listed_and_a_help_needs_no_torch() -> None:
+    code = "import sys, gns, gns.train, gns.rollout, gns.card, gns.score; print('torch' in sys.modules, *dir(gns))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert said[0] == "False"
+    assert {"load", "predict", "simulate"} <= set(said)
 
 
 def test_every_model_that_ships_loads_by_its_name() -> None:

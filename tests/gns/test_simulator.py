@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 import torch
 
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Simulator, settled
-from gns.model.state import Conditions, State
+from gns.settings import ModelSettings
+from gns.simulator import Simulator, settled
+from gns.state import Conditions, State
 from gns.unroll import unroll
 from tests.gns.conftest import NORMALISATION, Cloud
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.boxes import Boxes
-from gns.model.solids import GRAZE, SKIN, feature_count, keep_out, nearest_baffle, solid_features
+from gns.contact import GRAZE, SKIN, keep_out
+from gns.solids import Boxes, nearest_baffle, solid_features
 from tests.gns.surroundings import PADDING, ROOM, boxes, conditions, scattered, turned_boxes
 
 CUTOFF = 0.06
@@ -183,7 +183,7 @@ def test_features_without_baffles_are_those_far_from_any(dimension: int) -> None
     points = torch.rand(50, dimension, generator=generator).double() * size
     far = conditions(50, boxes(PADDING, PADDING, dimension=dimension))
     features = solid_features(points, far, CUTOFF)
-    assert features.shape == (50, feature_count(dimension))
+    assert features.shape == (50, 3 * dimension + 2)
     torch.testing.assert_close(features, solid_features(points, conditions(50, dimension=dimension), CUTOFF))
     expected = torch.cat((points, size - points), dim=1).clamp(max=CUTOFF) / CUTOFF
     torch.testing.assert_close(features[:, : 2 * dimension], expected)

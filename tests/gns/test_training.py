@@ -1,159 +1,121 @@
-"""A run learns, goes on to the bit where it was, and keeps as much as fits."""
+"""A training learns, keeps as much as fits, goes on where it was, and stops when asked."""
 
-import dataclasses
+import itertools
+import math
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
-from datasets.training.samples import load_flows
-from gns.model import interaction
-from gns.model.interaction import message_sum
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Simulator
-from gns.training import run_file
-from gns.training.objective import Curriculum, statistics
-from gns.training.update import Run, TrainingSettings
-from tests.gns.conftest import NORMALISATION
+from datasets import command_line
+from gns import checkpoint, training
+from gns.samples import Sampler, flows_of
+from gns.settings import ModelSettings, TrainingSettings
+from gns.simulator import Simulator
+from gns.train import train
+from gns.training import LAST, Budget, UnrolledLoss, learning_rate, rollout_loss, unrolled_steps
+from tests.gns.conftest import NORMALISATION, TINY, rows
 
 
-@pytest.fixture
-def curriculum(dataset: Path, settings: ModelSettings) -> Curriculum:
-    """The flows with a formula."""
-    return Curriculum([load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)], settings)
+def test_the_loss_measures_positions_and_displacements() -> None:
+    targets = torch.zeros(2, 1, 1)
+    positions = torch.tensor([0.0, 1.0, 3.0]).view(3, 1, 1)
+    # Errors over s = 2: positions 0.5 and 1.5 / 2 = 0.75, displacements 0.5 and 1.
+    expected = (0.125 + 0.28125) / 2 + (0.125 + 0.5) / 2
+    assert rollout_loss(positions, targets, 2.0).item() == pytest.approx(expected)
 
 
-def begin(settings: ModelSettings, **flags: float) -> Run:
-    """A run at its beginning, always the same."""
-    torch.manual_seed(0)
-    return Run(Simulator(settings, NORMALISATION), TrainingSettings(warmup=5, learning_rate=1e-2), seed=0, **flags)
-
-
-def test_the_loss_falls(dataset: Path, settings: ModelSettings, curriculum: Curriculum) -> None:
-    torch.manual_seed(0)
-    flows = load_flows(dataset, "train", step=settings.step, dimension=2, spacing=settings.cell)
-    run = Run(Simulator(settings, statistics([flows])), TrainingSettings(warmup=5), seed=0)
-    losses = [run.update(curriculum, steps=2, rate=1e-2) for _ in range(60)]
-    assert np.mean(losses[-10:]) < 0.5 * np.mean(losses[:5])
-
-
-def test_a_run_goes_on_to_the_bit(settings: ModelSettings, curriculum: Curriculum, tmp_path: Path) -> None:
-    # Through single steps there is noise, another random stream.
-    schedule = [1, 1, 2, 2, 1, 2]
-    unbroken, broken = begin(settings), begin(settings)
-    for number, steps in enumerate(schedule):
-        unbroken.update(curriculum, steps=steps, rate=unbroken.learning_rate(number / 6))
-    for number, steps in enumerate(schedule):
-        if number == 3:
-            broken.save(tmp_path / "last.safetensors")
-            broken = begin(settings)
-            # What others draw in the meantime is nothing to it.
-            torch.rand(7)
-            broken.resume(tmp_path / "last.safetensors")
-        broken.update(curriculum, steps=steps, rate=broken.learning_rate(number / 6))
-    assert broken.position == unbroken.position
-    for part in ("simulator", "average"):
-        states = [getattr(run, part).state_dict() for run in (unbroken, broken)]
-        assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-    first, second = (run.optimiser.tensors() for run in (unbroken, broken))
-    names = [key.partition("/")[0] + key[key.rindex("/") :] for key in first]
-    assert set(names) == {"Muon/momentum_buffer", "Adam/exp_avg", "Adam/exp_avg_sq", "Adam/step"}
-    assert all(torch.equal(first[key], second[key]) for key in first)
-    assert all(float(value.abs().sum()) > 0.0 for key, value in first.items() if key.endswith("step"))
-
-
-def test_the_rate_rises_and_falls(settings: ModelSettings) -> None:
-    run = begin(settings)
-    assert run.learning_rate(0.0) == pytest.approx(1e-2 / 5)
-    run.position.updates = 100
-    assert run.learning_rate(0.0) == pytest.approx(1e-2)
-    assert run.learning_rate(1.0) == pytest.approx(1e-5)
+def test_the_schedules_of_steps_and_rate() -> None:
+    assert [unrolled_steps((1, 2, 2, 8), progress) for progress in (0.0, 0.24, 0.26, 0.7, 0.8, 1.0)] == [
+        1, 1, 2, 2, 8, 8,
+    ]  # fmt: skip
+    settings = TrainingSettings(warmup=5, learning_rate=1e-2)
+    assert learning_rate(settings, 0.0, 0) == pytest.approx(1e-2 / 5)
+    assert learning_rate(settings, 0.0, 100) == pytest.approx(1e-2)
+    assert learning_rate(settings, 1.0, 100) == pytest.approx(1e-5)
 
 
 def test_what_fits_into_the_memory_is_kept_and_the_rest_makes_no_difference(
-    settings: ModelSettings, curriculum: Curriculum
+    settings: ModelSettings, dataset: Path
 ) -> None:
-    batch = curriculum.batch(2, 4, np.random.default_rng(0))
-    particles = batch.targets.shape[1]
-    gradients = []
-    for kept in (0, 2, 4):
-        run = begin(settings)
-        run.kept_steps(batch)
-        assert run.position.particle_bytes > 0.0
-        run.memory_gib = (kept + 0.5) * run.position.particle_bytes * particles / 2**30
-        assert run.kept_steps(batch) == kept
-        run.model(batch, kept).backward()
-        gradients.append([parameter.grad for parameter in run.simulator.parameters()])
+    sampler = Sampler([flows_of(dataset, "train", settings)], settings, TrainingSettings(batch=2))
+    batch, gradients = sampler.batch(4, np.random.default_rng(0)), []
+    for gib in (0.0, 2e-3, 1.0):
+        torch.manual_seed(0)
+        simulator = Simulator(settings, NORMALISATION)
+        UnrolledLoss(simulator, loss_scale=0.25, memory_gib=gib)(batch).backward()
+        gradients.append([parameter.grad for parameter in simulator.parameters()])
     for others in gradients[1:]:
         assert all(torch.equal(one, other) for one, other in zip(gradients[0], others, strict=True))
 
 
-def test_a_gradient_that_is_not_finite_ends_the_run_before_it_spoils_the_weights(
-    settings: ModelSettings, curriculum: Curriculum
+def run(dataset: Path, out: Path, *flags: str) -> int:
+    """Train a tiny model; the exit status."""
+    return command_line.run(train, "train", [str(dataset), "--out", str(out), *TINY, *flags])
+
+
+def last(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = torch.load(out / LAST, weights_only=True)
+    return found
+
+
+def test_the_loss_falls(dataset: Path, tmp_path: Path) -> None:
+    flags = ("--updates", "60", "--validate-updates", "10", "--learning-rate", "1e-2", "--warmup", "5")
+    assert run(dataset, tmp_path, *flags) == 0
+    losses = [float(row["loss"]) for row in rows(tmp_path)]
+    assert losses[-1] < 0.5 * losses[0]
+    assert last(tmp_path)["muon"]["state"]
+    assert last(tmp_path)["adam"]["state"]
+
+
+def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A clock that goes on by a tenth of a second whenever it is read, however busy the machine is.
+    ticks = itertools.count()
+    monkeypatch.setattr(Budget, "now", lambda budget: next(ticks) / 10.0)
+    assert run(dataset, tmp_path, "--minutes", "0.02") == 0
+    first = last(tmp_path)["position"]
+    assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
+    second = last(tmp_path)["position"]
+    assert second["updates"] > first["updates"] > 0
+    assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
+    assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
+
+
+@pytest.mark.parametrize(("call", "number", "done"), [("learning_rate", 3, 3), ("evaluate", 1, 3)])
+def test_a_run_that_was_stopped_goes_on(
+    call: str, number: int, done: int, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = begin(settings)
-    weights = next(run.simulator.parameters())
-    with torch.no_grad():
-        weights[0, 0] = torch.nan
-    before = {name: value.clone() for name, value in run.simulator.state_dict().items()}
-    with pytest.raises(WorkFailed, match="gradient of update 1 is not finite"):
-        run.update(curriculum, steps=1, rate=1e-3)
-    for name, value in run.simulator.state_dict().items():
-        assert torch.equal(value.nan_to_num(), before[name].nan_to_num())
+    flags = ("--updates", "7", "--validate-updates", "3")
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    inner, calls = getattr(training, call), itertools.count(1)
+
+    def outer(*given: Any, **named: Any) -> Any:
+        if next(calls) == number:
+            # Twice, as torchrun does, which hands on what the terminal has sent too.
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
+        return inner(*given, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, call, outer)
+        assert run(dataset, tmp_path, *flags) == 128 + signal.SIGTERM
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert last(tmp_path)["position"]["updates"] == done
+    assert run(dataset, tmp_path, *flags, "--resume") == 0
+    assert [row["updates"] for row in rows(tmp_path)] == ["3", "6", "7"]
+    assert math.isfinite(last(tmp_path)["position"]["best"])
 
 
-def test_a_run_of_another_model_or_seed_is_not_resumed(settings: ModelSettings, tmp_path: Path) -> None:
-    begin(settings).save(tmp_path / "last.safetensors")
-    with pytest.raises(InputError, match="settings that the run was begun with"):
-        begin(dataclasses.replace(settings, width=8)).resume(tmp_path / "last.safetensors")
-    with pytest.raises(InputError, match="seed: expected the seed of the run, 0"):
-        Run(Simulator(settings, NORMALISATION), TrainingSettings(), seed=1).resume(tmp_path / "last.safetensors")
-    described, parts = run_file.read(tmp_path / "last.safetensors")
-    part = tmp_path / "part.safetensors"
-    for key in ("seed", "position"):
-        run_file.write(part, {name: value for name, value in described.items() if name != key}, parts)
-        with pytest.raises(InputError, match=f"{key}: expected a whole run, the key is missing"):
-            begin(settings).resume(part)
-    run_file.write(part, described, {name: value for name, value in parts.items() if name != "average"})
-    with pytest.raises(InputError, match=r"average/.*: expected a whole run, there is no such tensor"):
-        begin(settings).resume(part)
-
-
-def test_a_run_of_wrong_numbers_is_not_resumed(settings: ModelSettings, tmp_path: Path) -> None:
-    run, path = begin(settings), tmp_path / "last.safetensors"
-    name = next(iter(run.parts()["optimiser"]))
-    for change, message in (
-        ({name: torch.full_like(run.parts()["optimiser"][name], torch.nan)}, "expected finite numbers"),
-        ({name: torch.zeros(3)}, "expected shape"),
-        ({"Adam/0/other": torch.zeros(3)}, "expected no such tensor"),
-    ):
-        run.save(path)
-        described, parts = run_file.read(path)
-        run_file.write(path, described, {**parts, "optimiser": parts["optimiser"] | change})
-        with pytest.raises(InputError, match=message):
-            begin(settings).resume(path)
-    run_file.write(path, {**described, "position": {"updates": -1}}, parts)
-    with pytest.raises(InputError, match="updates: expected a number of at least 0"):
-        begin(settings).resume(path)
-
-
-def test_mixed_precision_trains_by_the_products_of_a_gpu(
-    settings: ModelSettings, curriculum: Curriculum, monkeypatch: pytest.MonkeyPatch
+def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # On a CPU, by the form for other devices: the fused kernels have no other precision.
-    monkeypatch.setattr(interaction, "fused_message_sum", message_sum)
-    batch = curriculum.batch(2, 3, np.random.default_rng(0))
-    losses, gradients = [], []
-    for mixed in (False, True):
-        run = begin(settings, mixed=mixed)
-        # One step keeps its activations, the others are computed again: in the same precision.
-        loss = run.model(batch, 1)
-        loss.backward()
-        losses.append(loss)
-        gradients.append(torch.cat([weight.grad.flatten() for weight in run.simulator.parameters()]))
-    assert losses[1].dtype == gradients[1].dtype == torch.float32
-    assert 0.0 < abs(losses[1] - losses[0]) < 1e-2 * losses[0]
-    assert (gradients[1] - gradients[0]).norm() < 0.05 * gradients[0].norm()
+    assert run(dataset, tmp_path, "--updates", "2") == 0
+    before = (tmp_path / LAST).read_bytes()
+    monkeypatch.setattr(training, "rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
+    assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
+    assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
+    assert (tmp_path / LAST).read_bytes() == before
+    assert checkpoint.load(tmp_path / "best.safetensors").provenance["log"]["updates"] == 2

@@ -11,9 +11,9 @@ from datasets.material import Material
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.inference import simulate
-from gns.model.settings import GRAVITY, ModelSettings
-from gns.model.simulator import Simulator
-from gns.units import Units
+from gns.settings import GRAVITY, ModelSettings
+from gns.simulator import Simulator
+from gns.state import Units
 
 SCENE = Scene(
     domain=Domain(size=(0.6, 0.4), cell=0.01),

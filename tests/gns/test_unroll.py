@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.model.simulator import Simulator
-from gns.model.state import Conditions, State
+from gns.simulator import Simulator
+from gns.state import Conditions, State
 from gns.unroll import step_activation_bytes, unroll
 from tests.gns.conftest import Cloud
 

@@ -10,8 +10,8 @@ import torch
 
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Normalisation, Simulator
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
 from inverse.parameters import kind
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, Parameter, TargetSettings

@@ -8,7 +8,7 @@ import pytest
 
 from datasets.command_line import run
 from datasets.library import read_scene
-from gns.model import checkpoint
+from gns import checkpoint
 from inverse import ObservationSettings, Parameter, Problem, TargetSettings, invert, read_problem
 from inverse.__main__ import main
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 import gns
 from datasets.errors import InputError
 from gns import card, uncertainty
-from gns.inference import model_path, models
+from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import (
     SEED,

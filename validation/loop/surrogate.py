@@ -17,10 +17,9 @@ from scipy.stats import qmc
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from gns import card
-from gns.inference import model_path, shipped
+from gns import card, checkpoint
 from gns.initial import check
-from gns.model import checkpoint
+from gns.library import model_path, shipped
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Forward
 from inverse.observations import Target

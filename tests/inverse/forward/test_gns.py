@@ -9,8 +9,8 @@ import torch
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Normalisation, Simulator
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward, GnsSource
 from inverse.jacobian import automatic, by_differences

@@ -15,10 +15,9 @@ from torch import Tensor
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.scene import Domain, Mass, Scene, Solid
-from gns import card
-from gns.model import checkpoint
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Normalisation, Simulator
+from gns import card, checkpoint
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsForward
 from inverse.observations.reading import read_target
 from inverse.problem import Problem, read_problem

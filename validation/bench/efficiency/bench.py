@@ -7,8 +7,8 @@ from pathlib import Path
 import torch
 
 from datasets.processes import processors
-from gns.inference import shipped
-from gns.model import checkpoint
+from gns import checkpoint
+from gns.library import shipped
 from inverse.problem import Problem, read_problem
 from validation.bench.efficiency import columns, gradients, records
 from validation.bench.efficiency.methods import methods

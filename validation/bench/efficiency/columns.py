@@ -14,8 +14,8 @@ from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Domain, Mass, Scene
-from gns.inference import shipped
-from gns.model import checkpoint
+from gns import checkpoint
+from gns.library import shipped
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward

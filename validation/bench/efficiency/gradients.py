@@ -17,7 +17,7 @@ from tqdm import tqdm
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
-from gns.model.simulator import Simulator
+from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsSource
 from inverse.forward.interface import Differentiable, Forward

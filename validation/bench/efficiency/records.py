@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.processes import processors
 from datasets.records import Record, from_mapping
-from gns.inference import shipped
+from gns.library import shipped
 from validation.report.page import GNS, MPM, machine
 
 FILE = "efficiency.json"

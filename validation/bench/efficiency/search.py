@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from datasets.processes import processors
-from gns.model.simulator import Simulator
+from gns.simulator import Simulator
 from inverse.bounds import Bounds
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsSource

@@ -11,7 +11,7 @@ from typing import Any
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
-from gns.inference import shipped
+from gns.library import shipped
 from inverse.problem import Problem
 from validation.report.page import GNS, MPM, machine
 

@@ -1,4 +1,4 @@
-"""Settings of a model: what a checkpoint needs to build it again."""
+"""Settings: what a checkpoint needs to build its model again, and how a model is trained. Nothing here needs torch."""
 
 import math
 from dataclasses import dataclass
@@ -8,6 +8,8 @@ from datasets.records import Record
 
 GRAVITY = 9.81
 """Gravitational acceleration of all training data [m/s^2]."""
+UP = 1
+"""The axis that points up."""
 SMALLEST, LARGEST = 1.0e-6, 1.0e6
 """Lengths [m], times [s], densities [kg/m^3] and speeds [m/s] of any model are between them."""
 MOST_CELLS = 32
@@ -37,7 +39,7 @@ class ModelSettings(Record):
     """Past displacements among the node features."""
     body_length: float | None = None
     """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
-    (`gns.units`); None for scenes that are run as they are."""
+    (`gns.state.Units`); None for scenes that are run as they are."""
     density: float = 1800.0
     """Density in the training data [kg/m^3]."""
     rest_speed: float = 0.03
@@ -88,3 +90,73 @@ class ModelSettings(Record):
     def particle_volume(self) -> float:
         """Volume that one kept particle of a full cell carries [m^D]."""
         return self.cell**self.dimension / self.particles_per_cell
+
+
+def constant_count(dimension: int) -> int:
+    """Features of what is constant for a particle: friction, cohesion, floor, walls, damping, direction of gravity."""
+    return 5 + dimension
+
+
+def column_count(dimension: int) -> int:
+    """Channels of a node of the grid: `gns.grid.column_features`, and the share of its cell without room."""
+    return dimension + 3
+
+
+def features(settings: ModelSettings) -> dict[str, int]:
+    """Features of a particle in their order -> how many numbers; `gns.simulator.Simulator` joins them."""
+    dimension = settings.dimension
+    return {
+        "past displacements": settings.history * dimension,
+        "their changes": (settings.history - 1) * dimension,
+        "solids within the radius": 3 * dimension + 2,
+        "volume": 1,
+        "friction, cohesion, floor, walls, damping, gravity": constant_count(dimension),
+        "column on the grid": column_count(dimension),
+        "tractions of surfaces and damping": 2 * dimension,
+        "cohesion over the weight above": 1,
+        "forces of pressure and internal friction": 2 * dimension,
+        "basal friction and damped motion": 2 * dimension,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """How a model is fitted."""
+
+    batch: int = 3
+    """Samples per update, of each process."""
+    shares: tuple[float, ...] = ()
+    """Share of the samples that each dataset gives, in their order; equal ones unless given."""
+    unroll: tuple[int, ...] = (1, 2, 4, 4, 8, 8, 12, 12)
+    """Steps to train through; the entries share the budget equally."""
+    learning_rate: float = 6.0e-4
+    """Learning rate at the start."""
+    final_learning_rate: float = 1.0e-5
+    """At the end; half a cosine in between."""
+    warmup: int = 100
+    """Updates over which the learning rate rises from zero."""
+    clip: float = 1.0
+    """Largest norm of the gradient."""
+    noise: float = 5.0e-5
+    """Random walk in the given displacements while training through single steps [m]."""
+    loss_scale: float = 0.25
+    """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    first: float = 0.15
+    """Share of samples that start with the flow itself: from positions and velocities alone."""
+    average: float = 0.998
+    """Decay of the running average of the weights, which is what is scored and shipped."""
+    validate_minutes: float = 5.0
+    """Minutes between two validations."""
+    validate_updates: int = 500
+    """Updates between two validations where the budget is in updates."""
+    validate_flows: int = 8
+    """Flows to roll out then, half of them released at rest."""
+
+    def __post_init__(self) -> None:
+        for key in ("batch", "learning_rate", "loss_scale", "validate_minutes", "validate_updates", "validate_flows"):
+            if not getattr(self, key) > 0:
+                raise InputError(f"expected a positive number, got {getattr(self, key)}", key=key)
+        if not self.unroll or min(self.unroll) < 1:
+            raise InputError(f"expected integers of at least 1, got {list(self.unroll)}", key="unroll")
+        if self.shares and not (min(self.shares) >= 0.0 and sum(self.shares) > 0.0):
+            raise InputError(f"expected shares of at least 0, not all of them, got {list(self.shares)}", key="shares")

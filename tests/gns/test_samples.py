@@ -1,4 +1,4 @@
-"""Samples side by side are samples alone."""
+"""Samples: drawn of the flows in all their symmetries, and side by side what they are alone."""
 
 import dataclasses
 from pathlib import Path
@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.training.samples import Sample, cut, load_flows
-from gns.conditions import ABSENT
-from gns.model.settings import ModelSettings
-from gns.model.simulator import Simulator
-from gns.training.batch import Particles, batched, perturbed
+from datasets.training.samples import Flows, Sample, Surroundings, cut
+from gns.initial import ABSENT
+from gns.samples import Particles, Sampler, batched, flows_of, perturbed, statistics, turned
+from gns.settings import ModelSettings, TrainingSettings
+from gns.simulator import Simulator
 
 
 def samples(dataset: Path, settings: ModelSettings, starts: tuple[int, int] = (0, 5)) -> list[Sample]:
     """Two samples, one of them from the very start."""
-    flows = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)
+    flows = flows_of(dataset, "valid", settings)
     rng = np.random.default_rng(0)
     return [
         cut(flow, now=now, steps=2, history=settings.history, cell=settings.cell, kept=1, rng=rng)
@@ -116,12 +116,6 @@ def test_ground_is_padded_with_its_end_and_lies_far_below_where_there_is_none(
     assert found.elevation[0].tolist() == [ABSENT] * 3
 
 
-def test_a_batch_moves_to_a_device_as_a_whole(settings: ModelSettings, dataset: Path) -> None:
-    batch = joined(samples(dataset, settings), settings)
-    there = batch.to("meta")
-    assert {value.device.type for value in there.to_dict().values() if isinstance(value, torch.Tensor)} == {"meta"}
-
-
 def test_conditions_are_those_of_each_sample(settings: ModelSettings, dataset: Path) -> None:
     some = samples(dataset, settings)
     around = dataclasses.replace(
@@ -142,3 +136,103 @@ def test_conditions_are_those_of_each_sample(settings: ModelSettings, dataset: P
     torch.testing.assert_close(found.gravity, torch.tensor([[0.0, -9.81], [3.0, -9.0]]))
     for name, value in (("floor_friction", 0.1), ("wall_friction", 0.2), ("damping", 0.3)):
         assert getattr(found, name).tolist() == pytest.approx([0.0, value])
+
+
+@pytest.fixture
+def flows(dataset: Path, settings: ModelSettings) -> Flows:
+    """The training flows."""
+    return flows_of(dataset, "train", settings)
+
+
+def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
+    sampler, rng = Sampler([flows], settings, TrainingSettings()), np.random.default_rng(0)
+    drawn = [sampler.sample(4, rng) for _ in range(60)]
+    assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
+    assert all(len(sample.targets) == 4 for sample in drawn)
+    # The columns lean on the left wall; mirrored ones on the right.
+    mirrored = {bool(sample.frames[-1, :, 0].mean() > 0.3) for sample in drawn}
+    assert mirrored == {False, True}
+    for sample in drawn:
+        assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
+
+
+def test_a_batch_joins_domains_and_datasets_have_their_shares(flows: Flows, settings: ModelSettings) -> None:
+    around = dataclasses.replace(flows[0].surroundings, size=np.array([1.2, 0.4], np.float32))
+    wide = [dataclasses.replace(flow, surroundings=around) for flow in flows]
+    training = TrainingSettings(batch=2, shares=(1.0, 3.0))
+    sampler, rng = Sampler([flows, wide], settings, training), np.random.default_rng(0)
+    sizes = torch.cat([sampler.batch(1, rng).box for _ in range(100)])
+    assert {tuple(size) for size in sizes.tolist()} == {
+        tuple(size) for size in torch.tensor([[0.6, 0.4], [1.2, 0.4]]).tolist()
+    }
+    # 200 samples: three standard deviations.
+    assert (sizes[:, 0] > 1.0).float().mean().item() == pytest.approx(0.75, abs=0.1)
+
+
+@pytest.mark.parametrize("along", [0.0, 3.0])
+def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
+    gravity = np.array([along, -9.81], np.float32)
+    time = np.arange(8) * 0.01
+    corner = np.stack((0.1 * np.arange(5), np.full(5, 0.9)), axis=1)
+    falling = (corner + 0.5 * time[:, None, None] ** 2 * gravity).astype(np.float32)
+    flow = dataclasses.replace(
+        flows[0],
+        positions=falling,
+        friction=np.ones(5, np.float32),
+        velocity0=np.zeros((5, 2), np.float32),
+        surroundings=dataclasses.replace(flows[0].surroundings, gravity=gravity),
+    )
+    found = statistics([[flow]])
+    assert found.acceleration < 1e-6
+    assert found.friction_mean == pytest.approx(1.0)
+    assert found.friction_std == 1.0
+
+
+def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gns.samples.SHARE_EARLY", 0.0)
+    monkeypatch.setattr("gns.samples.SHARE_MOVING", 1.0)
+    flow = flows[0]
+    resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
+    longer = dataclasses.replace(flow, positions=resting)
+    sampler, rng = Sampler([[longer]], settings, TrainingSettings(first=0.0)), np.random.default_rng(0)
+    drawn = [sampler.sample(1, rng) for _ in range(30)]
+    assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
+
+
+@pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 8)])
+def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
+    rng = np.random.default_rng(0)
+    corner = np.array([0.1, 0.2, 0.15], np.float32)[: len(size)]
+    one = np.ones(1, np.float32)
+    around = Surroundings(
+        size=np.array(size, np.float32),
+        gravity=np.array([3.0, -9.0, 0.0], np.float32)[: len(size)],
+        floor_friction=0.4,
+        wall_friction=0.2,
+        damping=0.0,
+        baffles=np.stack((corner, corner + 0.1))[None],
+        baffle_friction=one,
+        baffle_turn=np.zeros(1, np.float32),
+        ground=None,
+    )
+    sample = Sample(
+        frames=corner.reshape(1, 1, -1),
+        velocity0=corner.reshape(1, -1),
+        targets=corner.reshape(1, 1, -1),
+        shares=corner.reshape(1, 1, -1),
+        friction=one,
+        cohesion=one,
+        volume=one,
+        surroundings=around,
+    )
+    found = set()
+    for _ in range(100):
+        other = turned(sample, 0.01, rng)
+        found.add(tuple(np.round(other.targets[0, 0].astype(float), 5)))
+        baffles = other.surroundings.baffles
+        assert (baffles[:, 0] < baffles[:, 1]).all()
+        # The point is a corner of the baffle, and stays one.
+        assert np.isclose(baffles[0], other.targets[0, 0], atol=1e-6).any(axis=0).all()
+        # Gravity turns with the velocities.
+        assert float(other.velocity0[0] @ other.surroundings.gravity) == pytest.approx(0.1 * 3.0 - 0.2 * 9.0)
+    assert len(found) == ways

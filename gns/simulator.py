@@ -5,17 +5,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from gns.model import rheology, traction
-from gns.model.context import channels
-from gns.model.graph import radius_graph
-from gns.model.grid import REFERENCE_HEIGHT, UP, Stencil, column_features, stencil_of
-from gns.model.network import Network
-from gns.model.occupancy import occupancy
-from gns.model.rheology import internal_forces
-from gns.model.settings import GRAVITY, ModelSettings
-from gns.model.solids import feature_count, keep_out, solid_features
-from gns.model.state import Conditions, State
-from gns.model.traction import basal_friction, damped_motion, traction_features
+from gns.contact import keep_out
+from gns.features import basal_friction, damped_motion, internal_forces, strength, traction_features
+from gns.graph import radius_graph
+from gns.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
+from gns.network import Network
+from gns.settings import GRAVITY, UP, ModelSettings, constant_count, features
+from gns.solids import solid_features
+from gns.state import Conditions, State
 
 SLOW = 0.1
 """Displacement over the root mean square one below which the direction of motion fades from the features [-]."""
@@ -44,11 +41,6 @@ class Normalisation:
     """Mean of tan(phi) [-]."""
     friction_std: float
     """Standard deviation of tan(phi) [-]."""
-
-
-def conditions_count(dimension: int) -> int:
-    """Features of what is constant for a particle: friction, cohesion, floor, walls, damping, direction of gravity."""
-    return 5 + dimension
 
 
 class Simulator(nn.Module):
@@ -85,21 +77,11 @@ class Simulator(nn.Module):
             ("friction_std", normalisation.friction_std),
         ):
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
-        dimension = settings.dimension
-        # displacements and their changes; solids; volume; what is constant; the grid's surroundings
-        motion = (2 * settings.history - 1) * dimension
-        constant = conditions_count(dimension)
-        contact = feature_count(dimension) + traction.count(dimension)
-        grid = channels(settings) + rheology.count(dimension)
-        features = motion + contact + 2 + constant + grid + traction.sliding_count(dimension)
-        self.network = Network(features, constant, FORCES, settings)
+        count = sum(features(settings).values())
+        self.network = Network(count, constant_count(settings.dimension), FORCES, settings)
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
-        return self.moved(state, conditions, self.contact(*self.hidden(state, conditions)))
-
-    def hidden(self, state: State, conditions: Conditions) -> tuple[Tensor, Tensor]:
-        """Inputs h of the network's last layer [N, H], and the known forces F over the weight [N, K, D]."""
         settings, positions = self.settings, state.positions
         graph = radius_graph(positions, settings.radius, conditions.batch)
         stencil = stencil_of(positions, conditions.size, settings.grid_cell, conditions.batch)
@@ -107,24 +89,13 @@ class Simulator(nn.Module):
         nodes = torch.cat((columns, occupancy(stencil, conditions)), dim=1)
         fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
         constant = self._constant(conditions)
-        features, forces = self._features(state, conditions, constant, stencil, nodes)
-        return self.network(features, constant, graph, stencil, fraction, nodes), forces
-
-    def contact(self, hidden: Tensor, forces: Tensor) -> Tensor:
-        """Acceleration by contacts, s A + g dt^2 sum_k c_k F_k [m per step^2], shape [N, D]."""
-        own, shares = self.network.decoder.last(hidden).split((self.settings.dimension, FORCES), dim=1)
+        inputs, forces = self._features(state, conditions, constant, stencil, nodes)
+        outputs = self.network(inputs, constant, graph, stencil, fraction, nodes)
+        own, shares = outputs.split((settings.dimension, FORCES), dim=1)
         known = (shares.unsqueeze(1) @ forces).squeeze(1)
-        return torch.as_tensor(self.acceleration_scale * own + GRAVITY * self.settings.step**2 * known)
-
-    def flown(self, state: State, conditions: Conditions, contact: Tensor) -> Tensor:
-        """x + v': where particles of these accelerations would be without solids [m], shape [N, D]."""
-        fall = conditions.of_particles(conditions.gravity) * self.settings.step**2
-        return state.positions + state.displacements[-1] + contact + fall
-
-    def moved(self, state: State, conditions: Conditions, contact: Tensor) -> State:
-        """The state after a step under these accelerations, outside of all solids."""
-        settings, positions = self.settings, state.positions
-        stopped = keep_out(self.flown(state, conditions, contact), positions, conditions)
+        contact = self.acceleration_scale * own + GRAVITY * settings.step**2 * known
+        fall = conditions.of_particles(conditions.gravity) * settings.step**2
+        stopped = keep_out(positions + state.displacements[-1] + contact + fall, positions, conditions)
         if settings.rest_speed > 0.0:
             stopped = positions + settled(stopped - positions, settings.rest_speed * settings.step)
             if conditions.baffles is not None or conditions.ground is not None:
@@ -134,7 +105,7 @@ class Simulator(nn.Module):
         return State(positions=stopped, displacements=displacements)
 
     def _constant(self, conditions: Conditions) -> Tensor:
-        """Features of the material and the surroundings of each particle [N, `conditions_count`]."""
+        """Features of the material and the surroundings of each particle [N, M]."""
         count = len(conditions.friction)
         mean, spread = ROUGHNESS
         rough = (torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1) - mean) / spread
@@ -151,55 +122,33 @@ class Simulator(nn.Module):
         self, state: State, conditions: Conditions, constant: Tensor, stencil: Stencil, nodes: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Node features [N, F], and known forces over the weight [N, K, D]; nodes: the grid's inputs."""
-        settings, weight, slow = self.settings, self.settings.density * GRAVITY, SLOW * self.displacement_scale
-        column = stencil.gather(nodes)
+        settings, axes, slow = self.settings, self.settings.dimension, SLOW * self.displacement_scale
+        weight, velocity, column = settings.density * GRAVITY, state.displacements[-1], stencil.gather(nodes)
         changes = state.displacements[1:] - state.displacements[:-1]
-        motion = torch.cat((state.displacements / self.displacement_scale, changes / self.acceleration_scale))
         solids = solid_features(state.positions, conditions, settings.radius)
-        tractions = traction_features(
-            state.positions,
-            state.displacements[-1],
-            solids[:, -(settings.dimension + 1) :],
-            conditions,
-            cutoff=settings.radius,
-            slow=slow,
-        )
-        strong = traction.strength(
-            conditions.cohesion,
-            REFERENCE_HEIGHT * column[:, 1],
-            weight=weight,
-            cell=settings.cell,
-        )
+        nearest = solids[:, -(axes + 1) :]
+        tractions = traction_features(state.positions, velocity, nearest, conditions, cutoff=settings.radius, slow=slow)
+        cohesion, above = conditions.cohesion / weight, REFERENCE_HEIGHT * nodes[:, 1]
         internal = internal_forces(
-            stencil,
-            state.displacements[-1],
-            conditions.volume,
-            conditions.friction,
-            conditions.cohesion / weight,
-            REFERENCE_HEIGHT * nodes[:, 1],
-            conditions.size,
-            slow,
+            stencil, velocity, conditions.volume, conditions.friction, cohesion, above, conditions.size, slow
         )
-        axes = settings.dimension
-        basal = basal_friction(state.displacements[-1], conditions, step=settings.step, slow=slow)
+        basal = basal_friction(velocity, conditions, step=settings.step, slow=slow)
         damped = damped_motion(tractions[:, axes:], state.displacements, step=settings.step, slow=slow)
-        features = torch.cat(
-            (
-                motion.movedim(0, 1).flatten(1),
-                solids,
-                (conditions.volume / settings.particle_volume).unsqueeze(1) - 1.0,
-                constant,
-                column,
-                tractions,
-                strong,
-                internal,
-                basal,
-                damped,
-            ),
-            dim=1,
-        )
+        strong = strength(conditions.cohesion, REFERENCE_HEIGHT * column[:, 1], weight=weight, cell=settings.cell)
+        found = {
+            "past displacements": (state.displacements / self.displacement_scale).movedim(0, 1).flatten(1),
+            "their changes": (changes / self.acceleration_scale).movedim(0, 1).flatten(1),
+            "solids within the radius": solids,
+            "volume": (conditions.volume / settings.particle_volume).unsqueeze(1) - 1.0,
+            "friction, cohesion, floor, walls, damping, gravity": constant,
+            "column on the grid": column,
+            "tractions of surfaces and damping": tractions,
+            "cohesion over the weight above": strong,
+            "forces of pressure and internal friction": internal,
+            "basal friction and damped motion": torch.cat((basal, damped), dim=1),
+        }
         forces = (basal, tractions[:, :axes], damped, internal[:, :axes], internal[:, axes:])
-        return features, torch.stack(forces, dim=1)
+        return torch.cat([found[name] for name in features(settings)], dim=1), torch.stack(forces, dim=1)
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
-from torch import distributed, nn
-from torch.nn.parallel import DistributedDataParallel
+from torch import distributed
 
 from datasets.errors import InputError
 from datasets.processes import end_with_parent
@@ -28,7 +27,7 @@ class Processes:
     device: torch.device
     """Where this process computes."""
     rank: int = 0
-    """Which of them this is; the first validates, logs and saves."""
+    """Which of them this is."""
     count: int = 1
     """How many there are."""
 
@@ -36,12 +35,6 @@ class Processes:
     def first(self) -> bool:
         """Whether this is the process that validates, logs and saves."""
         return self.rank == 0
-
-    def wrapped(self, model: nn.Module) -> nn.Module:
-        """`model`, its gradients averaged over the processes in every backward pass."""
-        if self.count == 1:
-            return model
-        return DistributedDataParallel(model)
 
     def sums(self, *values: float) -> list[float]:
         """Each of `values`, summed over the processes."""

@@ -1,1 +1,0 @@
-"""The network: graph, encoder, processor, decoder, grid context; the simulator that it makes; its files."""

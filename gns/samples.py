@@ -1,0 +1,188 @@
+"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as PyTorch Geometric's `Batch`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch_geometric.data import Batch, Data
+
+from datasets.training.samples import Flow, Flows, Sample, cut, exchanged, load_flows, mirrored
+from gns.initial import NO_GROUND, conditions_of, tensors_of
+from gns.settings import UP, ModelSettings, TrainingSettings
+from gns.simulator import Normalisation
+from gns.state import Conditions, State
+
+SHARE_EARLY = 0.12
+"""Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
+SHARE_MOVING = 0.70
+"""Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
+TRIES = 16
+"""Random times among which one is chosen at which the flow moves."""
+SAMPLED_TIMES = 2048
+"""Times in all over which the statistics run; where there are fewer, all."""
+
+
+def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
+    """The trajectories of a split (`train`, `valid`, `test`) of a dataset, at the model's step. Raises InputError."""
+    return load_flows(
+        dataset, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=progress
+    )
+
+
+def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Sample:
+    """The stretch of a flow with `steps` targets after index `now`; rng: which particles stay."""
+    history, cell, kept = settings.history, settings.cell, settings.particles_per_cell
+    return cut(flow, now=now, steps=steps, history=history, cell=cell, kept=kept, rng=rng)
+
+
+class Particles(Data):  # type: ignore[misc]
+    """The particles of a sample, or of multiple samples joined by `Batch`, which then has these properties too.
+
+    | attribute                      | unit       | shape                                           |
+    | pos                            | m          | [N, D]                                          |
+    | displacements                  | m per step | [H, N, D], newest last                          |
+    | targets                        | m          | [K, N, D], the coming steps                     |
+    | friction, cohesion, volume     | -, Pa, m^D | [N]                                             |
+
+    and what `gns.initial.tensors_of` lists, [B, ...].
+    """
+
+    def __cat_dim__(self, key: str, value: Any, *args: Any, **kwargs: Any) -> int:
+        # The first axis of these is time.
+        return 1 if key in ("displacements", "targets") else 0
+
+    @property
+    def state(self) -> State:
+        """Where the samples start."""
+        return State(positions=self.pos, displacements=self.displacements)
+
+    def conditions(self, spacing: float) -> Conditions:
+        """What is constant during their rollout; spacing: between two elevations of the ground [m]."""
+        return conditions_of(
+            self,
+            friction=self.friction,
+            cohesion=self.cohesion,
+            volume=self.volume,
+            spacing=spacing,
+            batch=self.batch,
+        )
+
+
+def batched(samples: Sequence[Sample], *, step: float, history: int) -> Particles:
+    """Join samples; they have equally many targets. `.to(device)` moves all of it."""
+    boxes = max(len(sample.surroundings.baffles) for sample in samples)
+    turned = any(bool(sample.surroundings.baffle_turn.any()) for sample in samples)
+    rasters = [sample.surroundings.ground[0].shape for sample in samples if sample.surroundings.ground is not None]
+    raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or NO_GROUND
+    parts = []
+    for sample in samples:
+        frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
+        state = State.observed(frames, velocity0, step=step, history=history)
+        parts.append(
+            Particles(
+                pos=state.positions,
+                displacements=state.displacements,
+                targets=torch.from_numpy(sample.targets),
+                friction=torch.from_numpy(sample.friction),
+                cohesion=torch.from_numpy(sample.cohesion),
+                volume=torch.from_numpy(sample.volume),
+                **tensors_of(sample.surroundings, boxes=boxes, turned=turned, raster=raster),
+            )
+        )
+    batch: Particles = Batch.from_data_list(parts)
+    return batch
+
+
+def perturbed(batch: Particles, noise: float, generator: torch.Generator) -> Particles:
+    """The batch with a random walk in the past displacements, `noise` [m] at its end (Sanchez-Gonzalez et al. 2020).
+
+    The targets move with the particles, so that the true displacement is asked for from a wrong past. The walk is
+    drawn on the CPU: it is the same on every device.
+    """
+    past: Tensor = batch.displacements
+    walk = torch.randn(past.shape, generator=generator).cumsum(0) * (noise / len(past) ** 0.5)
+    walk = walk.to(past.device)
+    shift = walk.sum(0)
+    noisy: Particles = batch.clone()
+    noisy.pos, noisy.displacements, noisy.targets = batch.pos + shift, past + walk, batch.targets + shift
+    return noisy
+
+
+class Sampler:
+    """Draws training samples of the datasets, their flows alike, each in a random one of its symmetries."""
+
+    def __init__(self, datasets: Sequence[Sequence[Flow]], settings: ModelSettings, training: TrainingSettings) -> None:
+        self._datasets, self._settings, self._training = datasets, settings, training
+        shares = np.array(training.shares or [1.0] * len(datasets))
+        self._shares = shares / shares.sum()
+
+    def batch(self, steps: int, rng: np.random.Generator) -> Particles:
+        """Samples with `steps` targets, side by side; of a single step with noise in their past."""
+        samples = [self.sample(steps, rng) for _ in range(self._training.batch)]
+        batch = batched(samples, step=self._settings.step, history=self._settings.history)
+        if steps == 1 and self._training.noise > 0.0:
+            return perturbed(batch, self._training.noise, torch.Generator().manual_seed(int(rng.integers(2**63))))
+        return batch
+
+    def sample(self, steps: int, rng: np.random.Generator) -> Sample:
+        """A sample with `steps` targets."""
+        flows = self._datasets[int(rng.choice(len(self._datasets), p=self._shares))]
+        flow = flows[int(rng.integers(len(flows)))]
+        now = self._start(flow, len(flow.positions) - 1 - steps, rng)
+        return turned(stretch(flow, self._settings, now=now, steps=steps, rng=rng), self._settings.cell, rng)
+
+    def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
+        """Index at which a sample starts, at most `last`."""
+        if rng.random() < self._training.first:
+            return 0
+        kind = rng.random()
+        if kind < SHARE_EARLY:
+            return min(int(rng.integers(1, 2 * self._settings.history + 1)), last)
+        anywhere = rng.integers(0, last + 1, size=TRIES)
+        if kind < SHARE_EARLY + SHARE_MOVING:
+            # The first that moves is a random one of those that move, and only two frames of each are read.
+            return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
+        return int(anywhere[0])
+
+
+def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:
+    """The sample in a random one of the symmetries of its box; spacing: between two elevations of its ground [m]."""
+    size = sample.surroundings.size
+    for axis in (axis for axis in range(len(size)) if axis != UP):
+        if rng.random() < 0.5:
+            sample = mirrored(sample, axis, spacing)
+    if len(size) == 3 and rng.random() < 0.5:
+        sample = exchanged(sample)
+    return sample
+
+
+def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
+    """Normalisation constants, over times at which the flows move.
+
+    Of each flow as many random times are read as make `SAMPLED_TIMES` in all, at least two; always the same ones.
+    """
+    displacement, acceleration, count = 0.0, 0.0, 0
+    friction = []
+    share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
+    rng = np.random.default_rng(0)
+    for flow in (flow for flows in datasets for flow in flows):
+        friction.append(flow.friction.mean(dtype=np.float64))
+        times = len(flow.positions) - 2
+        for time in rng.choice(times, min(share, times), replace=False):
+            if not flow.moves(time):
+                continue
+            moved = np.diff(flow.positions[time : time + 3], axis=0)
+            change = moved[1] - moved[0]
+            change -= flow.surroundings.gravity * flow.step**2
+            displacement += float(np.square(moved[0], dtype=np.float64).sum())
+            acceleration += float(np.square(change, dtype=np.float64).sum())
+            count += change.size
+    return Normalisation(
+        displacement=float(np.sqrt(displacement / max(count, 1))) or 1.0,
+        acceleration=float(np.sqrt(acceleration / max(count, 1))) or 1.0,
+        friction_mean=float(np.mean(friction)),
+        friction_std=float(np.std(friction)) or 1.0,
+    )

@@ -1,0 +1,285 @@
+"""Baffles and ground as geometry: signed distances, outward directions and friction, as features of the particles.
+
+Baffles are boxes that may be turned; the ground is a raster, multilinear between its elevations. Everything is
+differentiable in the corners and turns of the baffles and the elevations of the ground, as exactly as in the positions;
+any number of baffles costs next to nothing, because only the particles near one are processed.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gns.settings import UP
+from gns.state import Conditions, Ground
+
+ROUNDING = 0.1
+"""Radius to which edges are rounded for the outward direction of a baffle, as a share of the cutoff radius.
+
+The direction from a sharp edge turns by any angle within any distance, and its gradient would have no bound.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes:
+    """K boxes for each of n points, or for all of them (n = 1); the own axes of a box begin in its middle.
+
+    In 2D a box is turned from x to y, in 3D about the vertical from x to z.
+    """
+
+    middle: Tensor
+    """[m], shape [n, K, D]."""
+    half: Tensor
+    """Half of the extent along its own axes [m], shape [n, K, D]."""
+    cosine: Tensor | None
+    """Of its turn [-], shape [n, K]; absent where none is turned."""
+    sine: Tensor | None
+    """Likewise."""
+
+    @staticmethod
+    def of_conditions(conditions: Conditions) -> "Boxes":
+        """The baffles of each sample, n = B."""
+        assert conditions.baffles is not None
+        lower, upper = conditions.baffles.unbind(dim=2)
+        turn = conditions.baffle_turn
+        return Boxes(
+            middle=0.5 * (lower + upper),
+            half=0.5 * (upper - lower),
+            cosine=None if turn is None else turn.cos(),
+            sine=None if turn is None else turn.sin(),
+        )
+
+    def each(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
+        """The boxes after the same change of all their tensors."""
+        cosine, sine = (None if part is None else change(part) for part in (self.cosine, self.sine))
+        return Boxes(middle=change(self.middle), half=change(self.half), cosine=cosine, sine=sine)
+
+    def select(self, rows: Tensor) -> "Boxes":
+        """The boxes of these rows."""
+        return self.each(lambda part: part.index_select(0, rows))
+
+    def one(self, box: Tensor) -> "Boxes":
+        """Of n rows the box with this number [n] alone, K = 1."""
+        row = torch.arange(len(box), device=box.device)
+        return self.each(lambda part: part[row, box].unsqueeze(1))
+
+    def grown(self, by: float) -> "Boxes":
+        """Boxes larger by `by` [m] on every side."""
+        return dataclasses.replace(self, half=self.half + by)
+
+    def own(self, points: Tensor) -> Tensor:
+        """Points [n, D] in the axes of their boxes [m], shape [n, K, D]."""
+        return self.own_vectors(points.unsqueeze(1) - self.middle)
+
+    def own_vectors(self, vectors: Tensor) -> Tensor:
+        """Vectors [n, K, D] in the axes of their boxes."""
+        return vectors if self.cosine is None or self.sine is None else rotated(vectors, self.cosine, -self.sine)
+
+    def world_vectors(self, vectors: Tensor) -> Tensor:
+        """Vectors [n, K, D] from the axes of their boxes in those of the scene."""
+        return vectors if self.cosine is None or self.sine is None else rotated(vectors, self.cosine, self.sine)
+
+    @property
+    def half_extent(self) -> Tensor:
+        """Half of the extent along the axes of the scene [m], shape [n, K, D]."""
+        if self.cosine is None or self.sine is None:
+            return self.half
+        cosine, sine = self.cosine.abs(), self.sine.abs()
+        return rotated(self.half, cosine, sine, symmetric=True)
+
+    def contain(self, points: Tensor, slack: float) -> Tensor:
+        """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""
+        return (self.own(points).abs() < self.half - slack).all(dim=2)
+
+
+def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = False) -> Tensor:
+    """Vectors [..., D] turned from the first axis to the last; cosine, sine: of the angle, shape [...].
+
+    symmetric: both terms with the sine are positive, as of extents.
+    """
+    first, last = vectors[..., 0], vectors[..., -1]
+    turned = cosine * first + sine * last if symmetric else cosine * first - sine * last
+    between = [vectors[..., axis].expand_as(turned) for axis in range(1, vectors.shape[-1] - 1)]
+    return torch.stack((turned, *between, sine * first + cosine * last), dim=-1)
+
+
+class Below:
+    """The places of a raster below particles; what is asked for there is looked up, nothing else."""
+
+    def __init__(self, positions: Tensor, ground: Ground, batch: Tensor | None) -> None:
+        """positions: [m], shape [N, D]; batch: sample of each particle, shape [N], absent where there is one."""
+        self._shape = ground.elevation.shape[1:]
+        self._spacing = ground.spacing
+        plan = [axis for axis in range(positions.shape[1]) if axis != UP]
+        index: Tensor | int = 0 if batch is None else batch
+        self._shares = []
+        for axis, count in zip(plan, self._shape, strict=True):
+            scaled = (positions[:, axis] / ground.spacing).clamp(0.0, count - 1.0)
+            base = scaled.detach().floor().long().clamp(max=count - 2)
+            index = index * count + base
+            self._shares.append(scaled - base)
+        assert isinstance(index, Tensor)
+        self._index = index
+
+    def _corners(self, field: Tensor) -> tuple[Tensor, ...]:
+        """Values of a field at the 2^(D - 1) corners around each place, the last axis fastest; each [N]."""
+        field = field.reshape(-1)
+        strides = [math.prod(self._shape[axis + 1 :]) for axis in range(len(self._shape))]
+        steps = [0]
+        for stride in strides:
+            steps = [step + bit for step in steps for bit in (0, stride)]
+        return tuple(field.index_select(0, self._index + step if step else self._index) for step in steps)
+
+    def value(self, field: Tensor) -> Tensor:
+        """A field of the raster [B, X(, Z)] at the places, shape [N]."""
+        values = self._corners(field)
+        for share in reversed(self._shares):
+            values = tuple(torch.lerp(low, high, share) for low, high in zip(values[::2], values[1::2], strict=True))
+        return values[0]
+
+    def value_and_slope(self, field: Tensor) -> tuple[Tensor, Tensor]:
+        """A field at the places, [N], and its derivatives along the axes in plan [1/m], [N, D - 1]."""
+        values = self._corners(field)
+        if len(values) == 2:
+            rise = values[1] - values[0]
+            return values[0] + self._shares[0] * rise, (rise / self._spacing).unsqueeze(1)
+        s, t = self._shares
+        along = torch.lerp(values[0], values[1], t), torch.lerp(values[2], values[3], t)
+        rise = along[1] - along[0]
+        across = torch.lerp(values[1] - values[0], values[3] - values[2], s)
+        return along[0] + s * rise, torch.stack((rise, across), dim=1) / self._spacing
+
+
+def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> Tensor:
+    """Features of the solids closer than `cutoff` [m] to the particles: shape [N, 3 D + 2].
+
+    positions: [m], shape [N, D].
+
+    | distance to the walls  | lower ones, then upper ones, over the cutoff, at most 1 [-]                  |
+    | distance to a solid    | of the nearest baffle or ground over the cutoff, at most 1 [-]               |
+    | outward direction      | of these: sum_k (w_k^2 / sum_j w_j) n_k, w = max(1 - distance / cutoff, 0)   |
+    | friction               | of these: sum_k (w_k^2 / sum_j w_j) mu_k [-]                                 |
+
+    n is a solid's outward unit normal and mu its friction. All of it is continuous where another solid becomes the
+    nearest, and where the last one leaves the cutoff.
+    """
+    size = conditions.of_particles(conditions.size)
+    walls = torch.cat((positions, size - positions), dim=1) / cutoff
+    features = [walls.clamp(max=1.0)]
+    near = []
+    if conditions.baffles is not None:
+        near.append(nearest_baffle(positions, conditions, cutoff))
+    if conditions.ground is not None:
+        near.append(nearest_ground(positions, conditions.ground, conditions.batch, cutoff))
+    if not near:
+        features += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions), torch.zeros_like(positions[:, :1])]
+    elif len(near) == 1:
+        ((distance, direction, friction),) = near
+        features += [(distance / cutoff).unsqueeze(1), direction, friction.unsqueeze(1)]
+    else:
+        distance = torch.stack([each[0] for each in near])
+        weight = (1.0 - distance / cutoff).clamp(min=0.0)
+        total = weight.sum(dim=0)
+        weight = (weight / torch.where(total > 0.0, total, 1.0)).unsqueeze(2)
+        directed = torch.stack([torch.cat((each[1], each[2].unsqueeze(1)), dim=1) for each in near])
+        features += [(distance.min(dim=0).values / cutoff).unsqueeze(1), (weight * directed).sum(dim=0)]
+    return torch.cat(features, dim=1)
+
+
+def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Signed distance [m], shape [N], of the nearest baffle; outward direction [-], [N, D], and friction [-], [N].
+
+    Direction and friction as `solid_features` weighs them. With q = |x| - half the box, per axis and x from its middle
+    in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
+    function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It is cut off at `cutoff` [m].
+    """
+    distance = positions.new_full((len(positions),), cutoff)
+    direction = torch.zeros_like(positions)
+    rough = torch.zeros_like(distance)
+    boxes = Boxes.of_conditions(conditions)
+    near = close_to(boxes, positions, positions, cutoff, conditions.batch)
+    if len(near) == 0:
+        return distance, direction, rough
+    row = samples_of(near, conditions.batch)
+    boxes = boxes.select(row)
+    x = boxes.own(positions.index_select(0, near))
+    q = x.abs() - boxes.half
+    square = q.clamp(min=0.0).square().sum(dim=2)
+    outside = square > 0.0
+    # The root has no slope at zero: on the surface the distance is that to the face.
+    distances = torch.where(outside, torch.where(outside, square, 1.0).sqrt(), q.max(dim=2).values)
+    weight = (1.0 - distances / cutoff).clamp(min=0.0)
+    total = weight.sum(dim=1, keepdim=True)
+    weight = weight * (weight / torch.where(total > 0.0, total, 1.0))
+    normals = boxes.world_vectors(_normals(x, boxes.half, q, ROUNDING * cutoff))
+    nearest = distances.min(dim=1).values.clamp(max=cutoff)
+    assert conditions.baffle_friction is not None
+    friction = conditions.baffle_friction.index_select(0, row)
+    return (
+        distance.index_copy(0, near, nearest),
+        direction.index_copy(0, near, (weight.unsqueeze(2) * normals).sum(dim=1)),
+        rough.index_copy(0, near, (weight * friction).sum(dim=1)),
+    )
+
+
+def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> Tensor:
+    """Indices of the particles whose way from `first` to `last` [N, D] comes close to a baffle of their sample.
+
+    To within `margin` [m], or what is about it: boxes are compared along the axes of the scene. A sample's baffles are
+    put into a single box first, which most particles are far from.
+    """
+    with torch.no_grad():
+        low, high = torch.minimum(first, last), torch.maximum(first, last)
+        lower, upper = boxes.middle - boxes.half_extent - margin, boxes.middle + boxes.half_extent + margin
+        if batch is None:
+            ends = lower.amin(dim=1), upper.amax(dim=1)
+            some = ((low < ends[1]) & (high > ends[0])).all(dim=1).nonzero().squeeze(1)
+            low, high = low.index_select(0, some).unsqueeze(1), high.index_select(0, some).unsqueeze(1)
+        else:
+            # Absent baffles are far outside: all that they would add to such a box is room.
+            some = torch.arange(len(low), device=low.device)
+            low, high, lower, upper = low.unsqueeze(1), high.unsqueeze(1), lower[batch], upper[batch]
+        return some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
+
+
+def samples_of(near: Tensor, batch: Tensor | None) -> Tensor:
+    """The sample of each of these particles."""
+    return torch.zeros_like(near) if batch is None else batch.index_select(0, near)
+
+
+def _normals(x: Tensor, half: Tensor, q: Tensor, radius: float) -> Tensor:
+    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `x`, in their own axes.
+
+    They point from the box that is smaller by the radius on every side; q: of `nearest_baffle`, [n, K, D].
+    """
+    arm = (q + half.clamp(max=radius)).clamp(min=0.0)
+    square = arm.square().sum(dim=2, keepdim=True)
+    outside = square > 0.0
+    # Deep inside it is the normal of the nearest face.
+    face = torch.nn.functional.one_hot(q.argmax(dim=2), q.shape[2]).to(q)
+    normal = torch.where(outside, arm / torch.where(outside, square, 1.0).sqrt(), face)
+    return torch.where(x < 0.0, -normal, normal)
+
+
+def upward(slope: Tensor) -> Tensor:
+    """Outward unit normals [N, D] of ground of this slope [N, D - 1]."""
+    normal = torch.cat((-slope[:, :1], torch.ones_like(slope[:, :1]), -slope[:, 1:]), dim=1)
+    return torch.nn.functional.normalize(normal, dim=1)
+
+
+def nearest_ground(
+    positions: Tensor, ground: Ground, batch: Tensor | None, cutoff: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Distance [m], outward direction and friction [-] of the ground, as `nearest_baffle` has those of baffles.
+
+    The distance is that of the plane that touches the ground straight below, (y - h) / sqrt(1 + |grad h|^2).
+    """
+    below = Below(positions, ground, batch)
+    height, slope = below.value_and_slope(ground.elevation)
+    normal = upward(slope)
+    distance = ((positions[:, UP] - height) * normal[:, UP]).clamp(max=cutoff)
+    weight = 1.0 - distance / cutoff
+    return distance, weight.unsqueeze(1) * normal, weight * below.value(ground.friction)

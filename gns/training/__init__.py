@@ -1,1 +1,0 @@
-"""Training: data, loss, unrolled rollouts, the state of a training, several processes."""
