@@ -165,9 +165,11 @@ class Decoder(nn.Module):
         super().__init__()
         self.norm = nn.LayerNorm(settings.width)
         self.mlp = mlp(settings.width, settings.dimension + known, settings)
+        last = self.mlp[-1]
+        assert isinstance(last, nn.Linear)
         # An untrained model is free flight.
-        nn.init.normal_(self.mlp[-1].weight, std=1.0e-3)
-        nn.init.zeros_(self.mlp[-1].bias)
+        nn.init.normal_(last.weight, std=1.0e-3)
+        nn.init.zeros_(last.bias)
 
     def forward(self, x: Tensor) -> Tensor:
         """[N, C] to [N, D + K]."""

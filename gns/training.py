@@ -189,7 +189,7 @@ def fit(plan: Plan) -> None:
         average = AveragedModel(simulator, avg_fn=lambda old, new, count: averaged(old, new, int(count), training))
         matrices = [weight for weight in simulator.parameters() if weight.dim() == 2]
         others = [weight for weight in simulator.parameters() if weight.dim() != 2]
-        optimisers = (
+        optimisers: tuple[torch.optim.Optimizer, ...] = (
             torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"),
             torch.optim.Adam(others),
         )
@@ -222,6 +222,7 @@ def fit(plan: Plan) -> None:
                             board.add_scalar(f"validation/{name}", value, position.updates)
                 position.seconds = position.scored_seconds = budget.now() - begun
                 position.scored_updates = position.updates
+                recent.clear()
                 if processes.first:
                     save(out / LAST, plan, parts, position)
                 continue
@@ -321,9 +322,10 @@ def beginning(path: Path, settings: ModelSettings) -> Simulator:
 
 
 def validate(
-    plan: Plan, simulator: Simulator, flows: Sequence[Flow], position: Position, loss: float
+    plan: Plan, simulator: nn.Module, flows: Sequence[Flow], position: Position, loss: float
 ) -> dict[str, float]:
     """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far."""
+    assert isinstance(simulator, Simulator)
     scores = evaluate(simulator, flows, seed=0)
     total = validation_score(scores)
     released = [score for score in scores if score.released] or scores
