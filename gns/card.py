@@ -89,7 +89,7 @@ class Card(Record):
     ranges: dict[str, Range]
     """Quantity (`gns.ranges.QUANTITIES`) -> least and greatest value in the training data."""
     calibration: dict[str, Calibration] | None = None
-    """Observation (`front`, `transport`) -> calibration; None before `python -m gns.calibrate`."""
+    """Observation (`front`, `transport`) -> calibration; None before `python -m gns.score --keep`."""
 
     def outside(self, scene: Scene) -> list[str]:
         """The quantities of `scene` outside of the training range: value, range and by how much."""

@@ -77,7 +77,7 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         assert start([*generate, "--out", str(folder / "dataset")]).wait(breaking.LIMIT) == 0
 
     def train(out: Path) -> list[str]:
-        resume = ["--resume"] if (out / "last.safetensors").exists() else []
+        resume = ["--resume"] if (out / "last.pt").exists() else []
         return ["-m", "gns.train", str(folder / "dataset"), "--out", str(out), *TINY, *resume]
 
     arguments, result = {
