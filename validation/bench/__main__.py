@@ -42,7 +42,7 @@ BENCHES = {
     ),
     "accuracy": Bench(
         module="validation.bench.accuracy.bench",
-        summary="error against cost of the MPM over cell, step and particles; what --tolerance reads",
+        summary="error over seconds of the MPM, whether --tolerance holds, columns beside the paper and other codes",
     ),
     "stability": Bench(
         module="validation.bench.stability.bench",

@@ -1,176 +1,199 @@
-"""`python -m validation.bench accuracy`: error against cost of the MPM, and what --tolerance reads."""
+"""`python -m validation.bench accuracy`: error over seconds of the MPM, whether --tolerance holds, columns of sand.
 
+`--ship` measures what --tolerance reads, `mpm/resolution.toml`, on other scenes; it takes longer.
+"""
+
+import dataclasses
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from datasets import measures
 from datasets.errors import InputError
 from datasets.files import write_text
-from mpm.resolution import COVERAGE, MEASURED, Measured, Resolved, resolved
-from validation.bench.accuracy import studies
-from validation.bench.accuracy.flows import OWN_STEP
-from validation.bench.accuracy.pictures import draw_cost, draw_scenes
-from validation.bench.accuracy.studies import OTHER_PARTICLES, OTHER_STEP, OWN_PARTICLES, Findings, own
-from validation.report.page import Page, percent, signed
-from validation.runs import RunStore
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations.profile import Profile
+from mpm.resolution import (
+    COVERAGE,
+    MEASURED,
+    Measured,
+    Resolution,
+    characteristic_length,
+    read_measured,
+    resolved,
+    with_resolution,
+)
+from validation.bench.accuracy import columns
+from validation.bench.accuracy.flows import OWN_STEP, read_flows
+from validation.report.page import Page, percent
+from validation.report.plots import BLUE, GREY, ORANGE, figure, pane
+from validation.runs import SHARE, Run, RunStore
 
+STATIONS = 10.0
+"""Of a profile across the smallest side of the mass."""
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
 """The resolution that each selects is shown."""
-STATED = 0.05
-"""That of the conclusion."""
+TRIED = (0.2, 0.1, 0.05)
+"""These are tried on scenes that were not measured."""
+REFERENCE = {2: 56.0, 3: 24.0}
+"""Cells of their references across the smallest side, by dimension."""
+SEED = 7
+"""Of what is tried: not one of those that were measured."""
 
 
-def bench(out: Path, *, quick: bool, keep: Path, dimension: int | None = None, ship: bool = False) -> str:
-    """Error and cost of the MPM over cell, step and particles per cell: accuracy.md, its pictures and resolution.toml.
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What `mpm/resolution.toml` is measured on, in one dimension."""
 
-    quick: a few coarse runs. dimension: 2 or 3, only the scenes of this dimension. ship: put resolution.toml where
-    --tolerance reads it, not into `out`.
+    cells: tuple[float, ...]
+    """Across the smallest side."""
+    checked: tuple[float, ...]
+    """Where another step, 0.4, and other particles per axis, 3, are tried too."""
+    reference: float
+    seeds: int
+
+
+STUDIES = {
+    2: Study(cells=(5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), checked=(7.0, 14.0), reference=80.0, seeds=3),
+    3: Study(cells=(4.0, 5.0, 7.0, 10.0, 14.0, 18.0), checked=(5.0,), reference=24.0, seeds=2),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """The deposit of a scene on a much finer grid."""
+
+    front: float
+    """[m]."""
+    shares: NDArray[np.float64]
+    """x of equal shares of the deposit [m], shape [20]."""
+    extent: float
+    """From the rear of the masses at the start to the front [m]; errors are fractions of it."""
+
+    def error(self, flow: Trajectory) -> float:
+        """The larger of the front's error and the profile's, the rms distance along x of equal shares [-]."""
+        front = abs(measures.front(flow.positions[-1]) - self.front)
+        profile = float(np.sqrt(np.mean((equal_shares(flow) - self.shares) ** 2)))
+        return max(front, profile) / self.extent
+
+
+def reference_of(flow: Trajectory) -> Reference:
+    """The reference from its run."""
+    front = measures.front(flow.positions[-1])
+    rear = min(mass.lower[0] for mass in flow.scene.masses)
+    return Reference(front=front, shares=equal_shares(flow), extent=front - rear)
+
+
+def equal_shares(flow: Trajectory) -> NDArray[np.float64]:
+    """The x [m] of twenty equal shares of a deposit, shape [20]."""
+    # The last value of a profile is the front, whose error is counted by itself.
+    return Profile(flow.scene, characteristic_length(flow.scene) / STATIONS).exact(flow.positions[-1])[:-1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Error:
+    """Of the runs of a scene at a resolution, one per jitter."""
+
+    errors: tuple[float, ...]
+    """Over the extent [-]."""
+    seconds: float
+    """Of a run, of the time of all that ran beside it."""
+    particle_steps: float
+
+
+Errors = Mapping[Resolution, Mapping[str, Error]]
+"""By resolution and name of the scene."""
+
+
+def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = 2) -> Resolution:
+    """A resolution, by default with the step and particles per axis of the references."""
+    return Resolution(cells=cells, particles_per_axis=particles_per_axis, step_fraction=step_fraction, precision="f32")
+
+
+def errors_of(
+    scenes: Mapping[str, Scene], tried: Sequence[Resolution], reference: float, seeds: Sequence[int], store: RunStore
+) -> Errors:
+    """The errors of every scene at every resolution against its own reference."""
+
+    def runs(scene: Scene, resolution: Resolution, seeds: Sequence[int]) -> list[Run]:
+        fine = with_resolution(scene, resolution)
+        return [Run(scene=dataclasses.replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
+
+    exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
+    coarse = {(each, name): runs(scene, each, seeds) for each in tried for name, scene in scenes.items()}
+    store.run([run for group in (*coarse.values(), *exact.values()) for run in group])
+    solutions = {name: reference_of(store.run(group)[0]) for name, group in exact.items()}
+    found: dict[Resolution, dict[str, Error]] = {each: {} for each in tried}
+    for (resolution, name), group in coarse.items():
+        flows = store.run(group)
+        found[resolution][name] = Error(
+            errors=tuple(solutions[name].error(flow) for flow in flows),
+            seconds=float(np.mean([flow.summary[SHARE] for flow in flows])),
+            particle_steps=flows[0].summary["steps"] * flows[0].summary["particles"],
+        )
+    return found
+
+
+def rms(errors: Mapping[str, Error]) -> float:
+    """Root mean square over scenes and jitters."""
+    return float(np.sqrt(np.mean([np.mean(np.square(each.errors)) for each in errors.values()])))
+
+
+def prediction_limit(errors: Sequence[float]) -> float:
+    """A bound on the error of one more scene with probability COVERAGE, from the errors of the measured scenes.
+
+    The upper prediction limit for one further normal variable (Hahn & Meeker 1991), m + t s sqrt(1 + 1/n) with m and s
+    the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
+    the largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution.
     """
-    tried = [each for each in (studies.quick() if quick else studies.full()) if dimension in (None, each.dimension)]
-    if not tried:
-        raise InputError(f"expected 2 or 3, got {dimension}", key="dimension")
-    findings = [studies.compute(study, RunStore(keep)) for study in tried]
-    measured = studies.measured(findings)
-    write_text(MEASURED if ship else out / MEASURED.name, toml(measured))
-    return write(out, findings, measured, quick=quick)
+    count = len(errors)
+    if count < 2:
+        return max(errors)
+    t = float(stats.t.ppf(COVERAGE, count - 1))
+    limit = float(np.mean(errors)) + t * float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    return max(limit, *errors)
 
 
-def write(out: Path, findings: Sequence[Findings], measured: Sequence[Measured], *, quick: bool = False) -> str:
-    """Write accuracy.md and its pictures, and return the conclusion."""
-    page = Page(
-        "Error against cost",
-        command="python -m validation.bench accuracy --ship --out docs",
-        conclusion=[sentence for each in findings for sentence in conclusion(each, measured)],
-        quick=quick,
-    )
-    counts = " and ".join(f"{len(each.study.scenes)} in {each.study.dimension}D" for each in findings)
-    references = ", ".join(f"{each.study.reference:g} in {each.study.dimension}D" for each in findings)
-    page.text(f"""
-        Scenes: {counts} (`validation/bench/accuracy/flows.py`). A run is compared at its end with the same scene on the
-        reference's cells ({references} across the smallest side), {OWN_PARTICLES} particles per axis, step
-        {OWN_STEP:g} of cell / wave speed, single precision: the **front**, the x that 99.5 % of the particles are
-        behind, and the **profile**, by the rms distance along x of twenty equal shares of the deposits' volume. The
-        larger of the two, over the **extent** (from the rear of the mass at the start to the reference's front), is the
-        error of the run.
+def bound(found: Errors, resolution: Resolution) -> float:
+    """`prediction_limit` of the largest error of each scene here and on all finer grids that differ in nothing else.
 
-        The **bound** is for {COVERAGE * 10:.0f} of 10 further scenes like these. The error of each scene is the largest
-        over the jitters, on this and all finer grids; the bound is the upper prediction limit for one more scene
-        ({100 * COVERAGE:.0f} %, Student's t), and no less than the largest of them. `--tolerance` selects the cheapest
-        resolution whose bound is within it.
-    """)
-    draw_cost(out / "accuracy.png", findings)
-    page.picture("accuracy.png", "error against particle-steps")
-    for each in findings:
-        describe(page, each, measured)
-    page.section("Scene by scene")
-    page.text("Signed error of the front over the cells, mean and standard deviation over the jitters.")
-    draw_scenes(out / "accuracy-scenes.png", findings)
-    page.picture("accuracy-scenes.png", "front over cells, scene by scene")
-    return page.write(out / "accuracy.md")
+    Where errors of both signs cancel, one is small by chance; on finer grids it is not.
+    """
+    alike = dataclasses.replace
+    finer = [r for r in found if r.cells >= resolution.cells and alike(r, cells=resolution.cells) == resolution]
+    names = found[resolution]
+    return prediction_limit([max(max(found[each][name].errors) for each in finer) for name in names])
 
 
-def conclusion(findings: Findings, measured: Sequence[Measured]) -> tuple[str, str]:
-    """What was found in a dimension, two sentences from its numbers."""
-    study, parts = findings.study, []
-    selected = select(findings, STATED, measured)
-    smallest = min(each.promised for each in measured if each.dimension == study.dimension)
-    needed = (
-        f"takes {selected.cells:.3g} cells" if selected else "is within the bound of none of these grids; cells are"
-    )
-    for cells in study.checked:
-        changes = (own(cells), own(cells, step_fraction=OTHER_STEP), own(cells, particles_per_axis=OTHER_PARTICLES))
-        usual, shorter, more = (percent(findings.at(each).error) for each in changes)
-        parts.append(
-            f"on {cells:g} cells {usual}, with a step of {OTHER_STEP:g} {shorter}, with {OTHER_PARTICLES} particles per"
-            f" axis {more}"
+def measured(dimension: int, found: Errors) -> list[Measured]:
+    """What `--tolerance` reads."""
+    return [
+        Measured(
+            dimension=dimension,
+            resolution=resolution,
+            expected=round(rms(errors), 5),
+            promised=round(bound(found, resolution), 5),
+            particle_steps=round(float(np.mean([each.particle_steps for each in errors.values()]))),
         )
-    return (
-        f"**{study.dimension}D**: {percent(STATED)} {needed} across the smallest side; the smallest bound is"
-        f" {percent(smallest)}, with up to {max(study.cells):g} cells. If errors fall in proportion to the cell, the"
-        f" references ({study.reference:g} cells) are {percent(findings.reference_error())} rms from the limit, beyond"
-        " every bound.",
-        f"**{study.dimension}D**, rms error: {'; '.join(parts)}.",
-    )
+        for resolution, errors in found.items()
+    ]
 
 
-def select(findings: Findings, tolerance: float, measured: Sequence[Measured]) -> Resolved | None:
-    """The resolution that a tolerance selects for the study's first scene, None where no bound is within it."""
-    try:
-        return resolved(next(iter(findings.study.scenes.values())), tolerance, measured)
-    except InputError:
-        return None
-
-
-def describe(page: Page, findings: Findings, measured: Sequence[Measured]) -> None:
-    """The section of a dimension."""
-    study = findings.study
-    page.section(f"{study.dimension}D")
-    resolution = {"cells": ".3g", "particles per axis": "", "step": "g"}
-    selected = [(tolerance, select(findings, tolerance, measured)) for tolerance in TOLERANCES]
-    page.table(
-        [
-            (tolerance, r.cells, r.scene.particles_per_axis, r.scene.step_fraction, r.promised, r.expected)
-            for tolerance, r in selected
-            if r is not None
-        ],
-        formats={"`--tolerance`": percent, **resolution, "bound": percent, "rms error": percent},
-    )
-    rows = []
-    for each in findings.outcomes:
-        what, worst = each.resolution, max(each.scores, key=lambda name: each.scores[name].largest)
-        rows.append(
-            (
-                what.cells,
-                what.particles_per_axis,
-                what.step_fraction,
-                each.particle_steps / 1e6,
-                each.error,
-                findings.bound(what),
-                f"{percent(each.scores[worst].largest)} ({worst})",
-                max(score.scatter for score in each.scores.values()),
-            )
-        )
-    page.table(
-        rows,
-        formats={
-            **resolution,
-            "million particle-steps": ".3g",
-            "rms error": percent,
-            "bound": percent,
-            "largest error": "",
-            "largest scatter of the front over jitters": percent,
-        },
-    )
-    finest = findings.at(own(max(study.cells)))
-    cells = f"{finest.resolution.cells:g} cells"
-    page.text(f"""
-        The reference ({study.reference:g} cells). Where an error falls in proportion to the cell, the reference is
-        itself about as far from the limit as its front moved from {cells}, in the ratio of the cells: a bound is of the
-        distance to the reference, not of that to the exact solution.
-    """)
-    page.table(
-        [
-            (name, each.front, each.extent, -finest.scores[name].bias, finest.scores[name].scatter)
-            for name, each in findings.references.items()
-        ],
-        formats={
-            "scene": "",
-            "front [m]": ".4g",
-            "extent [m]": ".4g",
-            f"front from {cells} to it": signed,
-            f"scatter over jitters on {cells}": percent,
-        },
-    )
-
-
-def toml(measured: Sequence[Measured]) -> str:
+def toml(known: Sequence[Measured]) -> str:
     """`resolution.toml`."""
     blocks = [
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
         "# scenes; particle_steps: mean over the scenes.\n"
     ]
-    for each in measured:
+    for each in known:
         what = each.resolution
         blocks.append(
             f"[[measured]]\ndimension = {each.dimension}\n"
@@ -179,3 +202,161 @@ def toml(measured: Sequence[Measured]) -> str:
             f"step_fraction = {what.step_fraction}, precision = {json.dumps(what.precision)} }}\n"
         )
     return "\n".join(blocks)
+
+
+def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Measured | None:
+    """What a tolerance selects in a dimension; None where nothing that was measured is within it."""
+    scene = next(iter(read_flows(dimension, unseen=True).values()))
+    try:
+        cells = resolved(scene, tolerance, known).cells
+    except InputError:
+        return None
+    some = [each for each in known if each.dimension == dimension and each.promised <= tolerance]
+    return min(some, key=lambda each: abs(each.resolution.cells - cells))
+
+
+def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
+    """Try --tolerance on scenes that it was not measured on, and run columns of sand: accuracy.md and its picture.
+
+    quick: two scenes of each dimension against coarse references. ship: measure mpm/resolution.toml instead.
+    """
+    store = RunStore(keep)
+    if ship:
+        every: list[Measured] = []
+        for dimension, study in STUDIES.items():
+            tried = [own(cells) for cells in study.cells]
+            for cells in study.checked:
+                tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
+            scenes = read_flows(dimension, unseen=False)
+            every += measured(dimension, errors_of(scenes, tried, study.reference, range(study.seeds), store))
+        write_text(MEASURED, toml(every))
+        return f"{len(every)} resolutions are in {MEASURED}."
+    known = read_measured()
+    trials: dict[int, Errors] = {}
+    for dimension, reference in REFERENCE.items():
+        scenes = dict(list(read_flows(dimension, unseen=True).items())[: 2 if quick else None])
+        kinds = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
+        tried = list(dict.fromkeys(each.resolution for each in kinds))[: 1 if quick else None]
+        trials[dimension] = errors_of(scenes, tried, 14.0 if quick else reference, (SEED,), store)
+    paper = columns.paper_columns(store, 1 if quick else 3)
+    fronts = columns.collapse(store, quick=quick)
+    promised = {(each.dimension, each.resolution): each.promised for each in known}
+    draw(out / "accuracy.png", trials, promised, fronts)
+    return page(trials, known, paper, fronts, quick=quick).write(out / "accuracy.md")
+
+
+def page(
+    trials: Mapping[int, Errors],
+    known: Sequence[Measured],
+    paper: columns.PaperColumns,
+    fronts: columns.Found,
+    *,
+    quick: bool = False,
+) -> Page:
+    """The page, from what was measured."""
+    promised = {(each.dimension, each.resolution): each.promised for each in known}
+    held = [trial_text(dimension, found, promised) for dimension, found in trials.items()]
+    text = Page(
+        "Accuracy of the MPM",
+        command="python -m validation.bench accuracy",
+        conclusion=[*held, str(paper), columns.aspect_text(fronts)],
+        quick=quick,
+    )
+    text.picture("accuracy.png", "error over seconds; fronts of columns over their aspect ratio")
+    text.section("What `--tolerance` selects")
+    text.text(f"""
+        Cells across the smallest side of the mass, particles per axis and step (over cell / wave speed) that a
+        tolerance selects: the cheapest whose **bound** is within it (`mpm/resolution.toml`, measured on ten scenes in
+        2D and four in 3D, by `--ship`). The bound is what {COVERAGE * 10:.0f} of 10 further scenes like these stay
+        within. An error is that of the **front**, the x that 99.5 % of the particles are behind, or of the **profile**,
+        the rms distance along x of twenty equal shares of the deposit's volume, the larger of the two over the
+        **extent** from the rear of the mass at the start to the front; against the same scene on a fine grid.
+    """)
+    text.table(
+        [
+            (f"{d}D", tolerance, r.cells, r.particles_per_axis, r.step_fraction, each.promised, each.expected)
+            for d in trials
+            for tolerance in TOLERANCES
+            if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
+        ],
+        formats={
+            "": "",
+            "`--tolerance`": percent,
+            "cells": ".3g",
+            "particles per axis": "",
+            "step": "g",
+            "bound": percent,
+            "rms error": percent,
+        },
+    )
+    text.section("Error over seconds, on other scenes")
+    references = " and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items())
+    text.text(f"""
+        Scenes that `--tolerance` was not measured on (`unseen` in `validation/bench/accuracy/flows.toml`), each run
+        once with a jitter of its own, against itself on {references}. Beyond the bound is bold. Seconds are a run's
+        share of the time of all that ran beside it.
+    """)
+    for dimension, found in trials.items():
+        text.table(trial_rows(dimension, found, promised))
+    paper.table(text)
+    columns.aspect_tables(text, fronts)
+    return text
+
+
+def trial_rows(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> list[dict[str, str]]:
+    """A line per scene, and one of the seconds."""
+    heads = {r: f"{r.cells:g} cells (bound {percent(promised[dimension, r])})" for r in found}
+    rows = []
+    for name in next(iter(found.values())):
+        row = {f"{dimension}D": name}
+        for resolution, errors in found.items():
+            (error,) = errors[name].errors
+            text = percent(error)
+            row[heads[resolution]] = f"**{text}**" if error > promised[dimension, resolution] else text
+        rows.append(row)
+    seconds = {heads[r]: f"{np.mean([each.seconds for each in errors.values()]):.2g}" for r, errors in found.items()}
+    return [*rows, {f"{dimension}D": "seconds of a run, mean"} | seconds]
+
+
+def trial_text(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> str:
+    """How many scenes are within the bound, and what it takes, one sentence."""
+    parts = []
+    for resolution, errors in found.items():
+        limit = promised[dimension, resolution]
+        within = sum(each.errors[0] <= limit for each in errors.values())
+        seconds = np.mean([each.seconds for each in errors.values()])
+        parts.append(
+            f"{within} of {len(errors)} other scenes are within {percent(limit)} on {resolution.cells:g} cells"
+            f" ({percent(rms(errors))} rms, {seconds:.2g} s)"
+        )
+    return f"**{dimension}D**: {', '.join(parts)}."
+
+
+def draw(
+    path: Path,
+    trials: Mapping[int, Errors],
+    promised: Mapping[tuple[int, Resolution], float],
+    fronts: columns.Found,
+) -> None:
+    """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
+    with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
+        for number, (dimension, found) in enumerate(trials.items()):
+            axis = pane(axes, 0, number)
+            for name in next(iter(found.values())):
+                points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
+                axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
+            seconds = [float(np.mean([each.seconds for each in errors.values()])) for errors in found.values()]
+            axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
+            bounds = [100.0 * promised[dimension, each] for each in found]
+            axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
+            for resolution, x, y in zip(found, seconds, bounds, strict=True):
+                axis.annotate(f"{resolution.cells:g} cells", (x, y), xytext=(3, 4), textcoords="offset points", size=7)
+            axis.set(xscale="log", yscale="log", title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
+            axis.set_ylabel("error over the extent [%]")
+            axis.legend()
+        last = pane(axes, 0, len(trials))
+        for name, aspects, values in columns.series(fronts):
+            ours = name in (columns.OURS, columns.APIC)
+            last.plot(aspects, values, "o-" if ours else "--", linewidth=1.2 if ours else 0.8, markersize=4, label=name)
+        last.set(xscale="log", yscale="log", title="columns in 2D", xlabel="H / L", ylabel="front, (d - L) / L")
+        last.legend(fontsize=6)

@@ -1,15 +1,16 @@
-"""Scenes of every kind, from numbers without units: those that `--tolerance` is measured on, and others.
+"""Scenes of every kind, from numbers without units (`flows.toml`), on which `--tolerance` is measured or tried.
 
 Lengths are in S, the smallest side of the mass; a mass of length (in x) and height (in y) stands at the left wall
 or `gap` S away from it. Times are in sqrt(H / g), speeds in sqrt(g H), with H the height; stiffness and cohesion in
 rho g H. The box is a whole number of S along each axis, so that cells of S / n fit it for every whole n.
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from datasets.material import Material
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Baffle, Domain, Mass, Scene
 
 GRAVITY = 9.81
@@ -23,9 +24,12 @@ ROOM = 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flow:
+class Flow(Record):
     """A mass that is released or thrown, in numbers without units."""
 
+    name: str = ""
+    unseen: bool = False
+    """Whether `--tolerance` is tried on it, not measured."""
     aspect: float
     """Height over length."""
     friction_deg: float
@@ -57,6 +61,11 @@ class Flow:
     """[kg/m^3]."""
     stiffness: float = 150.0
     """Young's modulus in rho g H: the foot of a column gives by half a per cent."""
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return 3 if self.depth else 2
 
     def scene(self) -> Scene:
         """The scene in SI units, on a grid of `OWN_CELLS`."""
@@ -104,90 +113,14 @@ def scaled(lengths: tuple[float, ...], unit: float) -> tuple[float, ...]:
     return tuple(length * unit for length in lengths)
 
 
-MEASURED = {
-    2: {
-        "low, 30°": Flow(aspect=0.5, friction_deg=30.0, box=9.0, duration=6.0),
-        "low, cohesive, damped": Flow(
-            aspect=0.5, friction_deg=42.0, cohesion=0.03, damping=0.12, box=9.0, duration=5.0
-        ),
-        "square, 20°": Flow(aspect=1.0, friction_deg=20.0, box=10.0),
-        "square, 45°, rough": Flow(aspect=1.0, friction_deg=45.0, floor=0.8, box=6.0, duration=5.0),
-        "square, 25°, damped": Flow(aspect=1.0, friction_deg=25.0, damping=0.05, box=8.0),
-        "high, 30°": Flow(aspect=2.0, friction_deg=30.0, box=12.0),
-        "high, cohesive": Flow(aspect=2.0, friction_deg=35.0, cohesion=0.02, box=10.0, duration=5.0),
-        "high, 21°, damped": Flow(aspect=2.0, friction_deg=21.0, damping=0.12, box=12.0, duration=5.0),
-        "tower, 35°": Flow(aspect=4.0, friction_deg=35.0, box=17.0, duration=4.5),
-        "thrown, 28°": Flow(aspect=0.5, friction_deg=28.0, velocity=1.5, gap=1.0, box=14.0, duration=6.0),
-    },
-    3: {
-        "low box, 30°": Flow(aspect=0.5, friction_deg=30.0, depth=1.0, walls_apart=1.0, box=8.0, duration=5.0),
-        "cube, 25°": Flow(aspect=1.0, friction_deg=25.0, depth=1.0, box=7.0, duration=5.0),
-        "high box, 35°, damped": Flow(aspect=2.0, friction_deg=35.0, damping=0.05, depth=1.0, box=7.0, duration=4.0),
-        "thrown at a baffle": Flow(
-            aspect=0.8,
-            friction_deg=33.0,
-            floor=0.43,
-            wall=0.43,
-            velocity=1.4,
-            gap=0.5,
-            depth=1.5,
-            walls_apart=3.0,
-            box=10.0,
-            baffles=((3.0, 0.75, 1.0, 0.5), (3.0, 0.75, 1.0, 1.75)),
-            duration=6.0,
-        ),
-    },
-}
-"""The scenes that `--tolerance` is measured on, by dimension."""
+@dataclass(frozen=True, kw_only=True)
+class Flows(Record):
+    """The contents of `flows.toml`."""
 
-UNSEEN = {
-    2: {
-        "low, 25°": Flow(aspect=0.7, friction_deg=25.0, box=9.0),
-        "low, 38°, rough": Flow(aspect=0.6, friction_deg=38.0, floor=0.7, box=7.0, duration=5.0),
-        "low, 33°, ten times the size": Flow(aspect=0.5, friction_deg=33.0, smallest=1.0, density=1500.0, box=9.0),
-        "square, 30°, damped": Flow(aspect=1.0, friction_deg=30.0, damping=0.08, box=7.0, duration=5.0),
-        "square, 36°, cohesive": Flow(aspect=1.2, friction_deg=36.0, cohesion=0.04, box=7.0, duration=5.0),
-        "1.5 times as high, 27°": Flow(aspect=1.5, friction_deg=27.0, box=11.0, duration=5.0),
-        "1.5 times as high, 40°": Flow(aspect=1.5, friction_deg=40.0, floor=0.5, box=8.0, duration=5.0),
-        "high, 24°, ten times the size": Flow(aspect=2.0, friction_deg=24.0, smallest=1.0, density=2200.0, box=14.0),
-        "high, cohesive, damped": Flow(
-            aspect=2.0, friction_deg=30.0, cohesion=0.01, damping=0.12, box=9.0, duration=5.0
-        ),
-        "tower, 28°": Flow(aspect=3.0, friction_deg=28.0, box=18.0, duration=4.5),
-        "stiff, 32°": Flow(aspect=1.0, friction_deg=32.0, stiffness=600.0, box=7.0),
-        "thrown, 35°": Flow(aspect=0.8, friction_deg=35.0, velocity=1.0, gap=0.5, box=11.0),
-        "thrown against a baffle": Flow(
-            aspect=1.0, friction_deg=30.0, velocity=1.2, gap=0.5, box=9.0, baffles=((3.0, 0.5, 0.5, 0.0),)
-        ),
-        "between rough walls": Flow(aspect=1.0, friction_deg=26.0, wall=0.4, gap=1.5, box=4.0, duration=5.0),
-    },
-    3: {
-        "low box, 37°": Flow(aspect=0.7, friction_deg=37.0, depth=1.0, box=5.0, duration=5.0),
-        "cube, 30°, ten times the size": Flow(
-            aspect=1.0, friction_deg=30.0, smallest=1.0, density=1600.0, depth=1.0, box=6.0, duration=5.0
-        ),
-        "cube, cohesive, damped": Flow(
-            aspect=1.0, friction_deg=32.0, cohesion=0.03, damping=0.1, depth=1.0, box=5.0, duration=4.0
-        ),
-        "high box, 28°": Flow(aspect=1.5, friction_deg=28.0, depth=1.0, box=8.0, duration=4.5),
-        "between walls, 24°": Flow(aspect=1.0, friction_deg=24.0, wall=0.2, depth=1.0, walls_apart=1.0, box=8.0),
-        "thrown at a baffle, 38°": Flow(
-            aspect=1.0,
-            friction_deg=38.0,
-            floor=0.5,
-            velocity=1.0,
-            gap=0.5,
-            depth=1.0,
-            walls_apart=2.0,
-            box=7.0,
-            baffles=((2.5, 0.5, 0.8, 0.75),),
-            duration=5.0,
-        ),
-    },
-}
-"""Others: other angles, shapes, sizes, densities, damping, cohesion, throws, walls and baffles."""
+    flows: tuple[Flow, ...]
 
 
-def shortened(flow: Flow, share: float) -> Flow:
-    """The same flow, cut off at a share of its duration."""
-    return dataclasses.replace(flow, duration=share * flow.duration)
+def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:
+    """The scenes of a dimension that `--tolerance` is measured on, or those that it is tried on, by name."""
+    flows = from_mapping(Flows, read_toml(Path(__file__).with_suffix(".toml"))).flows
+    return {each.name: each.scene() for each in flows if (each.dimension, each.unseen) == (dimension, unseen)}

@@ -54,10 +54,13 @@ class Check(Record):
     def finding(self, flow: Trajectory) -> Finding:
         """What it is in `flow`."""
         usual = QUANTITIES[self.quantity]
-        given = self.minimum is not None or self.maximum is not None
-        low, high = (self.minimum, self.maximum) if given else (usual.minimum, usual.maximum)
-        limits = {key: value for key, value in (("minimum", low), ("maximum", high)) if value is not None}
-        return Finding(check=usual.name, value=usual.measure(flow), unit=usual.unit, **limits)
+        return Finding(
+            check=usual.name,
+            value=usual.measure(flow),
+            unit=usual.unit,
+            minimum=usual.minimum if self.minimum is None else self.minimum,
+            maximum=usual.maximum if self.maximum is None else self.maximum,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

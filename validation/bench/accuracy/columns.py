@@ -1,0 +1,255 @@
+"""Columns that collapse: the reference paper's four beside its runouts, and others over their aspect ratio.
+
+Half a column in 2D, a quarter of a cylinder in 3D, against smooth walls, on a floor as rough as the sand; no column
+comes near the far walls. They differ in their aspect ratio a = H / L alone: the stiffness goes with the height,
+E = 150 rho g H, so lengths and times scale with L and sqrt(H / g).
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.library import read_scene
+from datasets.material import Material
+from datasets.measures import FRONT_QUANTILE, Positions, runout
+from datasets.records import Record, from_mapping, read_toml
+from datasets.scene import Domain, Mass, Scene
+from mpm import AT_REST
+from validation.bench.paper import read_paper
+from validation.report.page import Page, Row, percent, signed
+from validation.runs import Run, RunStore
+
+DAMPINGS = (0.12, 0.05, 0.0)
+"""That the paper's columns are tried with."""
+LENGTH, GRAVITY, DENSITY, FRICTION_DEG = 0.1, 9.81, 1800.0, 30.0
+"""L [m], the radius of a cylinder; [m/s^2]; [kg/m^3]; of grains and floor."""
+CELLS = {2: 16, 3: 8}
+"""Across the smaller of L and H, by dimension."""
+ASPECTS = {2: (0.5, 1.0, 2.0, 4.0, 8.0), 3: (0.5, 1.0, 2.0, 4.0)}
+EXTENT = {2: (3.0, 0.8), 3: (3.0, 0.55)}
+"""Prefactor and exponent, by dimension, of a runout (d - L) / L that no column comes near: the length of the box."""
+SUMMIT = 0.25
+"""The deposit's height is measured this near to the axis, in L."""
+OURS, APIC = "Talus", "Talus, APIC"
+
+Quantity = Literal["front", "height"]
+Found = Mapping[tuple[int, Quantity, str, float], float]
+"""Fronts (d - L) / L and heights h / L by dimension, quantity, transfer and aspect ratio."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law(Record):
+    """A published law prefactor a^exponent, in some range of the aspect ratio a."""
+
+    source: str
+    dimension: int
+    quantity: Quantity
+    prefactor: float
+    exponent: float
+    above: float = 0.0
+    below: float = math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Code(Record):
+    """Fronts (d - L) / L by another code."""
+
+    name: str
+    aspects: tuple[float, ...]
+    fronts: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published(Record):
+    """The contents of `columns.toml`."""
+
+    laws: tuple[Law, ...]
+    codes: tuple[Code, ...]
+
+
+def column(dimension: int, aspect: float, cells: int) -> Scene:
+    """Half a column, or a quarter of a cylinder in slabs half a cell thick as long as the circle at their middle."""
+    across = round(cells / min(1.0, aspect))
+    cell, height = LENGTH / across, aspect * LENGTH
+    masses = [Mass(lower=(0.0, 0.0), size=(LENGTH, height))]
+    if dimension == 3:
+        half = 0.5 * cell
+        chords = [math.sqrt(LENGTH**2 - ((number + 0.5) * half) ** 2) for number in range(2 * across)]
+        masses = [
+            Mass(lower=(0.0, 0.0, number * half), size=(max(1, round(chord / half)) * half, height, half))
+            for number, chord in enumerate(chords)
+        ]
+    factor, exponent = EXTENT[dimension]
+    long = math.ceil(across * (1.5 + factor * aspect**exponent)) * cell
+    high = math.ceil(across * aspect * 1.1) * cell
+    time = math.sqrt(height / GRAVITY)
+    return Scene(
+        domain=Domain(size=(long, high) if dimension == 2 else (long, high, long), cell=cell),
+        material=Material(
+            friction_deg=FRICTION_DEG, density=DENSITY, young=150.0 * DENSITY * GRAVITY * height, poisson=0.3
+        ),
+        masses=tuple(masses),
+        duration=15.0 * time,
+        frame_dt=0.05 * time,
+        gravity=GRAVITY,
+        floor_friction=math.tan(math.radians(FRICTION_DEG)),
+        step_fraction=0.9,
+    )
+
+
+def measured(positions: Positions) -> dict[Quantity, float]:
+    """The front, (d - L) / L with d the radius that 99.5 % of the particles are within, and h / L at the axis."""
+    x = positions.astype(np.float64)
+    radius = x[:, 0] if x.shape[1] == 2 else np.hypot(x[:, 0], x[:, 2])
+    return {
+        "front": float(np.quantile(radius, FRONT_QUANTILE)) / LENGTH - 1.0,
+        "height": float(np.quantile(x[radius < SUMMIT * LENGTH, 1], 0.99)) / LENGTH,
+    }
+
+
+def collapse(store: RunStore, *, quick: bool) -> Found:
+    """Columns over their aspect ratio, by the default transfer and, in 2D, by APIC."""
+    kinds = [(2, OURS, None), (2, APIC, 0.0), (3, OURS, None)]
+    runs = {
+        (dimension, name, aspect): Run(
+            scene=dataclasses.replace(column(dimension, aspect, CELLS[dimension]), relaxation_time=time), record=AT_REST
+        )
+        for dimension, name, time in kinds[: 2 if quick else 3]
+        for aspect in ASPECTS[dimension][1 : 3 if quick else None]
+    }
+    flows = store.run(list(runs.values()))
+    return {
+        (dimension, quantity, name, aspect): value
+        for (dimension, name, aspect), flow in zip(runs, flows, strict=True)
+        for quantity, value in measured(flow.positions[-1]).items()
+    }
+
+
+def others() -> Found:
+    """Published laws at the aspect ratios that they are for, and the fronts of other codes."""
+    published = from_mapping(Published, read_toml(Path(__file__).with_suffix(".toml")))
+    laws = {
+        (law.dimension, law.quantity, law.source, aspect): law.prefactor * aspect**law.exponent
+        for law in published.laws
+        for aspect in ASPECTS[law.dimension]
+        if law.above <= aspect < law.below
+    }
+    codes: Found = {
+        (2, "front", code.name, aspect): value
+        for code in published.codes
+        for aspect, value in zip(code.aspects, code.fronts, strict=True)
+    }
+    return {**laws, **codes}
+
+
+def aspect_tables(page: Page, found: Found) -> None:
+    """The tables of columns over their aspect ratio."""
+    known = {**found, **others()}
+    page.section("Columns over their aspect ratio")
+    page.text(f"""
+        Columns of length (in 3D: cylinders of radius) L and height H = a L, dry sand of {FRICTION_DEG:g}° on a floor as
+        rough, undamped, {CELLS[2]} cells across the smaller of L and H in 2D, {CELLS[3]} in 3D, until they rest. Front:
+        (d - L) / L of 99.5 % of the particles; height: h / L at the axis. The laws of the literature are of the
+        furthest grains; side walls brake the experiments in channels, not discs and rods. Other codes ran on the same
+        grids.
+    """)
+    for dimension, quantity in dict.fromkeys(key[:2] for key in found):
+        names = dict.fromkeys(name for d, q, name, _ in known if (d, q) == (dimension, quantity))
+        aspects = [a for d, q, name, a in found if (d, q, name) == (dimension, quantity, OURS)]
+        rows: list[Row] = [
+            {f"{quantity}, {dimension}D": name}
+            | {f"a = {a:g}": known.get((dimension, quantity, name, a), math.nan) for a in aspects}
+            for name in names
+        ]
+        page.table(rows, formats={f"a = {a:g}": ".2f" for a in aspects})
+
+
+def aspect_text(found: Found) -> str:
+    """How fronts compare with other codes and with published laws, one sentence."""
+    codes = [
+        found[2, "front", APIC, a] / value
+        for (_, _, who, a), value in others().items()
+        if "APIC" in who and (2, "front", APIC, a) in found
+    ]
+    laws = [
+        found[d, "front", OURS, a] / value
+        for (d, quantity, who, a), value in others().items()
+        if quantity == "front" and "APIC" not in who and (d, "front", OURS, a) in found
+    ]
+    return (
+        f"By APIC, columns run out as in other codes within {percent(max(abs(each - 1.0) for each in codes))}; by the"
+        f" default transfer {min(laws):.2f} to {max(laws):.2f} times as far as published laws say."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperColumns:
+    """Runouts of the paper's columns [m] by damping and name, one per jitter, beside those that it states."""
+
+    found: Mapping[tuple[float, str], Sequence[float]]
+    stated: Mapping[str, float]
+
+    def deviations(self, damping: float) -> NDArray[np.float64]:
+        """Of the mean runouts, relative, one per column."""
+        return np.array([np.mean(self.found[damping, name]) / value - 1.0 for name, value in self.stated.items()])
+
+    def rms(self, damping: float) -> float:
+        """Root mean square of the deviations."""
+        return float(np.sqrt(np.mean(self.deviations(damping) ** 2)))
+
+    def __str__(self) -> str:
+        best = min(DAMPINGS, key=self.rms)
+        return (
+            f"The paper's runouts come out within {percent(self.rms(best))} rms with a damping of {best:g} that it does"
+            f" not state, {signed(float(self.deviations(0.0).mean()))} on average without damping."
+        )
+
+    def table(self, page: Page) -> None:
+        """The section of a page."""
+        scene = read_scene("column-tall-42")
+        page.section("The paper's columns")
+        page.text(f"""
+            The four columns of the reference paper ([references](theory/references.md)): runout (largest x) at 1 s [m]
+            on its cells of {scene.domain.cell:g} m, mean over jitters. It states neither its damping nor the friction
+            of its floor; ours is {scene.floor_friction:g}.
+        """)
+        rows: list[Row] = [
+            {"damping": "the paper"}
+            | {name: f"{value:.4f}" for name, value in self.stated.items()}
+            | {"mean": "", "rms": ""}
+        ]
+        for damping in DAMPINGS:
+            cells = {name: f"{np.mean(self.found[damping, name]):.4f}" for name in self.stated}
+            mean = signed(float(self.deviations(damping).mean()))
+            rows.append({"damping": f"{damping:g}"} | cells | {"mean": mean, "rms": percent(self.rms(damping))})
+        page.table(rows)
+
+
+def paper_columns(store: RunStore, seeds: int) -> PaperColumns:
+    """Run the paper's columns."""
+    stated = {each.name: each.runout for each in read_paper().scenarios}
+    keys = [(damping, name, seed) for damping in DAMPINGS for name in stated for seed in range(seeds)]
+    flows = store.run(
+        [Run(scene=dataclasses.replace(read_scene(f"column-{n}"), damping=d, seed=seed)) for d, n, seed in keys]
+    )
+    found: dict[tuple[float, str], list[float]] = {}
+    for (damping, name, _), flow in zip(keys, flows, strict=True):
+        found.setdefault((damping, name), []).append(runout(flow.positions[-1]))
+    return PaperColumns(found=found, stated=stated)
+
+
+def series(found: Found) -> Sequence[tuple[str, list[float], list[float]]]:
+    """Name, aspect ratios and fronts in 2D of ours and of the laws, for the picture."""
+    known = {**found, **others()}
+    names = dict.fromkeys(name for d, q, name, _ in known if (d, q) == (2, "front"))
+    lines = []
+    for name in names:
+        points = sorted((a, value) for (d, q, who, a), value in known.items() if (d, q, who) == (2, "front", name))
+        lines.append((name, [a for a, _ in points], [value for _, value in points]))
+    return lines
