@@ -145,7 +145,7 @@ def import_dataset(source: Path, layout: str, out: Path, *, scene: Scene | None,
         names, ours = code.names(path), known.get(split.value, {})
         safe = all(map(SAFE_NAME.fullmatch, names)) and len({name.casefold() for name in names}) == len(names)
         stems = list(ours) or (names if safe else [f"{index:05d}" for index in range(len(names))])
-        scenes = [from_mapping(Scene, each) for each in ours.values()] or [scene] * len(names)
+        scenes: list[Scene | None] = [from_mapping(Scene, each) for each in ours.values()] or [scene] * len(names)
         if None in scenes or len(scenes) != len(names):
             raise InputError(f"expected --scene, for there is no {SCENES} of these trajectories", where=str(source))
         begin(out, record)

@@ -1,6 +1,5 @@
 """Maps and profiles as pictures: over the shaded relief and the contours of the ground, with outlines and units."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,9 +8,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.exchange.rasters import Georeference, outline
 from datasets.files import replacing
 from datasets.geometry.surface import solids_of
+from datasets.maps.files import Georeference, outline
 from datasets.maps.plan import PlanMaps, ground
 from datasets.scene import Scene
 
@@ -57,7 +56,7 @@ def draw_map(
     extent = (georeference.east, georeference.east + width, georeference.north, georeference.north + length)
     figure = Figure(figsize=(WIDTH, min(HIGHEST, 1.3 + 0.8 * WIDTH * length / width)), layout="constrained")
     axis = figure.add_subplot(aspect="equal")
-    _draw_relief(axis, terrain(scene, maps), maps, georeference, extent)
+    _draw_relief(axis, ground(scene, maps.edges, terrain_alone=True), maps, georeference, extent)
     shown = np.ma.masked_where(~covered, values)
     image = axis.imshow(shown.T, cmap=colours, extent=extent, origin="lower", vmin=0.0, alpha=0.9, zorder=2)
     figure.colorbar(image, cax=axis.inset_axes((1.02, 0.0, 0.025, 1.0)), label=label)
@@ -68,9 +67,9 @@ def draw_map(
     ]
     for name, thickness, style in lines:
         if thickness is not None:
-            for polygon in outline(thickness, cell, georeference, maps.threshold):
-                for ring in polygon:
-                    axis.plot(*np.array(ring).T, color=INK, linestyle=style, linewidth=1.0, zorder=4)
+            for polygon in outline(thickness, cell, georeference, maps.threshold).geoms:
+                for ring in (polygon.exterior, *polygon.interiors):
+                    axis.plot(*ring.xy, color=INK, linestyle=style, linewidth=1.0, zorder=4)
             handles.append(Line2D([], [], color=INK, linestyle=style, label=f"{name}, over {maps.threshold:.3g} m"))
     for corners in boxes_in_plan(scene):
         x, z = corners.T
@@ -89,17 +88,12 @@ def draw_map(
         figure.savefig(part, dpi=120)
 
 
-def terrain(scene: Scene, maps: PlanMaps) -> Floats:
-    """Elevation of all that is solid but the boxes, which are drawn as such [m], shape [X, Z]."""
-    others = tuple(solid for solid in scene.solids if solid.kind != "box")
-    return ground(dataclasses.replace(scene, baffles=(), solids=others), maps.edges)
-
-
 def _draw_relief(
     axis: "Axes", ground: Floats, maps: PlanMaps, georeference: Georeference, extent: tuple[float, float, float, float]
 ) -> None:
     """The ground [m], shape [X, Z], shaded, with labelled contours; nothing where it is level."""
     from matplotlib.colors import LightSource
+    from matplotlib.ticker import MaxNLocator
 
     cell = float(maps.edges[0][1])
     relief, length = float(np.ptp(ground)), cell * max(ground.shape)
@@ -110,8 +104,7 @@ def _draw_relief(
     exaggeration = max(1.0, 0.2 * length / relief)
     shade = LightSource(*SUN).hillshade(ground.T[::-1], vert_exag=exaggeration, dx=cell, dy=cell)
     axis.imshow(shade, cmap="gray", extent=extent, origin="upper", vmin=-1.1, vmax=1.05, zorder=0)
-    step = nice_step(relief / CONTOURS)
-    levels = np.arange(math.floor(ground.min() / step) + 1, math.ceil(ground.max() / step)) * step
+    levels = MaxNLocator(CONTOURS).tick_values(ground.min(), ground.max())[1:-1]
     if len(levels) > 0:
         x, z = maps.coordinates
         lines = axis.contour(
@@ -124,12 +117,6 @@ def _draw_relief(
             zorder=1,
         )
         axis.clabel(lines, levels[::2], fontsize=7, fmt=lambda level: f"{level:g} m")
-
-
-def nice_step(minimum: float) -> float:
-    """The smallest of 1, 2 and 5 times a power of ten not below `minimum`."""
-    power = 10.0 ** math.floor(math.log10(minimum))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= minimum * (1.0 - 1e-9))
 
 
 def boxes_in_plan(scene: Scene) -> list[Floats]:

@@ -17,7 +17,6 @@ of a cell is the mean over its depth,
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,8 @@ from tqdm import tqdm
 
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes
-from datasets.geometry.surface import surface_of
+from datasets.geometry.ground import elevation
+from datasets.geometry.surface import Box, solids_of, surface_of
 from datasets.measures import profile_stations
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -37,9 +37,9 @@ WIDTH = 2.0
 CHUNK = 4_000_000
 """Cells that particles are spread over at once: bounds the memory."""
 UPRIGHT = 1.0e-12
-"""Area in plan of a face over the square of its length, below which it stands upright."""
+"""Area in plan of a face over that of the square around it, below which it stands upright."""
 ON_EDGE = 1.0e-9
-"""Share of a triangle by which rounding may put a place on its edge beside it."""
+"""Share of a face, and length [m], by which rounding may put a place on its edge beside it."""
 OUTSIDE = 1.0e-6
 """Share of the box by which rounding may put a particle beyond a wall."""
 
@@ -175,51 +175,41 @@ class Mapper:
     """Spreads the frames of a trajectory over the cells of one map."""
 
     def __init__(self, trajectory: Trajectory, edges: tuple[Floats, ...]) -> None:
-        self.trajectory, self.edges = trajectory, edges
-        self.meshes, self.volumes = Meshes(trajectory), trajectory.volumes
         scene = trajectory.scene
-        self.axes = plan_axes(scene)
+        self.trajectory, self.edges, self.axes = trajectory, edges, plan_axes(scene)
+        self.meshes, self.volumes = Meshes(trajectory), trajectory.volumes
         self.walls = tuple(scene.domain.size[axis] for axis in self.axes)
         self.shape = tuple(len(along) - 1 for along in edges)
-
-    @property
-    def spacing(self) -> float:
+        self.spacing = float(np.mean(self.volumes) ** (1.0 / scene.dimension))
         """Mean distance of neighbouring particles at the start [m]."""
-        return float(np.mean(self.volumes) ** (1.0 / self.trajectory.scene.dimension))
-
-    @cached_property
-    def sizes(self) -> Floats:
+        self.sizes = np.minimum(WIDTH * self.volumes ** (1.0 / scene.dimension), min(self.walls))
         """Half-width of the pyramid of each particle [m], shape [N]; no wider than the box."""
-        return np.asarray(np.minimum(WIDTH * self.volumes ** (1.0 / self.trajectory.scene.dimension), min(self.walls)))
 
     def inside(self, frame: int) -> NDArray[np.bool_]:
         """Which particles are in the box at `frame`, shape [N]."""
-        size = np.array(self.trajectory.scene.domain.size)
-        share = self.trajectory.positions[frame] / size
+        share = self.trajectory.positions[frame] / np.array(self.trajectory.scene.domain.size)
         return np.asarray(((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1))
 
-    def at(self, frame: int, *, moving: bool) -> tuple[Floats, Floats | None]:
-        """Thickness [m] at `frame`, and velocity [m/s] where wanted, `moving`, and known; shapes of the map."""
-        velocity = self.meshes.velocity(frame) if moving else None
-        dimension = self.trajectory.scene.dimension
-        volume = np.zeros(self.shape)
-        momentum = np.zeros((dimension, *self.shape))
+    def at(self, frame: int) -> tuple[Floats, Floats | None]:
+        """Thickness [m] at `frame`, and velocity [m/s] where known; shapes of the map."""
+        velocity, positions = self.meshes.velocity(frame), self.trajectory.positions[frame]
+        # Volume, and where known momentum, that each particle carries.
+        carried = self.volumes[:, None]
+        if velocity is not None:
+            carried = np.concatenate([carried, carried * velocity], axis=1)
+        total = np.zeros((carried.shape[1], *self.shape))
         present = np.flatnonzero(self.inside(frame))
         each = math.prod(2 + int(2.0 * self.sizes.max() / np.diff(along).min()) for along in self.edges)
         length = max(1, CHUNK // each)
         for begin in range(0, len(present), length):
             chosen = present[begin : begin + length]
-            coordinates = self.trajectory.positions[frame][chosen][:, self.axes].astype(np.float64)
-            spread = Spread(np.clip(coordinates, 0.0, self.walls), self.sizes[chosen], self.edges, self.walls)
-            volume += spread.total(self.volumes[chosen])
-            if velocity is not None:
-                for axis in range(dimension):
-                    momentum[axis] += spread.total(self.volumes[chosen] * velocity[chosen, axis])
-        areas = areas_of(self.edges)
-        if velocity is None:
-            return volume / areas, None
-        speed = np.linalg.norm(momentum, axis=0)
-        return volume / areas, np.divide(speed, volume, out=np.zeros_like(speed), where=volume > 0.0)
+            coordinates = np.clip(positions[chosen][:, self.axes].astype(np.float64), 0.0, self.walls)
+            spread = Spread(coordinates, self.sizes[chosen], self.edges, self.walls)
+            for number, values in enumerate(carried[chosen].T):
+                total[number] += spread.total(values)
+        volume, speed = total[0], np.linalg.norm(total[1:], axis=0)
+        fast = np.divide(speed, volume, out=np.zeros_like(speed), where=volume > 0.0)
+        return volume / areas_of(self.edges), None if velocity is None else fast
 
 
 def maps_of(
@@ -238,7 +228,7 @@ def maps_of(
     thickness, depth = np.zeros(mapper.shape), np.zeros(mapper.shape)
     fastest, known, start = np.zeros(mapper.shape), False, None
     for frame in tqdm(range(last + 1), desc="maps", unit="frame", disable=not progress):
-        thickness, speed = mapper.at(frame, moving=True)
+        thickness, speed = mapper.at(frame)
         depth = np.maximum(depth, thickness)
         if speed is not None:
             known, fastest = True, np.where(thickness > smallest, np.maximum(fastest, speed), fastest)
@@ -258,59 +248,26 @@ def maps_of(
     )
 
 
-def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
+def ground(scene: Scene, edges: tuple[Floats, ...], *, terrain_alone: bool = False) -> Floats:
     """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; [X] or [X, Z].
 
-    Of cells that go beyond the box that at the nearest place in it.
+    Of cells that go beyond the box that at the nearest place in it. terrain_alone: without all other solids.
     """
-    surface = surface_of(scene)
-    walls = [scene.domain.size[axis] for axis in plan_axes(scene)]
-    coordinates = [np.clip(along, 0.0, wall) for along, wall in zip(coordinates_in(edges), walls, strict=True)]
-    if surface is None:
-        return np.zeros([len(along) for along in coordinates])
-    if surface.dimension == 2:
-        return _ground_line(surface.corners, coordinates[0])
-    return _ground_map(surface.corners, coordinates)
-
-
-def _ground_line(corners: Floats, x: Floats) -> Floats:
-    """The highest of the segments [F, 2, 2] at each x [m]; 0 where there is none."""
-    begin, end = np.moveaxis(np.take_along_axis(corners, corners[:, :, :1].argsort(axis=1), axis=1), 1, 0)
-    over = (begin[:, :1] <= x) & (x <= end[:, :1])
-    width = end[:, 0] - begin[:, 0]
-    slope = np.divide(end[:, 1] - begin[:, 1], width, out=np.zeros_like(width), where=width > 0.0)
-    height = np.where(width > 0.0, begin[:, 1], np.maximum(begin[:, 1], end[:, 1]))[:, None]
-    height = height + slope[:, None] * (x - begin[:, :1])
-    return np.asarray(np.where(over, height, 0.0).max(axis=0, initial=0.0))
-
-
-def _ground_map(corners: Floats, coordinates: list[Floats]) -> Floats:
-    """The highest of the triangles [F, 3, 3] over each (x, z) [m]; 0 where there is none."""
-    x, z = coordinates
-    low, high = corners[:, :, [0, 2]].min(axis=1), corners[:, :, [0, 2]].max(axis=1)
-    first = np.stack([np.searchsorted(x, low[:, 0]), np.searchsorted(z, low[:, 1])], axis=1)
-    last = np.stack(
-        [np.searchsorted(x, high[:, 0], side="right"), np.searchsorted(z, high[:, 1], side="right")], axis=1
-    )
-    counts = last - first
-    # Every triangle with every place in the rectangle around it.
-    face = np.repeat(np.arange(len(corners)), counts.prod(axis=1))
-    number = np.arange(len(face)) - np.repeat(np.cumsum(counts.prod(axis=1)) - counts.prod(axis=1), counts.prod(axis=1))
-    i, k = first[face, 0] + number // counts[face, 1], first[face, 1] + number % counts[face, 1]
-    a, b, c = np.moveaxis(corners[face], 1, 0)
-
-    def twice_area(p: Floats, q: Floats, r: Floats) -> Floats:
-        """Of triangles in plan, signed."""
-        return np.asarray((q[:, 0] - p[:, 0]) * (r[:, 2] - p[:, 2]) - (q[:, 2] - p[:, 2]) * (r[:, 0] - p[:, 0]))
-
-    centre = np.stack([x[i], np.zeros(len(i)), z[k]], axis=1)
-    parts = np.stack([twice_area(centre, b, c), twice_area(a, centre, c), twice_area(a, b, centre)], axis=1)
-    whole = parts.sum(axis=1)
-    # Faces that stand upright cover nothing.
-    lies = np.abs(whole) > UPRIGHT * (high[face] - low[face]).max(axis=1) ** 2
-    share = np.divide(parts, whole[:, None], out=np.full_like(parts, -1.0), where=lies[:, None])
-    over = (share >= -ON_EDGE).all(axis=1)
-    height = np.zeros((len(x), len(z)))
-    heights = (share * np.stack([a[:, 1], b[:, 1], c[:, 1]], axis=1)).sum(axis=1)
-    np.maximum.at(height, (i[over], k[over]), heights[over])
-    return height
+    axes = plan_axes(scene)
+    lines = [np.clip(c, 0.0, scene.domain.size[axis]) for c, axis in zip(coordinates_in(edges), axes, strict=True)]
+    plan = np.stack([each.ravel() for each in np.meshgrid(*lines, indexing="ij")], axis=1)
+    height = elevation(scene.solids, Box(scene.domain.size, scene.domain.cell), plan)
+    surface = None if terrain_alone else surface_of(scene)
+    if surface is not None:
+        others = [number for number, solid in enumerate(solids_of(scene)[0]) if solid.kind != "terrain"]
+        for corners in surface.corners[np.isin(surface.solid, others)]:
+            low, high = corners[:, axes].min(axis=0), corners[:, axes].max(axis=0)
+            # Barycentric coordinates of the places in plan; faces that stand upright cover nothing.
+            matrix = np.vstack([corners[:, axes].T, np.ones(len(corners))])
+            if abs(np.linalg.det(matrix)) <= UPRIGHT * float((high - low).max()) ** len(axes):
+                continue
+            near = np.flatnonzero(((plan >= low - ON_EDGE) & (plan <= high + ON_EDGE)).all(axis=1))
+            share = np.linalg.solve(matrix, np.vstack([plan[near].T, np.ones(len(near))]))
+            over = (share >= -ON_EDGE).all(axis=0)
+            height[near[over]] = np.maximum(height[near[over]], (corners[:, 1] @ share)[over])
+    return height.reshape([len(each) for each in lines])

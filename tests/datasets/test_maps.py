@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import rasterio
 from matplotlib.image import imread
+from shapely import MultiPolygon
 from shapely.geometry import shape
 
 from datasets.command_line import run
-from datasets.exchange.rasters import LOCAL, Georeference, area, outline, write_outlines, write_raster
 from datasets.library import read_scene
-from datasets.maps.__main__ import COLUMNS, command, summary, write_maps, write_profile
+from datasets.maps.__main__ import command, summary, write_maps, write_profile
+from datasets.maps.files import LOCAL, Georeference, outline, write_outlines, write_raster
 from datasets.maps.pictures import draw_map
 from datasets.maps.plan import map_edges, maps_of, station_edges
 from datasets.material import Material
@@ -108,22 +109,19 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
     x, z = np.meshgrid(*[(np.arange(100) + 0.5) * cell] * 2, indexing="ij")
     distance = np.hypot(x - 0.5, z - 0.4)
     values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
-    (rings,) = polygons = outline(values, cell, georeference, 0.05)
-    assert len(rings) == 2
-    assert area(polygons) == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
-    assert all(ring[0] == ring[-1] for ring in rings)
-    polygon = shape({"type": "Polygon", "coordinates": rings})
+    (polygon,) = outline(values, cell, georeference, 0.05).geoms
+    assert polygon.area == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
     assert polygon.is_valid
     assert polygon.exterior.is_ccw
-    assert not polygon.interiors[0].is_ccw
+    assert [ring.is_ccw for ring in polygon.interiors] == [False]
     assert (polygon.centroid.x, polygon.centroid.y) == pytest.approx((1000.5, 2000.4), abs=1e-3)
 
 
 def test_an_outline_ends_at_the_walls() -> None:
     polygons = outline(np.full((10, 4), 0.2), 0.1, LOCAL, 0.05)
-    assert area(polygons) == pytest.approx(0.4, rel=1e-5)
-    assert np.array(polygons[0][0]).min(axis=0) == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05) == []
+    assert polygons.area == pytest.approx(0.4, rel=1e-5)
+    assert polygons.bounds[:2] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05).is_empty
 
 
 def test_the_extent_is_that_of_the_largest_part(flow: Trajectory) -> None:
@@ -132,19 +130,19 @@ def test_the_extent_is_that_of_the_largest_part(flow: Trajectory) -> None:
     astray[-1, :8] = np.float32([0.925, 0.2, 0.125])
     lost = dataclasses.replace(flow, positions=astray)
     maps = maps_of(lost, map_edges(flow.scene, 0.05), threshold=0.02)
-    assert len(outline(maps.thickness, 0.05, LOCAL, 0.02)) == 2
+    assert len(outline(maps.thickness, 0.05, LOCAL, 0.02).geoms) == 2
     assert summary(lost, maps, LOCAL)["extent"] == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.parametrize("georeference", [LOCAL, ALPS])
 def test_outlines_as_geojson(tmp_path: Path, georeference: Georeference) -> None:
     found = outline(np.full((10, 4), 0.2), 0.1, georeference, 0.05)
-    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": []}, 0.05, georeference)
+    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": MultiPolygon()}, 0.05, georeference)
     text = json.loads((tmp_path / "outline.geojson").read_text())
     deposit, release = text["features"]
     assert deposit["properties"] == {"name": "deposit", "threshold_m": 0.05, "area_m2": pytest.approx(0.4, rel=1e-5)}
     assert shape(deposit["geometry"]).area == pytest.approx(0.4, rel=1e-5)
-    assert release["geometry"] == {"type": "MultiPolygon", "coordinates": []}
+    assert shape(release["geometry"]).is_empty
     named = text.get("crs", {}).get("properties")
     assert named == (None if georeference is LOCAL else {"name": "urn:ogc:def:crs:EPSG::25832"})
 
@@ -243,7 +241,7 @@ def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
     maps = maps_of(flow, station_edges(flow.scene, 0.05))
     write_profile(flow, maps, tmp_path, ("csv", "png"))
     rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
-    assert rows.dtype.names == COLUMNS
+    assert rows.dtype.names == ("x", "height", "surface", "ground", "largest_depth", "largest_velocity")
     np.testing.assert_allclose(rows["x"], np.arange(21) * 0.05, atol=1e-9)
     assert np.trapezoid(rows["height"], rows["x"]) == pytest.approx(0.2 * 0.1, rel=1e-6)
     np.testing.assert_array_equal(rows["surface"], rows["height"])
