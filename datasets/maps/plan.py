@@ -25,7 +25,7 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes
 from datasets.geometry.ground import elevation
-from datasets.geometry.surface import Box, solids_of, surface_of
+from datasets.geometry.surface import solids_of, surface_of
 from datasets.measures import profile_stations
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -256,7 +256,7 @@ def ground(scene: Scene, edges: tuple[Floats, ...], *, terrain_alone: bool = Fal
     axes = plan_axes(scene)
     lines = [np.clip(c, 0.0, scene.domain.size[axis]) for c, axis in zip(coordinates_in(edges), axes, strict=True)]
     plan = np.stack([each.ravel() for each in np.meshgrid(*lines, indexing="ij")], axis=1)
-    height = elevation(scene.solids, Box(scene.domain.size, scene.domain.cell), plan)
+    height = elevation(scene.solids, scene.domain, plan)
     surface = None if terrain_alone else surface_of(scene)
     if surface is not None:
         others = [number for number, solid in enumerate(solids_of(scene)[0]) if solid.kind != "terrain"]
