@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.shapes import require
+from datasets.errors import InputError
 from datasets.scene import Domain, Scene, Solid
 
 Floats = NDArray[np.float64]
@@ -99,11 +99,13 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats,
     return axes[0], axes[1], heights, friction
 
 
-def check_covers(at: Floats, name: str, length: float, slack: float, key: str) -> None:
+def check_covers(
+    at: Floats, name: str, length: float, slack: float, key: str, *, what: str = "ground", where: str = ""
+) -> None:
     """Raise InputError unless coordinates [m] go from 0 to `length`, or to within `slack` of both."""
-    covers = at[0] <= slack + TOUCHING and at[-1] >= length - slack - TOUCHING
-    expected = f"ground over the whole box, {name} from 0 to {length:g} or within a cell of it"
-    require(covers, key, expected, f"{at[0]:g} to {at[-1]:g}")
+    if at[0] > slack + TOUCHING or at[-1] < length - slack - TOUCHING:
+        expected = f"expected {what} over the whole box, {name} from 0 to {length:g} or within a cell of it"
+        raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", where=where, key=key)
 
 
 def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:

@@ -64,6 +64,13 @@ class Field:
         extra = None if self.extra is None else self.extra[i, k]
         return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k], extra=extra)
 
+    def check_whole(self, path: Path) -> None:
+        """Raise InputError for a field with holes."""
+        holes = np.argwhere(np.isnan(self.values))
+        for i, k in holes[:1]:
+            where = f"{len(holes)} cells without data, the first at x = {self.x[i]:g}, z = {self.z[k]:g}"
+            raise InputError(f"expected a raster without holes in the box, got {where}", where=str(path))
+
 
 def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Field:
     """A field from a raster or from the columns x, z and `column` of a CSV. Raises InputError, which names the file.
@@ -140,28 +147,24 @@ def check_units(crs: object, unit: str | None) -> None:
 
 
 def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:
-    """Rows x, z, value as a regular grid. Raises InputError for rows that are missing, twice or not on one."""
+    """Rows x, z, value as a regular grid, with holes where rows are missing. Raises InputError for rows not on one."""
     x, i = np.unique(columns["x"], return_inverse=True)
     z, k = np.unique(columns["z"], return_inverse=True)
-    count = len(columns["x"])
     if min(len(x), len(z)) < 2:
         raise InputError("expected rows on a grid of at least 2 x 2 places in x and z")
     for name, coordinates in (("x", x), ("z", z)):
         steps = np.diff(coordinates)
         if steps.max() - steps.min() > REGULAR * steps.max():
             raise InputError(f"expected a regular grid, {name} has steps of {steps.min():g} and of {steps.max():g}")
-    number = i * len(z) + k
-    if len(np.unique(number)) < count:
+    if len(np.unique(i * len(z) + k)) < len(i):
         raise InputError("expected each place once, some are there twice")
-    if count < len(x) * len(z):
-        raise InputError(
-            f"expected a row for each of {len(x)} x {len(z)} places, {len(x) * len(z) - count} are missing"
-        )
-    metres = UNITS[unit]
 
     def grid(values: Floats) -> Floats:
-        return np.asarray(values[np.argsort(number)].reshape(len(x), len(z)))
+        found = np.full((len(x), len(z)), np.nan)
+        found[i, k] = values
+        return found
 
+    metres = UNITS[unit]
     return Field(
         x=metres * x,
         z=metres * z,

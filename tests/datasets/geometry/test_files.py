@@ -199,7 +199,7 @@ CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
     ("dem.tif", TERRAIN, csv("no raster"), "expected a readable raster"),
     ("dem.png", TERRAIN, csv("no raster"), "expected a raster (.asc, .tif, .tiff) or a CSV"),
     ("dem.asc", TERRAIN, None, "there is none"),
-    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1\n", "")), "1 are missing"),
+    ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1\n", "")), "1 cells without data"),
     ("dem.csv", TERRAIN, csv(SQUARE + "2,1,1\n"), "some are there twice"),
     ("dem.csv", TERRAIN, csv(SQUARE + "3,0,1\n3,1,1\n"), "expected a regular grid, x has steps of 1 and of 2"),
     ("dem.csv", TERRAIN, csv(SQUARE.replace("2,1,1", "2,1,nan")), "expected finite numbers in line 5"),
@@ -208,7 +208,7 @@ CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
     ("dem.csv", TERRAIN, csv("a,b\n1,2\n"), "expected a header with the columns `x`, `z`, `y`, got a, b"),
     ("m.stl", '[[solids]]\nkind = "mesh"\n', open_ball, "expected a closed surface, got one with 3 open edges"),
     ("m.stl", '[[masses]]\nkind = "mesh"\n', open_ball, "expected a closed surface, got one with 3 open edges"),
-    ("m.obj", '[[solids]]\nkind = "mesh"\n', csv("v 1 2"), "expected vertices of three"),
+    ("m.obj", '[[solids]]\nkind = "mesh"\n', csv("v 1 2"), "three values per point"),
     ("m.xyz", '[[solids]]\nkind = "mesh"\n', csv("v 1 2"), "a file that ends in .stl"),
     ("p.npz", '[[masses]]\nkind = "particles"\n', csv("no archive"), "expected an NPZ of plain numbers"),
     (
