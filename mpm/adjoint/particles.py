@@ -9,35 +9,14 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 
 import taichi as ti
 
-from mpm.adjoint.contact import (
-    contact_of,
-    foot_motion,
-    jump_reverse,
-    opening_of,
-    push_reverse,
-    slip_reverse,
-    touched,
-)
+from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
-from mpm.adjoint.properties import add_property_bar, strength_reverse
-from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
-from mpm.adjoint.transfer import (
-    affine_reverse,
-    gather_moments,
-    gather_motion,
-    gather_reverse,
-    prepare_weights,
-    scatter_reverse,
-)
-from mpm.adjoint.volume_correction import cracks_reverse, gap_reverse
+from mpm.adjoint.stress import stress_reverse
+from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
-from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, component
+from mpm.arrays.layout import PADDING, Offset, Property, Setting, component
 from mpm.physics.boundary import is_wall
-from mpm.physics.contact import normal_stress
-from mpm.physics.particles import strength_of
-from mpm.physics.stress import midpoint_increment, trial_stress, with_cracks
 from mpm.physics.transfer import prepare_contributions, property_of, spline, volume_of
-from mpm.physics.volume_correction import updated_gap
 
 
 @ti.func
@@ -137,100 +116,6 @@ def update_block_reverse(
         arrays.adjoints[own + j] = moved
     if ti.static(features.relaxed):
         add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
-
-
-@ti.func
-def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
-    """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it."""
-    features, layout = arrays.features, arrays.layout
-    size = ti.static(features.dimension)
-    first, own = no_overflow(block * features.block), block * layout.width
-    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    gradient = [dt * arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
-    inside = midpoint_increment(gradient, size)
-    touching, zero = 0, 0.0 * stress[0]
-    jump, opening, opening_bar, shear_bar = zero, zero, zero, zero
-    n, n_bar = [zero for _ in ti.static(range(size))], [zero for _ in ti.static(range(size))]
-    if ti.static(features.contact):
-        touching = touched(block, after, scene, arrays)
-        for k in ti.static(range(size)):
-            arrays.scratch[scratch + layout.foot + k] = zero
-        if touching == 1:
-            for k in ti.static(range(size)):
-                n[k] = arrays.state[contact_of(block, Contact.NORMAL + k, arrays)]
-            gather_motion(grid, block, scratch, strides, arrays)
-            opening = opening_of(foot_motion(block, scratch, after, n, arrays), n)
-            separated = normal_stress(block, n, arrays) >= arrays.state[contact_of(block, Contact.ADHESION, arrays)]
-            delta = arrays.state[contact_of(block, Contact.DELTA, arrays)]
-            jump = ti.select(separated & (opening > 0.0), zero, dt * delta * opening)
-            opening_bar, shear_bar = slip_reverse(
-                worker, scene, block, scratch, after, dt, shear, opening, n, n_bar, arrays
-            )
-    increment = [
-        inside[k] + jump * n[k // size] * n[k % size] if ti.static(features.contact) else inside[k]
-        for k in ti.static(range(size * size))
-    ]
-    opened, remembered, bulk = zero, zero, lame + shear * (2.0 / 3.0) + zero
-    x = [arrays.history[after + k] for k in ti.static(range(size))]
-    if ti.static(features.volume_correction):
-        remembered = arrays.state[first + features.gap]
-        opened = updated_gap(remembered, limit, bulk, x, scene, block, scratch, dt, arrays)
-    cracked = with_cracks(stress, opened, limit, lame, shear, features)
-    trial = trial_stress(cracked, increment, lame, shear, size)
-    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
-    strain_bar, opened_bar = zero, zero
-    if ti.static(features.softens):
-        strain_bar = arrays.adjoints[own + features.plastic_strain]
-    if ti.static(features.volume_correction):
-        opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
-    returned = plastic_return_reverse(
-        bar, trial, sin_phi, sin_psi, strength, limit, lame, shear, strain_bar, opened_bar, features
-    )
-    trial_bar = [returned[k] for k in ti.static(range(features.stresses))]
-    elastic = trial_stress_reverse(trial_bar, cracked, increment, lame, shear, size)
-    stress_bar = [elastic[k] for k in ti.static(range(features.stresses))]
-    limit_bar, lame_bar = returned[ti.static(features.stresses + 3)], zero
-    if ti.static(features.volume_correction):
-        cracks = cracks_reverse(stress_bar, stress, opened, limit, lame, shear, features)
-        remembered_bar, bulk_bar = gap_reverse(
-            cracks[ti.static(features.stresses)],
-            remembered,
-            limit,
-            bulk,
-            x,
-            worker,
-            scene,
-            block,
-            scratch,
-            dt,
-            arrays,
-        )
-        arrays.adjoints[own + features.gap] = remembered_bar
-        limit_bar = limit_bar + cracks[ti.static(features.stresses + 1)]
-        lame_bar = cracks[ti.static(features.stresses + 2)] + bulk_bar
-        shear_bar = shear_bar + cracks[ti.static(features.stresses + 3)] + bulk_bar * (2.0 / 3.0)
-        for k in ti.static(range(features.stresses)):
-            stress_bar[k] = cracks[k]
-    for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = stress_bar[k]
-    increment_bar = [elastic[ti.static(features.stresses + k)] for k in ti.static(range(size * size))]
-    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
-        if touching == 1:
-            jump_reverse(block, scratch, after, dt, jump, opening, opening_bar, increment_bar, n, n_bar, arrays)
-    gradient_bar = midpoint_increment_reverse(increment_bar, gradient, size)
-    for k in ti.static(range(size * size)):
-        at = own + features.affine + k
-        arrays.adjoints[at] = arrays.adjoints[at] + dt * gradient_bar[k]
-    moduli = [
-        returned[ti.static(features.stresses + 4 + k)] + elastic[ti.static(features.stresses + size * size + k)]
-        for k in ti.static(range(2))
-    ]
-    add_property_bar(block, Property.LAME, moduli[0] + lame_bar, arrays)
-    add_property_bar(block, Property.SHEAR, moduli[1] + shear_bar, arrays)
-    strengths = [returned[ti.static(features.stresses + k)] for k in ti.static(range(3))]
-    strength_reverse(scene, block, [strengths[0], strengths[1], strengths[2], limit_bar], arrays)
 
 
 @ti.func

@@ -1,92 +1,179 @@
-"""The reverse of `mpm.physics.stress`: through the plastic return of the tensor, then through the elastic trial.
+"""The reverse of a block's stress step (`mpm.physics.particles.update_stress`).
 
-The return is an isotropic function of the trial stress: s_i, n_i its principal values and axes, t_i(s) the returned
-ones. Its derivative in the axes of the trial stress is (Carlson & Hoger 1986; de Souza Neto, Peric & Owen 2008, app. A)
+All but the turn into principal axes is traced (`mpm.adjoint.pullback`). The return is an isotropic function of the
+trial stress: s_i, n_i its principal values and axes, t_i(s) the returned ones. Its derivative in the axes of the trial
+stress is (Carlson & Hoger 1986; de Souza Neto, Peric & Owen 2008, app. A)
 
     d sigma_ii = sum_j dt_i/ds_j dS_jj,      d sigma_ij = theta_ij dS_ij,     theta_ij = (t_i - t_j) / (s_i - s_j)
 
-and that of the bars is its transpose: the diagonal by `mpm.adjoint.mohr_coulomb`, the rest by the same theta. Where two
-principal values meet, theta is its limit dt_i/ds_i - dt_i/ds_j: 1 where nothing yields and where both fell alike beside
-a crack, 0 on an edge, at the apex and where both stand at the cutoff, since the return then keeps them equal. So every
+and that of the bars is its transpose: the diagonal by tracing t(s), the rest by the same theta. Where two principal
+values meet, theta is its limit dt_i/ds_i - dt_i/ds_j: 1 where nothing yields and where both fell alike beside a crack,
+0 on an edge, at the apex and where both stand at the cutoff, since the return then keeps them equal. So every
 derivative is finite, and at an edge, the apex or the cutoff it is that of the piece which the return takes.
 
-The trial stress S = P + lambda tr(D) I + 2 mu D, P = R sigma R^T, has
-
-    sigma' = R^T S' R,    omega' = 2 axial(P S'),    q' = k (omega' + omega' x q),    k = 2 / (1 + q . q)
-
-since dR R^T is the spin omega = k (dq + q x dq) of Cayley's rotation with the vector q (Argyris 1982, eq. 48), and
-axial(N) = (N_yz - N_zy, N_zx - N_xz, N_xy - N_yx). G' follows from D and q = axial(G^T) / 4, and A' from
-G = A - A A / 2: A' = G' - (G' A^T + A^T G') / 2. A bar of xy is that of the number which stands for xy and yx.
+A bar of xy is that of the number which stands for xy and yx. The step carries its return to the tensor without axes
+(`mpm.physics.stress`); here principal stresses that are equal or close must leave the axes undetermined but
+orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (Golub & Van Loan 2013, section 8.5).
 """
 
 import taichi as ti
 
-from mpm.adjoint.mohr_coulomb import opening_reverse, return_reverse
-from mpm.adjoint.principal import principal_axes
-from mpm.arrays.access import maximum, minimum
-from mpm.physics.mohr_coulomb import return_principal
+from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
+from mpm.adjoint.contact import jump_before, jump_reverse, slip_reverse, touched
+from mpm.adjoint.pullback import Pullback
+from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow
+from mpm.arrays.layout import Offset, Property, Setting, component
+from mpm.physics.contact import contact_of, with_jump
+from mpm.physics.mohr_coulomb import return_principal, softened
+from mpm.physics.particles import peak_strength, residual_strength, strength_of
 from mpm.physics.principal import TINY
-from mpm.physics.stress import rotated
+from mpm.physics.stress import equivalent_strain, midpoint_increment, trial_stress, with_cracks
+from mpm.physics.transfer import property_of
+from mpm.physics.volume_correction import grid_gap, updated_gap
+
+SWEEPS = {"f32": 4, "f64": 6}
+"""Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
+
+
+def trial_of(stress, affine, jump, contact, limit, lame, shear, gap, rate, grid, x, density, dx, cells, dt, features):
+    """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave."""
+    increment = midpoint_increment([dt * each for each in affine], features.dimension)
+    opened = None
+    if features.contact:
+        increment = with_jump(increment, jump, contact, features.dimension)
+    if features.volume_correction:
+        around = grid_gap(grid, x, contact, density, dx, cells, features)
+        opened = updated_gap(gap[0], limit, lame + shear * (2.0 / 3.0), rate, around)
+    cracked = with_cracks(stress, opened, limit, lame, shear, features)
+    return trial_stress(cracked, increment, lame, shear, features.dimension)
+
+
+def principal_return(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features):
+    """Returned principal stresses [Pa] and, where a step keeps them, plastic strain [-] and opening [Pa]; traced."""
+    t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    strain = equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear) if features.softens else None
+    return t1, t2, t3, strain, opened if features.volume_correction else None
 
 
 @ti.func
-def divided(t, s, elastic, alike):
-    """theta [-] from differences of returned and trial stresses; `elastic` and `alike` are one where it is 1."""
-    theta = minimum(maximum(t / maximum(s, TINY), 0.0), 1.0)
-    return ti.select(elastic + alike > 0.0, 0.0 * theta + 1.0, theta)
+def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
+    """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it.
 
-
-@ti.func
-def strain_reverse(bar, g1, g2, g3, shear, features: ti.template()):
-    """Bars of the changes g of the principal stresses and of mu from that of `mpm.physics.stress.equivalent_strain`.
-
-    0 where nothing yields: there the strain has a corner, from which it grows in either direction.
+    With volume correction also of the grid's mass and its slopes, in their place in `scratch`.
     """
-    zero = 0.0 * g1
+    features, layout = arrays.features, arrays.layout
+    size = ti.static(features.dimension)
+    corrected = ti.static(int(features.volume_correction))
+    first, own = no_overflow(block * features.block), block * layout.width
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
+    contact = contact_of(block, arrays)
+    touching, zero = 0, 0.0 * stress[0]
+    jump, slip_shear_bar = zero, zero
+    if ti.static(features.contact):
+        touching = touched(block, after, scene, arrays)
+        for k in ti.static(range(size)):
+            arrays.scratch[scratch + layout.foot + k] = zero
+        if touching == 1:
+            jump = jump_before(grid, block, scratch, affine, stress, contact, dt, strides, arrays)
+            slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, affine, contact, shear, dt, arrays)
+    gap = [arrays.state[first + features.gap] for _ in ti.static(range(corrected))]
+    around = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(corrected * (1 + size)))]
+    x = [arrays.history[after + k] for k in ti.static(range(size))]
+    cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(size))]
+    rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
+    density = property_of(scene, block, Property.DENSITY, arrays)
+    numbers = ti.static((stress, affine, jump, contact, limit, lame, shear, gap, rate, around, x, density))
+    elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
+    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
+    strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
-        mean = (g1 + g2 + g3) / 3.0
-        d1, d2, d3 = g1 - mean, g2 - mean, g3 - mean
-        length = ti.sqrt((d1 * d1 + d2 * d2 + d3 * d3) / 6.0)
-        per = ti.select(length > TINY, bar / (6.0 * maximum(length, TINY) * shear), zero)
-        return per * d1, per * d2, per * d3, 0.0 - bar * length / (shear * shear)
-    else:
-        return zero, zero, zero, zero
+        strain_bar = arrays.adjoints[own + features.plastic_strain]
+    if ti.static(features.volume_correction):
+        opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
+    strengths = [sin_phi, sin_psi, strength, limit]
+    trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
+        bar, elastic.values, strengths, lame, shear, strain_bar, opened_bar, features
+    )
+    (
+        stress_bar,
+        affine_bar,
+        jump_bar,
+        contacts_bar,
+        limit_bar,
+        lame_bar,
+        shear_bar,
+        gap_bar,
+        rate_bar,
+        around_bar,
+        x_bar,
+        density_bar,
+    ) = ti.static(elastic(trial_bar))
+    for k in ti.static(range(features.stresses)):
+        arrays.adjoints[own + features.stress + k] = stress_bar[k]
+    add_bars(own + features.affine, affine_bar, arrays)
+    if ti.static(features.contact):
+        add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+        if touching == 1:
+            jump_reverse(block, scratch, affine, stress, contact, dt, jump_bar, arrays)
+    if ti.static(features.volume_correction):
+        arrays.adjoints[own + features.gap] = gap_bar[0]
+        add_bars(own, x_bar, arrays)
+        for k in ti.static(range(1 + size)):
+            arrays.scratch[scratch + features.density + k] = around_bar[k]
+        rate_total = lane_sum(arrays.state[first + features.present] * rate_bar, arrays)
+        arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
+        add_property_bar(block, Property.DENSITY, density_bar, arrays)
+    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar, arrays)
+    add_property_bar(block, Property.SHEAR, moduli_bar[1] + shear_bar + slip_shear_bar, arrays)
+    strengths_bar[3] = strengths_bar[3] + limit_bar
+    strength_reverse(scene, block, strengths_bar, arrays)
 
 
 @ti.func
-def changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features: ti.template()):
-    """Bars of the changes g = t - s and of (sin psi, lambda, mu) from those of plastic strain and of what opened."""
-    e = strain_reverse(strain_bar, g1, g2, g3, shear, features)
-    if ti.static(features.volume_correction):
-        d1, d2, d3 = 0.0 - g1, 0.0 - g2, 0.0 - g3
-        q = opening_reverse(opened_bar, opened, d1, d2, d3, sin_psi, lame, shear, features.dilates)
-        return e[0] - q[0], e[1] - q[1], e[2] - q[2], q[3], q[4], e[3] + q[5]
+def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
+    """Bars of the strength of a block's material, and of its plastic strain, from those of `strength_of`."""
+    features, layout = arrays.features, arrays.layout
+    peak_columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
+    if ti.static(features.softens):
+        cell = arrays.settings[scene, Setting.CELL]
+        peak, residual = peak_strength(scene, block, arrays), residual_strength(scene, block, arrays)
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * cell
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        falling = ti.static([Pullback(softened, (strain, per_strain, peak, residual), (features,))])[0]
+        bars = ti.static(falling(bar))
+        at = block * layout.width + features.plastic_strain
+        arrays.adjoints[at] = arrays.adjoints[at] + bars[0]
+        add_property_bar(block, Property.SOFTENING, cell * bars[1], arrays)
+        for k in ti.static(range(4)):
+            add_property_bar(block, peak_columns[k], bars[2][k], arrays)
+        for k in ti.static(range(3)):
+            add_property_bar(block, Property.RESIDUAL_SIN_PHI + k, bars[3][k], arrays)
     else:
-        zero = 0.0 * g1
-        return e[0], e[1], e[2], zero, zero, e[3]
+        for k in ti.static(range(4)):
+            add_property_bar(block, peak_columns[k], bar[k], arrays)
 
 
 @ti.func
 def plastic_return_reverse(
     bar: ti.template(),
-    stress: ti.template(),
-    sin_phi,
-    sin_psi,
-    strength,
-    limit,
+    trial: ti.template(),
+    strengths: ti.template(),
     lame,
     shear,
     strain_bar,
     opened_bar,
     features: ti.template(),
 ):
-    """Bars of the trial stress's components, then of (sin phi, sin psi, 2 c cos phi, T, lambda, mu).
+    """Bars of the trial stress, of the strengths (sin phi, sin psi, 2 c cos phi, T) and of (lambda, mu), a list each.
 
-    bar: of the returned components; stress: the trial's [Pa]; strain_bar: of the plastic strain after the step, read
-    where the material softens; opened_bar: of what opened, read where `features.volume_correction`.
+    bar: of the returned stress; strain_bar, opened_bar: of the plastic strain after the step and of what opened.
     """
+    sin_phi, sin_psi, strength, limit = strengths
     if ti.static(features.dimension == 2):
-        xx, yy, z, xy = stress
+        xx, yy, z, xy = trial
         half = 0.5 * (xx - yy)
         centre = xx - half
         radius = ti.sqrt(half * half + xy * xy)
@@ -95,177 +182,124 @@ def plastic_return_reverse(
         cosine, sine = ti.select(radius > TINY, half * per, 0.0 * half + 1.0), xy * per
         a, b = centre + radius, centre - radius
         above, below = z > a, z < b
-        s1, s2, s3 = maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)
-        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        top = ti.select(above, t2, t1)
-        bottom = ti.select(below, t2, t3)
+        s = [maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)]
+        numbers = ti.static((s[0], s[1], s[2], sin_phi, sin_psi, strength, limit, lame, shear))
+        step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
+        t = ti.static(step.values)
+        top, bottom = ti.select(above, t[1], t[0]), ti.select(below, t[1], t[2])
         difference = bar[0] - bar[1]
         along, turning = cosine * difference + sine * bar[3], cosine * bar[3] - sine * difference
         top_bar, bottom_bar = 0.5 * (bar[0] + bar[1] + along), 0.5 * (bar[0] + bar[1] - along)
         b1 = ti.select(above, bar[2], top_bar)
         b2 = ti.select(above, top_bar, ti.select(below, bottom_bar, bar[2]))
         b3 = ti.select(below, bar[2], bottom_bar)
-        g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
-        e = changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features)
-        b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
-        r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4] + e[3], r[5], r[6], r[7] + e[4], r[8] + e[5], r[9], r[10]
+        g = ti.static(step([b1, b2, b3, strain_bar, opened_bar]))
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
-        theta = divided(top - bottom, a - b, g[9], ti.select(above, g[10], 0.0 * g[10]))
-        apart = a_bar - b_bar
-        half_bar = cosine * apart - sine * theta * turning
-        xy_bar = sine * apart + cosine * theta * turning
-        middle = 0.5 * (a_bar + b_bar)
-        return middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, xy_bar, g[3], g[4], g[5], g[6], g[7], g[8]
+        free = elastic_at(s, strengths, features) | (above & fell_alike(t, strengths, features))
+        apart, turned_bar = a_bar - b_bar, theta(top - bottom, a - b, free) * turning
+        half_bar, middle = cosine * apart - sine * turned_bar, 0.5 * (a_bar + b_bar)
+        trial_bar = [middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, sine * apart + cosine * turned_bar]
+        return trial_bar, [g[3], g[4], g[5], g[6]], [g[7], g[8]]
     else:
-        xx, yy, zz, xy, yz, zx = stress
-        p = (xx + yy + zz) / 3.0
-        a1, a2, a3, ux, uy, uz, vx, vy, vz, wx, wy, wz = principal_axes(
-            xx - p, yy - p, zz - p, xy, yz, zx, features.precision
-        )
-        s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        hxy, hyz, hzx = 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]
-        # The bar times each axis, then in the axes.
-        bux, buy, buz = (
-            bar[0] * ux + hxy * uy + hzx * uz,
-            hxy * ux + bar[1] * uy + hyz * uz,
-            (hzx * ux + hyz * uy + bar[2] * uz),
-        )
-        bvx, bvy, bvz = (
-            bar[0] * vx + hxy * vy + hzx * vz,
-            hxy * vx + bar[1] * vy + hyz * vz,
-            (hzx * vx + hyz * vy + bar[2] * vz),
-        )
-        bwx, bwy, bwz = (
-            bar[0] * wx + hxy * wy + hzx * wz,
-            hxy * wx + bar[1] * wy + hyz * wz,
-            (hzx * wx + hyz * wy + bar[2] * wz),
-        )
-        b1, b2, b3 = ux * bux + uy * buy + uz * buz, vx * bvx + vy * bvy + vz * bvz, wx * bwx + wy * bwy + wz * bwz
-        b12, b23 = ux * bvx + uy * bvy + uz * bvz, vx * bwx + vy * bwy + vz * bwz
-        b13 = ux * bwx + uy * bwy + uz * bwz
-        g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
-        e = changes_reverse(strain_bar, opened_bar, opened, g1, g2, g3, sin_psi, lame, shear, features)
-        b1, b2, b3 = b1 + e[0], b2 + e[1], b3 + e[2]
-        r = return_reverse(b1, b2, b3, s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
-        g = r[0] - e[0], r[1] - e[1], r[2] - e[2], r[3], r[4] + e[3], r[5], r[6], r[7] + e[4], r[8] + e[5], r[9], r[10]
-        zero = 0.0 * b1
-        k12 = divided(t1 - t2, a1 - a2, g[9], zero) * b12
-        k23 = divided(t2 - t3, a2 - a3, g[9], g[10]) * b23
-        k13 = divided(t1 - t3, a1 - a3, g[9], zero) * b13
-        # Back: the rows of the turned bar times the axes.
-        ax, ay, az = g[0] * ux + k12 * vx + k13 * wx, g[0] * uy + k12 * vy + k13 * wy, g[0] * uz + k12 * vz + k13 * wz
-        cx, cy, cz = k12 * ux + g[1] * vx + k23 * wx, k12 * uy + g[1] * vy + k23 * wy, k12 * uz + g[1] * vz + k23 * wz
-        ex, ey, ez = k13 * ux + k23 * vx + g[2] * wx, k13 * uy + k23 * vy + g[2] * wy, k13 * uz + k23 * vz + g[2] * wz
-        return (
-            ux * ax + vx * cx + wx * ex,
-            uy * ay + vy * cy + wy * ey,
-            uz * az + vz * cz + wz * ez,
-            2.0 * (ux * ay + vx * cy + wx * ey),
-            2.0 * (uy * az + vy * cz + wy * ez),
-            2.0 * (uz * ax + vz * cx + wz * ex),
-            g[3],
-            g[4],
-            g[5],
-            g[6],
-            g[7],
-            g[8],
-        )
+        p = (trial[0] + trial[1] + trial[2]) / 3.0
+        deviator = [trial[0] - p, trial[1] - p, trial[2] - p, trial[3], trial[4], trial[5]]
+        a, axes = principal_axes(deviator, features.precision)
+        s = [p + a[0], p + a[1], p + a[2]]
+        numbers = ti.static((s[0], s[1], s[2], sin_phi, sin_psi, strength, limit, lame, shear))
+        step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
+        t = ti.static(step.values)
+        own = in_axes([bar[0], bar[1], bar[2], 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]], axes)
+        g = ti.static(step([own[0], own[1], own[2], strain_bar, opened_bar]))
+        elastic = elastic_at(s, strengths, features)
+        alike = elastic | fell_alike(t, strengths, features)
+        k12 = theta(t[0] - t[1], a[0] - a[1], elastic) * own[3]
+        k23 = theta(t[1] - t[2], a[1] - a[2], alike) * own[4]
+        k31 = theta(t[0] - t[2], a[0] - a[2], elastic) * own[5]
+        back = in_axes([g[0], g[1], g[2], k12, k23, k31], [axes[3 * (k % 3) + k // 3] for k in ti.static(range(9))])
+        trial_bar = [back[0], back[1], back[2], 2.0 * back[3], 2.0 * back[4], 2.0 * back[5]]
+        return trial_bar, [g[3], g[4], g[5], g[6]], [g[7], g[8]]
 
 
 @ti.func
-def trial_stress_reverse(
-    bar: ti.template(), stress: ti.template(), gradient: ti.template(), lame, shear, d: ti.template()
-):
-    """Bars of the stress before, of the increment G row by row, and of (lambda, mu), from that of the trial stress."""
-    if ti.static(d == 2):
-        xx, yy, _, xy = stress
-        gxx, gxy, gyx, gyy = gradient
-        q = 0.25 * (gyx - gxy)
-        per = 1.0 / (1.0 + q * q)
-        sine, cosine = 2.0 * q * per, (1.0 - q * q) * per
-        sine2, cosine2 = 2.0 * sine * cosine, (cosine - sine) * (cosine + sine)
-        half = 0.5 * (xx - yy)
-        half_bar = bar[0] - bar[1]
-        # d/d(angle) of the turned (half, xy) is (-2 xy, 2 half) of the turned ones.
-        angle_bar = 2.0 * (bar[3] * (cosine2 * half - sine2 * xy) - half_bar * (sine2 * half + cosine2 * xy))
-        q_bar = 2.0 * per * angle_bar
-        turned = cosine2 * half_bar + sine2 * bar[3]
-        mean = 0.5 * (bar[0] + bar[1])
-        trace = bar[0] + bar[1] + bar[2]
-        sheared = shear * bar[3]
-        return (
-            mean + 0.5 * turned,
-            mean - 0.5 * turned,
-            bar[2],
-            cosine2 * bar[3] - sine2 * half_bar,
-            lame * trace + 2.0 * shear * bar[0],
-            sheared - 0.25 * q_bar,
-            sheared + 0.25 * q_bar,
-            lame * trace + 2.0 * shear * bar[1],
-            (gxx + gyy) * trace,
-            2.0 * (gxx * bar[0] + gyy * bar[1]) + (gxy + gyx) * bar[3],
-        )
+def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template()):
+    """Whether nothing yields at the principal stresses `s`; without cohesion stress 0 is the apex, where all does."""
+    sin_phi, _, strength, limit = strengths
+    below = s[0] * (1.0 + sin_phi) - s[2] * (1.0 - sin_phi) - strength <= 0.0
+    if ti.static(features.cohesive):
+        return below & (s[0] <= limit)
     else:
-        gxx, gxy, gxz, gyx, gyy, gyz, gzx, gzy, gzz = gradient
-        qx, qy, qz = 0.25 * (gzy - gyz), 0.25 * (gxz - gzx), 0.25 * (gyx - gxy)
-        pxx, pyy, pzz, pxy, pyz, pzx = rotated(stress, qx, qy, qz)
-        txy, tyz, tzx = 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]
-        # N = P S', whose axial vector is what the turned stress makes of a spin.
-        nxy, nyx = pxx * txy + pxy * bar[1] + pzx * tyz, pxy * bar[0] + pyy * txy + pyz * tzx
-        nyz, nzy = pxy * tzx + pyy * tyz + pyz * bar[2], pzx * txy + pyz * bar[1] + pzz * tyz
-        nzx, nxz = pzx * bar[0] + pyz * txy + pzz * tzx, pxx * tzx + pxy * tyz + pzx * bar[2]
-        ox, oy, oz = 2.0 * (nyz - nzy), 2.0 * (nzx - nxz), 2.0 * (nxy - nyx)
-        k = 2.0 / (1.0 + (qx * qx + qy * qy + qz * qz))
-        q_bar_x, q_bar_y, q_bar_z = (
-            0.25 * k * (ox + oy * qz - oz * qy),
-            0.25 * k * (oy + oz * qx - ox * qz),
-            0.25 * k * (oz + ox * qy - oy * qx),
-        )
-        # R^T S' R is S' turned back; `rotated` takes the halves of the bars of shear, being components.
-        rxx, ryy, rzz, rxy, ryz, rzx = rotated((bar[0], bar[1], bar[2], txy, tyz, tzx), 0.0 - qx, 0.0 - qy, 0.0 - qz)
-        trace = bar[0] + bar[1] + bar[2]
-        volumetric = lame * trace
-        return (
-            rxx,
-            ryy,
-            rzz,
-            2.0 * rxy,
-            2.0 * ryz,
-            2.0 * rzx,
-            volumetric + 2.0 * shear * bar[0],
-            shear * bar[3] - q_bar_z,
-            shear * bar[5] + q_bar_y,
-            shear * bar[3] + q_bar_z,
-            volumetric + 2.0 * shear * bar[1],
-            shear * bar[4] - q_bar_x,
-            shear * bar[5] - q_bar_y,
-            shear * bar[4] + q_bar_x,
-            volumetric + 2.0 * shear * bar[2],
-            (gxx + gyy + gzz) * trace,
-            2.0 * (gxx * bar[0] + gyy * bar[1] + gzz * bar[2])
-            + (gxy + gyx) * bar[3]
-            + (gyz + gzy) * bar[4]
-            + (gzx + gxz) * bar[5],
-        )
+        return below & (s[0] + s[1] + s[2] < 0.0)
 
 
 @ti.func
-def midpoint_increment_reverse(bar: ti.template(), a: ti.template(), dimension: ti.template()):
-    """Bar of A, row by row, from that of G = A - A A / 2."""
+def fell_alike(t: ti.template(), strengths: ti.template(), features: ti.template()):
+    """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (`mpm.physics.mohr_coulomb`, B)."""
+    if ti.static(features.cohesive):
+        sin_phi, _, strength, limit = strengths
+        lowest = (limit * (1.0 + sin_phi) - strength) / (1.0 - sin_phi)
+        return (t[0] >= limit) & (t[1] < limit) & (t[2] > lowest)
+    else:
+        return t[0] != t[0]
+
+
+@ti.func
+def theta(t, s, free):
+    """theta [-] from differences of returned and trial stresses; 1 where the axes of both turn freely."""
+    quotient = minimum(maximum(t / maximum(s, TINY), 0.0), 1.0)
+    return ti.select(free, 0.0 * quotient + 1.0, quotient)
+
+
+@ti.func
+def in_axes(m: ti.template(), axes: ti.template()):
+    """A M A^T of a symmetric M as xx, yy, zz, xy, yz, zx; the rows of A are `axes`, three after three."""
+    am = [
+        axes[3 * (k // 3)] * m[ti.static(component(0, k % 3, 3))]
+        + axes[3 * (k // 3) + 1] * m[ti.static(component(1, k % 3, 3))]
+        + axes[3 * (k // 3) + 2] * m[ti.static(component(2, k % 3, 3))]
+        for k in ti.static(range(9))
+    ]
     return [
-        bar[i] - 0.5 * transposed_products(bar, a, ti.static(i // dimension), ti.static(i % dimension), dimension)
-        for i in ti.static(range(dimension * dimension))
+        am[3 * i] * axes[3 * j] + am[3 * i + 1] * axes[3 * j + 1] + am[3 * i + 2] * axes[3 * j + 2]
+        for i, j in ti.static(((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)))
     ]
 
 
 @ti.func
-def transposed_products(bar: ti.template(), a: ti.template(), i: ti.template(), j: ti.template(), d: ti.template()):
-    """(G' A^T + A^T G')_ij of matrices given row by row."""
-    value = bar[i * d] * a[j * d] + a[i] * bar[j]
-    for k in ti.static(range(1, d)):
-        value = value + bar[i * d + k] * a[j * d + k] + a[k * d + i] * bar[k * d + j]
-    return value
+def principal_axes(m: ti.template(), precision: ti.template()):
+    """Principal values s1 >= s2 >= s3 of xx, yy, zz, xy, yz, zx, and the components of the axes, three after three."""
+    zero = 0.0 * m[0]
+    value = [m[k] + zero for k in ti.static(range(3))]
+    # Across the axis k.
+    off = [m[4] + zero, m[5] + zero, m[3] + zero]
+    axes = [zero + ti.static(float(k % 4 == 0)) for k in ti.static(range(9))]
+    for _ in range(ti.static(SWEEPS[precision])):
+        for p, q in ti.static(((0, 1), (1, 2), (0, 2))):
+            r = ti.static(3 - p - q)
+            cosine, sine, tangent = rotation(value[p], value[q], off[r])
+            value[p], value[q] = value[p] - tangent * off[r], value[q] + tangent * off[r]
+            off[r] = zero
+            off[q], off[p] = cosine * off[q] - sine * off[p], sine * off[q] + cosine * off[p]
+            for k in ti.static(range(3)):
+                u, v = axes[3 * p + k], axes[3 * q + k]
+                axes[3 * p + k], axes[3 * q + k] = cosine * u - sine * v, sine * u + cosine * v
+    # In descending order.
+    for p in ti.static((0, 1, 0)):
+        swap = value[p + 1] > value[p]
+        high, low = ti.select(swap, value[p + 1], value[p]), ti.select(swap, value[p], value[p + 1])
+        value[p], value[p + 1] = high, low
+        for k in ti.static(range(3 * p, 3 * p + 3)):
+            u, v = axes[k], axes[k + 3]
+            axes[k], axes[k + 3] = ti.select(swap, v, u), ti.select(swap, u, v)
+    return value, axes
+
+
+@ti.func
+def rotation(app, aqq, apq):
+    """(cosine, sine, tangent) of the rotation that makes the element pq of a symmetric matrix 0."""
+    d, h = aqq - app, 2.0 * apq
+    tangent = h / maximum(magnitude(d) + ti.sqrt(d * d + h * h), TINY)
+    tangent = ti.select(d < 0.0, 0.0 - tangent, tangent)
+    cosine = 1.0 / ti.sqrt(1.0 + tangent * tangent)
+    return cosine, tangent * cosine, tangent

@@ -124,7 +124,12 @@ class Features(Record):
     @property
     def present(self) -> int:
         """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.contacts + (len(Contact) + 2 * self.dimension - 1 if self.contact else 0)
+        return self.contacts + self.contact_vectors
+
+    @property
+    def contact_vectors(self) -> int:
+        """How many vectors describe the contact of a block: those of `Contact`, in whose last place n and q stand."""
+        return len(Contact) + 2 * self.dimension - 1 if self.contact else 0
 
     @property
     def columns(self) -> int:

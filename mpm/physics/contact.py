@@ -50,29 +50,9 @@ def contact_at(block, column: ti.template(), arrays: ti.template()):
 
 
 @ti.func
-def normals(block, arrays: ti.template()):
-    """n [-] of each particle of a block, as a list of D."""
-    return [
-        arrays.state[contact_at(block, Contact.NORMAL + k, arrays)] for k in ti.static(range(arrays.features.dimension))
-    ]
-
-
-@ti.func
-def shear_at(block, k: ti.template(), arrays: ti.template()):
-    """Index of component k of the shear tractions q of a block."""
-    return contact_at(block, Contact.NORMAL + arrays.features.dimension + k, arrays)
-
-
-@ti.func
-def normal_stress(block, n: ti.template(), arrays: ti.template()):
-    """sigma_nn [Pa] of each particle of a block across the normals `n`."""
-    features = arrays.features
-    first = block * features.block + features.stress
-    value = 0.0 * n[0]
-    for i in ti.static(range(features.dimension)):
-        for j in ti.static(range(features.dimension)):
-            value = value + n[i] * n[j] * arrays.state[first + ti.static(component(i, j, features.dimension))]
-    return value
+def contact_of(block, arrays: ti.template()):
+    """The vectors of `mpm.arrays.layout.Contact` of a block, n and the shear traction q behind them, as a list."""
+    return [arrays.state[contact_at(block, k, arrays)] for k in ti.static(range(arrays.features.contact_vectors))]
 
 
 @ti.func
@@ -82,77 +62,147 @@ def touches(block, arrays: ti.template()):
 
 
 @ti.func
-def prepare_contact(block, scratch, arrays: ti.template()):
-    """Leave in `scratch` the force of the surface per volume of each particle of a block, delta t [Pa/m], and its arm
-
-    d n [m]; D vectors each.
-    """
-    features = arrays.features
-    force, arm = scratch + features.push, scratch + features.push + features.dimension
-    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    for k in ti.static(range(features.dimension)):
-        arrays.scratch[force + k] = 0.0 * delta
-        arrays.scratch[arm + k] = 0.0 * delta
-    if touches(block, arrays):
-        n = normals(block, arrays)
-        pull = minimum(normal_stress(block, n, arrays), arrays.state[contact_at(block, Contact.ADHESION, arrays)])
-        for k in ti.static(range(features.dimension)):
-            arrays.scratch[force + k] = delta * (arrays.state[shear_at(block, k, arrays)] - pull * n[k])
-            arrays.scratch[arm + k] = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] * n[k]
+def normal_stress(stress: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """sigma_nn [Pa] across the normals of `contact`."""
+    value = 0.0 * contact[Contact.NORMAL]
+    for i in ti.static(range(dimension)):
+        for j in ti.static(range(dimension)):
+            both = contact[Contact.NORMAL + i] * contact[Contact.NORMAL + j]
+            value = value + both * stress[ti.static(component(i, j, dimension))]
+    return value
 
 
 @ti.func
-def foot_velocity(block, scratch, i: ti.template(), n: ti.template(), arrays: ti.template()):
-    """Component i of v_f [m/s], the velocity of the material at the foot of each particle of a block."""
+def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """The force of the surface per volume of a particle, delta t [Pa/m], and its arm d n [m]; a list of D and D."""
+    delta, distance = contact[Contact.DELTA], contact[Contact.DISTANCE]
+    n = [contact[Contact.NORMAL + k] for k in ti.static(range(dimension))]
+    q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
+    pull = minimum(normal_stress(stress, contact, dimension), contact[Contact.ADHESION])
+    force = [delta * (q[k] - pull * n[k]) for k in ti.static(range(dimension))]
+    return force + [distance * n[k] for k in ti.static(range(dimension))]
+
+
+@ti.func
+def foot_velocity(velocity: ti.template(), affine: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """v_f [m/s], of the material at the foot: from the grid's `velocity` at the particle and C; a list of D."""
+    foot = [velocity[i] for i in ti.static(range(dimension))]
+    for i in ti.static(range(dimension)):
+        rotation = 0.0 * contact[Contact.NORMAL]
+        for j in ti.static(range(dimension)):
+            rotation = rotation + affine[i * dimension + j] * contact[Contact.NORMAL + j]
+        foot[i] = velocity[i] - contact[Contact.DISTANCE] * rotation
+    return foot
+
+
+@ti.func
+def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """n . v_f [m/s]."""
+    value = 0.0 * foot[0]
+    for k in ti.static(range(dimension)):
+        value = value + contact[Contact.NORMAL + k] * foot[k]
+    return value
+
+
+@ti.func
+def jump_at_contact(
+    velocity: ti.template(),
+    affine: ti.template(),
+    stress: ti.template(),
+    contact: ti.template(),
+    dt,
+    dimension: ti.template(),
+):
+    """What contact adds along n to the strain increment of a particle, dt delta n . v_f [-].
+
+    Sand without pressure leaves a surface without strain.
+    """
+    opening = opening_velocity(foot_velocity(velocity, affine, contact, dimension), contact, dimension)
+    separated = (normal_stress(stress, contact, dimension) >= contact[Contact.ADHESION]) & (opening > 0.0)
+    return ti.select(separated, 0.0, dt * contact[Contact.DELTA] * opening)
+
+
+@ti.func
+def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension: ti.template()):
+    """G + jump n n^T [-], both row by row."""
+    return [
+        increment[k] + jump * contact[Contact.NORMAL + k // dimension] * contact[Contact.NORMAL + k % dimension]
+        for k in ti.static(range(dimension**2))
+    ]
+
+
+@ti.func
+def sheared_traction(
+    velocity: ti.template(),
+    affine: ti.template(),
+    stress: ti.template(),
+    contact: ti.template(),
+    shear,
+    dt,
+    dimension: ti.template(),
+):
+    """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
+    foot = foot_velocity(velocity, affine, contact, dimension)
+    opening, square = opening_velocity(foot, contact, dimension), TINY + 0.0 * foot[0]
+    stiffness = dt * shear * contact[Contact.DELTA]
+    q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
+    for k in ti.static(range(dimension)):
+        slip = foot[k] - opening * contact[Contact.NORMAL + k]
+        q[k] = q[k] - stiffness * slip
+        square = square + q[k] * q[k]
+    bound = contact[Contact.FRICTION] * maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
+    scale = minimum(bound / ti.sqrt(square), 1.0)
+    return [scale * q[k] for k in ti.static(range(dimension))]
+
+
+@ti.func
+def motion_and_stress(block, scratch, arrays: ti.template()):
+    """The grid's velocity at the particles of a block, their C and stress, a list of vectors each."""
     features = arrays.features
-    first = block * features.block
-    rotation = 0.0 * n[0]
-    for j in ti.static(range(features.dimension)):
-        rotation = rotation + arrays.state[first + features.affine + i * features.dimension + j] * n[j]
-    distance = arrays.state[contact_at(block, Contact.DISTANCE, arrays)]
+    first, moved = block * features.block, scratch + features.lowest + features.dimension
+    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
     if ti.static(features.relaxed):
-        return arrays.scratch[scratch + features.lowest + features.dimension + i] - distance * rotation
-    else:
-        return arrays.state[first + features.velocity + i] - distance * rotation
+        for i in ti.static(range(features.dimension)):
+            velocity[i] = arrays.scratch[moved + i]
+    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    return velocity, affine, stress
+
+
+@ti.func
+def prepare_contact(block, scratch, arrays: ti.template()):
+    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
+    features = arrays.features
+    zero = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
+    for k in ti.static(range(2 * features.dimension)):
+        arrays.scratch[scratch + features.push + k] = zero
+    if touches(block, arrays):
+        first = block * features.block + features.stress
+        stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
+        pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
+        for k in ti.static(range(2 * features.dimension)):
+            arrays.scratch[scratch + features.push + k] = pushed[k]
 
 
 @ti.func
 def strain_at_contact(block, scratch, dt, arrays: ti.template()):
-    """Leave in `scratch` what contact adds along n to the strain increment of each particle, dt delta n . v_f [-].
-
-    Sand without pressure leaves a surface without strain.
-    """
+    """Leave in `scratch` the `jump_at_contact` of each particle of a block."""
     jump = scratch + arrays.features.push
-    delta = arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    arrays.scratch[jump] = 0.0 * delta
+    arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
     if touches(block, arrays):
-        n = normals(block, arrays)
-        opening = 0.0 * delta
-        for k in ti.static(range(arrays.features.dimension)):
-            opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
-        adhesion = arrays.state[contact_at(block, Contact.ADHESION, arrays)]
-        separated = (normal_stress(block, n, arrays) >= adhesion) & (opening > 0.0)
-        arrays.scratch[jump] = ti.select(separated, 0.0, dt * delta * opening)
+        velocity, affine, stress = motion_and_stress(block, scratch, arrays)
+        contact = contact_of(block, arrays)
+        arrays.scratch[jump] = jump_at_contact(velocity, affine, stress, contact, dt, arrays.features.dimension)
 
 
 @ti.func
-def shear_traction_step(block, scratch, dt, shear, n: ti.template(), arrays: ti.template()):
-    """Bring the shear tractions q of a block forward by a step, within Coulomb's bound for its new stress."""
-    features = arrays.features
-    opening, square = 0.0 * n[0], TINY + 0.0 * n[0]
-    for k in ti.static(range(features.dimension)):
-        opening = opening + n[k] * foot_velocity(block, scratch, k, n, arrays)
-    stiffness = dt * shear * arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    for k in ti.static(range(features.dimension)):
-        slip = foot_velocity(block, scratch, k, n, arrays) - opening * n[k]
-        q = arrays.state[shear_at(block, k, arrays)] - stiffness * slip
-        arrays.state[shear_at(block, k, arrays)] = q
-        square = square + q * q
-    friction = arrays.state[contact_at(block, Contact.FRICTION, arrays)]
-    bound = friction * maximum(0.0 - normal_stress(block, n, arrays), 0.0)
-    scale = minimum(bound / ti.sqrt(square), 1.0)
-    for k in ti.static(range(features.dimension)):
-        arrays.state[shear_at(block, k, arrays)] = scale * arrays.state[shear_at(block, k, arrays)]
+def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
+    """Bring the shear tractions q of a block forward by a step."""
+    dimension = ti.static(arrays.features.dimension)
+    velocity, affine, stress = motion_and_stress(block, scratch, arrays)
+    q = sheared_traction(velocity, affine, stress, contact_of(block, arrays), shear, dt, dimension)
+    for k in ti.static(range(dimension)):
+        arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 
 
 @ti.func

@@ -5,11 +5,19 @@ import taichi as ti
 from mpm.arrays.access import add, clamp, lane_maximum, lane_minimum, lane_sum, maximum, minimum, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
-from mpm.physics.contact import find_contacts, normals, record_traction, shear_traction_step, strain_at_contact, touches
+from mpm.physics.contact import (
+    contact_of,
+    find_contacts,
+    record_traction,
+    shear_traction_step,
+    strain_at_contact,
+    touches,
+    with_jump,
+)
 from mpm.physics.mohr_coulomb import softened
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
-from mpm.physics.volume_correction import updated_gap
+from mpm.physics.volume_correction import grid_gap, updated_gap
 
 
 @ti.func
@@ -132,13 +140,17 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     if ti.static(features.volume_correction):
         remembered, bulk = arrays.state[first + features.gap], lame + shear * (2.0 / 3.0)
         x = [arrays.state[first + k] for k in ti.static(range(features.dimension))]
-        opened = updated_gap(remembered, limit, bulk, x, scene, block, scratch, dt, arrays)
+        grid = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(1 + features.dimension))]
+        cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
+        density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
+        gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
+        opened = updated_gap(remembered, limit, bulk, dt * arrays.settings[scene, Setting.GAP_RATE], gap)
     new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if touches(block, arrays):
-            shear_traction_step(block, scratch, dt, shear, normals(block, arrays), arrays)
+            shear_traction_step(block, scratch, dt, shear, arrays)
     if ti.static(features.volume_correction):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
     if ti.static(features.strained):
@@ -155,11 +167,8 @@ def strain_increment(block, scratch, dt, arrays: ti.template()):
     inside = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
         strain_at_contact(block, scratch, dt, arrays)
-        n, jump = normals(block, arrays), arrays.scratch[scratch + features.push]
-        return [
-            inside[k] + jump * n[k // features.dimension] * n[k % features.dimension]
-            for k in ti.static(range(features.dimension**2))
-        ]
+        jump = arrays.scratch[scratch + features.push]
+        return with_jump(inside, jump, contact_of(block, arrays), features.dimension)
     else:
         return inside
 
@@ -167,6 +176,19 @@ def strain_increment(block, scratch, dt, arrays: ti.template()):
 @ti.func
 def strength_of(scene, block, arrays: ti.template()):
     """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+    features = arrays.features
+    peak = peak_strength(scene, block, arrays)
+    if ti.static(features.softens):
+        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
+        strain = arrays.state[block * features.block + features.plastic_strain]
+        return softened(strain, per_strain, peak, residual_strength(scene, block, arrays), features)
+    else:
+        return peak
+
+
+@ti.func
+def peak_strength(scene, block, arrays: ti.template()):
+    """What `strength_of` is before any plastic strain."""
     features = arrays.features
     sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
     # Zeros known to the compiler where the scene has no dilation and no cohesion.
@@ -176,14 +198,14 @@ def strength_of(scene, block, arrays: ti.template()):
     if ti.static(features.cohesive):
         strength = property_of(scene, block, Property.STRENGTH, arrays)
         limit = property_of(scene, block, Property.LIMIT, arrays)
-    if ti.static(features.softens):
-        residual = (
-            property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
-            property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
-            property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
-        )
-        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
-        strain = arrays.state[block * features.block + features.plastic_strain]
-        return softened(strain, per_strain, (sin_phi, sin_psi, strength, limit), residual, features)
-    else:
-        return sin_phi, sin_psi, strength, limit
+    return sin_phi, sin_psi, strength, limit
+
+
+@ti.func
+def residual_strength(scene, block, arrays: ti.template()):
+    """sin phi [-], 2 c cos phi [Pa] and T [Pa] after much plastic strain, where the material softens."""
+    return (
+        property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
+        property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
+        property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
+    )

@@ -25,9 +25,8 @@ At a boundary of soils of different density the grid has another density than th
 import taichi as ti
 
 from mpm.arrays.access import maximum
-from mpm.arrays.layout import Contact, Offset, Property, Setting
+from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.physics.transfer import property_of
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
@@ -36,29 +35,36 @@ TINY = 1.0e-30
 
 
 @ti.func
-def grid_gap(x: ti.template(), scene, block, scratch, arrays: ti.template()):
-    """e_s [-] of a block at `x` [m], D vectors: the volume strain that follows from the grid's density."""
-    features = arrays.features
-    dx = arrays.settings[scene, Setting.CELL]
-    mass = maximum(arrays.scratch[scratch + features.density], TINY)
-    full = property_of(scene, block, Property.DENSITY, arrays) * dx**features.dimension + 0.0 * mass
+def grid_gap(
+    grid: ti.template(),
+    x: ti.template(),
+    contact: ti.template(),
+    density,
+    dx,
+    cells: ti.template(),
+    features: ti.template(),
+):
+    """e_s [-] of particles at `x` [m], D vectors: the volume strain that follows from the grid's density.
+
+    grid: sum_i w_ip m_i [kg] and its D slopes [kg/m]; contact: `mpm.physics.contact.contact_of`, where solids stand in
+    the box; cells: of the box along each axis.
+    """
+    mass = maximum(grid[0], TINY)
+    full = density * dx**features.dimension + 0.0 * mass
     square, across = 0.0 * mass, 0.0 * mass
     if ti.static(features.contact):
         # No mass lies in a solid, as beyond a wall, and the centre of mass is then away from it along its normal.
-        at = block * features.block + features.contacts
-        near = maximum(1.0 - arrays.state[at + Contact.DISTANCE] / (GAP_CUTOFF * dx), 0.0)
+        near = maximum(1.0 - contact[Contact.DISTANCE] / (GAP_CUTOFF * dx), 0.0)
         full = full * (1.0 - 0.5 * near * near)
         for k in ti.static(range(features.dimension)):
-            slope = arrays.scratch[scratch + features.density + 1 + k]
-            across = across + slope * arrays.state[at + Contact.NORMAL + k]
+            across = across + grid[1 + k] * contact[Contact.NORMAL + k]
         across = ti.select(near > 0.0, maximum(across, 0.0), 0.0)
     for k in ti.static(range(features.dimension)):
-        slope = arrays.scratch[scratch + features.density + 1 + k]
+        slope = grid[1 + k]
         if ti.static(features.contact):
-            normal = arrays.state[block * features.block + features.contacts + Contact.NORMAL + k]
-            slope = slope - across * normal
+            slope = slope - across * contact[Contact.NORMAL + k]
         x_cells = x[k] / (GAP_CUTOFF * dx)
-        length = arrays.offsets[scene, Offset.CELLS_X + k] / GAP_CUTOFF
+        length = cells[k] / GAP_CUTOFF
         low, high = maximum(1.0 - x_cells, 0.0), maximum(1.0 - length + x_cells, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
         behind = ((slope > 0.0) & (low > 0.0)) | ((slope < 0.0) & (high > 0.0))
@@ -69,8 +75,10 @@ def grid_gap(x: ti.template(), scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def updated_gap(opened, limit, bulk, x: ti.template(), scene, block, scratch, dt, arrays: ti.template()):
-    """K e [Pa] of a block that has moved to `x` [m]: as remembered or, where open without tension, after relaxation."""
-    rate = dt * arrays.settings[scene, Setting.GAP_RATE]
-    followed = (opened + rate * bulk * grid_gap(x, scene, block, scratch, arrays)) / (1.0 + rate)
+def updated_gap(opened, limit, bulk, rate, gap):
+    """K e [Pa] of particles: as remembered or, where open without tension, relaxed towards the grid's `gap` [-].
+
+    rate: dt / T_g [-].
+    """
+    followed = (opened + rate * bulk * gap) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)

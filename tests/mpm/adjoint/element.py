@@ -9,8 +9,8 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from mpm import runtime
-from mpm.adjoint.principal import principal_axes
-from mpm.adjoint.stress import midpoint_increment_reverse, plastic_return_reverse, trial_stress_reverse
+from mpm.adjoint.pullback import Pullback
+from mpm.adjoint.stress import plastic_return_reverse, principal_axes
 from mpm.arrays.batch import aligned
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Precision
@@ -20,6 +20,11 @@ Array = NDArray[Any]
 
 CONSTANTS = 6
 """sin phi, sin psi, 2 c cos phi, T, lambda, mu."""
+
+
+def trial_after(stress: Any, a: Any, lame: Any, shear: Any, dimension: int) -> Any:
+    """The trial stress after the increment `a`, traced."""
+    return trial_stress(stress, midpoint_increment(a, dimension), lame, shear, dimension)
 
 
 @cache
@@ -48,29 +53,24 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
     def backwards(x: blocks, y: blocks, result: blocks):
         for e in range(y.shape[0] // stresses):
             at = e * (stresses + gradients + CONSTANTS)
-            a = [x[at + stresses + k] for k in ti.static(range(gradients))]
-            increment = midpoint_increment(a, dimension)
-            p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
             old = [x[at + k] for k in ti.static(range(stresses))]
-            trial = trial_stress(old, increment, p[4], p[5], dimension)
+            a = [x[at + stresses + k] for k in ti.static(range(gradients))]
+            p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
+            elastic = ti.static([Pullback(trial_after, (old, a, p[4], p[5]), (dimension,))])[0]
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
-            returned = plastic_return_reverse(
-                bar, trial, p[0], p[1], p[2], p[3], p[4], p[5], 0.0 * p[0], 0.0 * p[0], features
+            trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
+                bar, elastic.values, [p[0], p[1], p[2], p[3]], p[4], p[5], bar[0], bar[0], features
             )
-            trial_bar = [returned[k] for k in ti.static(range(stresses))]
-            elastic = trial_stress_reverse(trial_bar, old, increment, p[4], p[5], dimension)
-            a_bar = midpoint_increment_reverse(
-                [elastic[ti.static(stresses + k)] for k in ti.static(range(gradients))], a, dimension
-            )
+            found = ti.static(elastic(trial_bar))
             for k in ti.static(range(stresses)):
-                result[at + k] = elastic[k]
+                result[at + k] = found[0][k]
             for k in ti.static(range(gradients)):
-                result[at + stresses + k] = a_bar[k]
-            for k in ti.static(range(CONSTANTS)):
-                value = returned[ti.static(stresses + k)]
-                if ti.static(k >= 4):
-                    value = value + elastic[ti.static(stresses + gradients + k - 4)]
-                result[at + stresses + gradients + k] = value
+                result[at + stresses + k] = found[1][k]
+            at = at + stresses + gradients
+            for k in ti.static(range(4)):
+                result[at + k] = strengths_bar[k]
+            for k in ti.static(range(2)):
+                result[at + 4 + k] = moduli_bar[k] + found[2 + k]
 
     return forwards, backwards
 
@@ -115,9 +115,11 @@ def axes_kernel(precision: Precision) -> Callable[..., None]:
     def find(x: blocks, y: blocks):
         for e in range(x.shape[0] // 6):
             t = [x[6 * e + k] for k in ti.static(range(6))]
-            found = principal_axes(t[0], t[1], t[2], t[3], t[4], t[5], precision)
-            for k in ti.static(range(12)):
-                y[12 * e + k] = found[k]
+            values, axes = principal_axes(t, precision)
+            for k in ti.static(range(3)):
+                y[12 * e + k] = values[k]
+            for k in ti.static(range(9)):
+                y[12 * e + 3 + k] = axes[k]
 
     return find
 

@@ -1,0 +1,156 @@
+"""Reverse mode by overloaded operators (Griewank & Walther 2008, chapter 6), while Taichi compiles a kernel.
+
+    step = ti.static([Pullback(function, (stress, moduli), (dimension,))])[0]
+    step.values                                     # what function(stress, moduli, dimension) returns, a flat list
+    stress_bar, moduli_bar = ti.static(step(bars))  # bars of the arguments, each shaped as it is, from those of values
+
+A function of `mpm.physics` that is straight-line code (+ - * /, ti.sqrt, ti.select, comparisons, and calls of other
+such functions) is run once more as the Python that it is, on numbers that add their operations to the kernel and
+remember what they were made of; backwards, what each takes of the bar of the next is added, too. So a term and its
+reverse have one text, and the reverse takes the side of a corner that the step took. The derivative of a root at 0 is
+taken as 0.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from types import CodeType, FunctionType, SimpleNamespace
+from typing import Any
+
+import taichi as ti
+from taichi.lang.expr import Expr
+from taichi.lang.impl import expr_init
+
+Rule = Callable[[Any], Any]
+"""What an operand takes of the bar of a result."""
+
+
+class Number:
+    """A number of the traced function, or a vector of lanes of them: a variable of the kernel."""
+
+    def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
+        self.tape, self.value, self.bar = tape, expr_init(value), None
+        self.operands = [(each, rule) for each, rule in operands if isinstance(each, Number) and each.active]
+        self.active = active or bool(self.operands)
+        tape.append(self)
+
+    def __add__(self, other: Any) -> "Number":
+        return Number(self.tape, self.value + plain(other), (self, lambda bar: bar), (other, lambda bar: bar))
+
+    def __sub__(self, other: Any) -> "Number":
+        return Number(self.tape, self.value - plain(other), (self, lambda bar: bar), (other, lambda bar: 0.0 - bar))
+
+    def __rsub__(self, other: float) -> "Number":
+        return Number(self.tape, other - self.value, (self, lambda bar: 0.0 - bar))
+
+    def __mul__(self, other: Any) -> "Number":
+        factor = plain(other)
+        if isinstance(other, float) and other == 0.0:
+            return Number(self.tape, 0.0 * self.value)
+        own = (self, lambda bar: bar * factor)
+        return Number(self.tape, self.value * factor, own, (other, lambda bar: bar * self.value))
+
+    def __truediv__(self, other: Any) -> "Number":
+        divisor = plain(other)
+        own, divided = (self, lambda bar: bar / divisor), (other, lambda bar: 0.0 - bar / divisor * result.value)
+        result = Number(self.tape, self.value / divisor, own, divided)
+        return result
+
+    def __rtruediv__(self, other: float) -> "Number":
+        result = Number(self.tape, other / self.value, (self, lambda bar: 0.0 - bar / self.value * result.value))
+        return result
+
+    def __pow__(self, power: int) -> "Number":
+        return Number(self.tape, self.value**power, (self, lambda bar: power * bar * self.value ** (power - 1)))
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __gt__(self, other: Any) -> Any:
+        return expr_init(self.value > plain(other))
+
+    def __ge__(self, other: Any) -> Any:
+        return expr_init(self.value >= plain(other))
+
+    def __lt__(self, other: Any) -> Any:
+        return expr_init(self.value < plain(other))
+
+    def __le__(self, other: Any) -> Any:
+        return expr_init(self.value <= plain(other))
+
+
+def plain(number: Any) -> Any:
+    """The expression of a `Number`; what else is a number as it is."""
+    return number.value if isinstance(number, Number) else number
+
+
+def root(a: Number) -> Number:
+    """As `ti.sqrt`."""
+    result = Number(
+        a.tape, ti.sqrt(a.value), (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
+    )
+    return result
+
+
+def selected(condition: Any, a: Any, b: Any) -> Number:
+    """As `ti.select`, of which one at least is a `Number`."""
+    tape = a.tape if isinstance(a, Number) else b.tape
+    first, second = (a, lambda bar: ti.select(condition, bar, 0.0)), (b, lambda bar: ti.select(condition, 0.0, bar))
+    return Number(tape, ti.select(condition, plain(a), plain(b)), first, second)
+
+
+OPERATIONS = SimpleNamespace(static=lambda value: value, sqrt=root, select=selected)
+"""What `ti` is to a traced function."""
+
+
+@cache
+def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The Python of a function of Taichi, with `OPERATIONS` for Taichi's and the Python of those that it calls."""
+    python: Any = getattr(function, "__wrapped__", function)
+    used = {name: each for name, each in python.__globals__.items() if name in names_in(python.__code__)}
+    used = {name: traceable(each) if hasattr(each, "_is_taichi_function") else each for name, each in used.items()}
+    names = {**used, "ti": OPERATIONS, "__builtins__": python.__builtins__}
+    return FunctionType(python.__code__, names, python.__name__, python.__defaults__, python.__closure__)
+
+
+def names_in(code: CodeType) -> set[str]:
+    """The names that a function uses, in its comprehensions too."""
+    inner = (names_in(each) for each in code.co_consts if isinstance(each, CodeType))
+    return set(code.co_names).union(*inner)
+
+
+def mapped(change: Callable[[Any], Any], values: Any) -> Any:
+    """`values`, nested in lists and tuples, each changed."""
+    return [mapped(change, each) for each in values] if isinstance(values, list | tuple) else change(values)
+
+
+def flat(values: Any) -> list[Any]:
+    """Values nested in lists and tuples, one after the other."""
+    return [one for each in values for one in flat(each)] if isinstance(values, list | tuple) else [values]
+
+
+class Pullback:
+    """A function at its arguments, which are expressions of Taichi nested in lists, and its reverse.
+
+    constants: arguments that follow them and have no bars.
+    """
+
+    _data_oriented = True
+    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+
+    def __init__(self, function: Callable[..., Any], arguments: Sequence[Any], constants: Sequence[Any] = ()) -> None:
+        self.tape: list[Number] = []
+        self.arguments = mapped(lambda each: Number(self.tape, each, active=True), arguments)
+        others = mapped(lambda each: Number(self.tape, each) if isinstance(each, Expr) else each, constants)
+        self.results = flat(traceable(function)(*self.arguments, *others))
+        self.values = [plain(each) for each in self.results]
+
+    def __call__(self, bars: Sequence[Any]) -> list[Any]:
+        """Bars of the arguments from those of the values; a value that is None has none."""
+        for result, bar in zip(self.results, bars, strict=True):
+            if result is not None:
+                result.bar = expr_init(bar if result.bar is None else result.bar + bar)
+        for number in reversed(self.tape):
+            for operand, rule in number.operands if number.bar is not None else ():
+                share = rule(number.bar)
+                operand.bar = expr_init(share if operand.bar is None else operand.bar + share)
+        none = expr_init(0.0 * bars[0])
+        return mapped(lambda each: none if each.bar is None else each.bar, self.arguments)
