@@ -37,7 +37,7 @@ class Bench:
 
 BENCHES = {
     "experiments": Bench(
-        module="validation.bench.experiments.bench",
+        module="validation.bench.experiments",
         summary="measured experiments: forward with independently measured angles, backward from their fronts",
     ),
     "accuracy": Bench(
@@ -58,7 +58,7 @@ BENCHES = {
     ),
     "speed": Bench(
         module="validation.bench.speed",
-        summary="rates of the MPM over sizes, cost of features, price of a gradient by the adjoint, a network's step",
+        summary="rates of the MPM over sizes, price of a gradient by the adjoint, a network's step",
     ),
     "efficiency": Bench(
         module="validation.bench.efficiency.bench",

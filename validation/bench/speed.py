@@ -16,8 +16,8 @@ from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.records import Record, from_mapping, read_toml
-from datasets.scene import Baffle, Domain, Mass, Scene
-from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate, simulate_many
+from datasets.scene import Domain, Mass, Scene
+from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
@@ -27,11 +27,6 @@ from validation.report.plots import BLUE, ORANGE, figure, pane
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
-TINY = 1.0e-9
-"""Switches a term on and leaves the flow as it is."""
-PLAIN = "friction alone"
-FEATURE_CELLS, FEATURE_DURATION = {2: 100, 3: 32}, {2: 0.3, 3: 0.15}
-"""Cells per metre and simulated time [s] of the columns that features are switched on in, by dimension."""
 PRICED = "column-tall-42"
 SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
 """Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
@@ -141,29 +136,6 @@ def rate(case: Case, mode: Mode) -> float:
     return sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6
 
 
-def features(dimension: int) -> dict[str, tuple[Scene, Recording]]:
-    """A column with friction alone, and the same with one feature each, too small to change the flow."""
-    scene = column(dimension, FEATURE_CELLS[dimension], 1)
-    material = replace(scene.material, cohesion=0.0, tension_cutoff=0.0)
-    scene = replace(scene, damping=0.0, material=material, duration=FEATURE_DURATION[dimension])
-    corner = tuple(length - 0.1 for length in scene.domain.size)
-    changed = {
-        PLAIN: scene,
-        "damping": replace(scene, damping=TINY),
-        "cohesion and tension cutoff": replace(scene, material=replace(material, cohesion=TINY, tension_cutoff=TINY)),
-        "dilation": replace(scene, material=replace(material, dilation_deg=TINY)),
-        "volume correction": replace(scene, volume_correction=True),
-        "a baffle outside the flow": replace(scene, baffles=(Baffle(lower=corner, size=(0.1,) * dimension),)),
-    }
-    found = {name: (each, ALL) for name, each in changed.items()}
-    return found | {"velocity, pressure and plastic strain recorded": (scene, WITH_FIELDS)}
-
-
-def wall(scene: Scene, record: Recording) -> float:
-    """Seconds of a run on one thread, without compilation."""
-    return float(simulate(scene, record=record, threads=1).summary["wall_s"])
-
-
 def enlarged(scale: float, duration: float) -> Scene:
     """The shipped column, longer and higher on the same cells, for another duration [s]."""
     scene = read_scene(PRICED)
@@ -205,14 +177,14 @@ def price(scene: Scene, repeats: int) -> Price:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
-    """Measure rates over sizes, the cost of features, of a gradient and of a network's step; needs a quiet machine.
+    """Measure rates over sizes, the price of a gradient, a step of the network; needs a quiet machine.
 
     Parameters
     ----------
     out
         Folder for speed.md and its picture.
     quick
-        A single frame of two small cases, features in 2D, one small gradient.
+        A single frame of two small cases, one small gradient.
     keep
         Not used: times are of one run.
     rounds
@@ -222,19 +194,16 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
         raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     rounds = 1 if quick else rounds
     cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
-    dimensions = (2,) if quick else (2, 3)
     began = time.perf_counter()
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
     rates = {
         key: spread(found) for key, found in turns({key: partial(rate, *key) for key in keys}, rounds, "rates").items()
     }
-    runs = {(d, name): partial(wall, *each) for d in dimensions for name, each in features(d).items()}
-    switched = {key: spread(found) for key, found in turns(runs, 2 * rounds, "features").items()}
     scales = ((0.5, 0.1),) if quick else SCALES
     prices = [isolated(price, enlarged(*each), rounds) for each in scales]
     command = f"python -m validation.bench speed --rounds {rounds}"
-    text = page(rates, switched, prices, (), command=command, quick=quick)
+    text = page(rates, prices, (), command=command, quick=quick)
     draw(out / "speed.png", rates, prices)
     text.text(f"Measured in {time.perf_counter() - began:.0f} s.")
     return text.write(out / "speed.md")
@@ -242,7 +211,6 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
 
 def page(
     rates: Rates,
-    switched: Mapping[tuple[int, str], Spread],
     prices: Sequence[Price],
     networks: Sequence[Row],
     *,
@@ -250,9 +218,7 @@ def page(
     quick: bool = False,
 ) -> Page:
     """The page, from what was measured."""
-    text = Page(
-        "Speed", command=command, conclusion=conclusion(rates, switched, prices), packages=MPM | GNS, quick=quick
-    )
+    text = Page("Speed", command=command, conclusion=conclusion(rates, prices), packages=MPM | GNS, quick=quick)
     text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
     text.section("Million particle-steps a second of the MPM")
     text.text(f"""
@@ -265,9 +231,6 @@ def page(
     text.text("Other codes on two cores of an AMD EPYC, not in this run (`validation/bench/speed.toml`):")
     others = from_mapping(OtherCodes, read_toml(Path(__file__).with_suffix(".toml")))
     text.table([{"": code.name} | dict(zip(others.columns, code.rates, strict=True)) for code in others.codes])
-    text.section("Features")
-    text.text("Seconds of a column with one feature, too small to change the flow, over those with friction alone.")
-    text.table(feature_rows(switched))
     text.section("A gradient by the adjoint")
     text.text(f"""
         A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that
@@ -292,8 +255,8 @@ def page(
     return text
 
 
-def conclusion(rates: Rates, switched: Mapping[tuple[int, str], Spread], prices: Sequence[Price]) -> list[str]:
-    """Rates by dimension, the costliest feature, the price of a gradient."""
+def conclusion(rates: Rates, prices: Sequence[Price]) -> list[str]:
+    """Rates by dimension, the price of a gradient."""
     found = []
     for dimension in dict.fromkeys(case.dimension for case, _ in rates):
         best = best_rates(rates, dimension)
@@ -301,13 +264,6 @@ def conclusion(rates: Rates, switched: Mapping[tuple[int, str], Spread], prices:
             f"In {dimension}D the MPM makes {between(best.values(), '.0f')} million particle-steps a second, at"
             f" {between(best, ',')} particles."
         )
-    ratios = {
-        name: switched[dimension, name].median / switched[dimension, PLAIN].median
-        for dimension, name in switched
-        if name != PLAIN
-    }
-    dearest = max(ratios, key=lambda name: ratios[name])
-    found.append(f"The costliest single feature is {dearest}: x {ratios[dearest]:.2f}.")
     large = max(prices, key=lambda each: each.memory)
     runs = between([each.ratio for each in prices], ".1f")
     found.append(
@@ -343,16 +299,6 @@ def rate_rows(rates: Rates) -> list[Row]:
         }
         rows.append(row | {head: each.written(1) if each else "-" for head, each in sorted(cells.items())})
     return rows
-
-
-def feature_rows(switched: Mapping[tuple[int, str], Spread]) -> list[Row]:
-    """A line per feature: its seconds over the plain column's."""
-    dimensions = sorted({dimension for dimension, _ in switched})
-    return [
-        {"switched on": name}
-        | {f"{d}D": f"x {switched[d, name].median / switched[d, PLAIN].median:.2f}" for d in dimensions}
-        for name in dict.fromkeys(name for _, name in switched if name != PLAIN)
-    ]
 
 
 def draw(path: Path, rates: Rates, prices: Sequence[Price]) -> None:

@@ -110,33 +110,6 @@ class Measured(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimeSeries(Record):
-    """An extent over time; time counts from the first row on, at which the computation is as far as the measurement."""
-
-    times: tuple[float, ...]
-    """[s], ascending from 0."""
-    values: tuple[float, ...]
-    """[m]."""
-    spreads: tuple[float, ...]
-    """[m]."""
-    spread_from: str
-    status: Status
-    source: str
-
-    def __post_init__(self) -> None:
-        if not len(self.times) == len(self.values) == len(self.spreads) > 1:
-            raise InputError(
-                f"expected as many values and spreads as times, two or more, got {len(self.times)} times,"
-                f" {len(self.values)} values and {len(self.spreads)} spreads",
-                key="times",
-            )
-        if self.times[0] != 0.0 or any(later <= earlier for earlier, later in itertools.pairwise(self.times)):
-            raise InputError("expected times that ascend from 0", key="times")
-        if min(self.spreads) <= 0.0:
-            raise InputError("expected positive lengths in m", key="spreads")
-
-
-@dataclass(frozen=True, kw_only=True)
 class MeasuredScene(Record):
     """A scene and what was measured in it."""
 
@@ -146,15 +119,16 @@ class MeasuredScene(Record):
     cells: tuple[float, float] | None = None
     """Its own grid cells [m]; the experiment's where absent."""
     measured: tuple[Measured, ...]
-    """The first one that is a front or a radius is what an angle is inferred from."""
-    series: TimeSeries | None = None
-    """The same extent over time, to be held against a run at the angle that was inferred."""
+    """The first one is a front or a radius: an angle is inferred from it."""
+
+    def __post_init__(self) -> None:
+        if not self.measured or self.measured[0].quantity not in (Quantity.FRONT, Quantity.RADIUS):
+            raise InputError("expected a front or a radius first", key="measured")
 
     @property
-    def extent(self) -> Measured | None:
+    def extent(self) -> Measured:
         """The measured number that an angle is inferred from."""
-        extents = (Quantity.FRONT, Quantity.RADIUS)
-        return next((each for each in self.measured if each.quantity in extents), None)
+        return self.measured[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,6 +187,11 @@ class Shipped:
     name: str
     folder: Path
     experiment: Experiment
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return read_scene(str(self.folder / self.experiment.cases[0].scene)).dimension
 
     def cells(self, case: MeasuredScene) -> tuple[float, float]:
         """Grid cells of a case, the coarse and the fine one [m]."""

@@ -7,9 +7,8 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from mpm import simulate
 from validation.bench import speed
-from validation.bench.speed import CASES, PLAIN, Price, column, draw, enlarged, features, mean_x, modes, page, price
+from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page, price
 from validation.report.measuring import spread
 
 RATES = {
@@ -17,7 +16,6 @@ RATES = {
     for rank, case in enumerate(CASES, start=1)
     for mode in (("f32", 2), ("f64", 2))
 }
-SWITCHED = {(2, PLAIN): spread([2.0]), (2, "damping"): spread([2.2]), (2, "dilation"): spread([3.0])}
 PRICES = [
     Price(particles=3200, steps=4400, run=1.0, gradient=5.0, memory=2**20),
     Price(particles=12800, steps=4400, run=4.0, gradient=22.0, memory=2**24),
@@ -25,9 +23,8 @@ PRICES = [
 
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
-    text = page(RATES, SWITCHED, PRICES, [{"nodes": "500", "flow2d": "0.01"}], command="it")
+    text = page(RATES, PRICES, [{"nodes": "500", "flow2d": "0.01"}], command="it")
     assert "In 2D the MPM makes 22 to 55 million particle-steps a second, at 3,200 to " in text.conclusion
-    assert "The costliest single feature is dilation: x 1.50." in text.conclusion
     assert "5.0 to 5.5 runs, for any number of unknowns, and at most 16 MiB (12,800" in text.conclusion
     assert "GeoTaichi" in str(text)
     assert "| 500" in str(text)
@@ -40,12 +37,6 @@ def test_columns_have_the_particles_that_the_cases_state() -> None:
     assert particle_count(enlarged(2.0, 0.1)) == 4 * particle_count(enlarged(1.0, 0.1)) == 12800
     assert modes(CASES[0]) == [("f32", 1), ("f64", 1)]
     assert column(3, 32, 10).frames == 11
-
-
-def test_features_leave_the_flow_as_it_is() -> None:
-    runs = [simulate(scene, record=record) for scene, record in features(2).values() if not scene.volume_correction]
-    apart = [np.abs(run.positions[-1] - runs[0].positions[-1]).max() for run in runs]
-    assert max(apart) < 0.1 * column(2, 100, 1).domain.cell
 
 
 def test_no_rounds_are_refused(tmp_path: Path) -> None:

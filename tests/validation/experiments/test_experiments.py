@@ -17,7 +17,6 @@ from validation.experiments.experiment import (
     Quantity,
     Shipped,
     Status,
-    TimeSeries,
     Variant,
     read_experiment,
     read_experiments,
@@ -104,7 +103,7 @@ def test_a_missing_scene_is_named(shelf: Path) -> None:
 def test_the_page_on_formats_names_every_key() -> None:
     page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
-    for kind in (Experiment, Angle, MeasuredScene, Measured, TimeSeries, Variant, Assumption):
+    for kind in (Experiment, Angle, MeasuredScene, Measured, Variant, Assumption):
         for each in dataclasses.fields(kind):
             assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
     for status in Status:

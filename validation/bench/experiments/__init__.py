@@ -1,1 +1,0 @@
-"""Measured experiments, forward and backward."""
