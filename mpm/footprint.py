@@ -44,15 +44,12 @@ class Footprint:
     """At least: a frame whose particles move fast has more."""
     bytes: int
     """Of memory, at the peak, of the whole process."""
-    disk: int = 0
-    """Bytes of the frames that are streamed to disk."""
 
     def __str__(self) -> str:
         nodes = " x ".join(map(str, self.nodes))
         return (
             f"{self.particles} particles, {nodes} nodes, {self.frames} frames, {self.steps} steps or more, "
             f"about {memory.spoken(self.bytes)} of memory"
-            f"{f', {memory.spoken(self.disk)} of frames on disk' if self.disk else ''}"
         )
 
 
@@ -72,9 +69,9 @@ def footprint(
     precision: Precision = "f32",
     workers: int = 1,
     gpu: bool = False,
-    stream: bool = False,
+    in_file: bool = False,
 ) -> Footprint:
-    """What a run of `scene` on so many `workers` takes, its frames on disk with `stream`.
+    """What a run of `scene` on so many `workers` takes, its frames in a file or in memory.
 
     Raises InputError for one that no machine could make.
     """
@@ -93,15 +90,14 @@ def footprint(
             key="duration",
         )
     count = sum(mass_counts(scene))
-    frames_size = size_of_frames(scene, features, count, record)
+    frames_size = 0 if in_file else size_of_frames(scene, features, count, record)
     nodes = tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
     return Footprint(
         particles=count,
         nodes=nodes,
         frames=scene.frames,
         steps=steps,
-        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), workers) + (0 if stream else frames_size),
-        disk=frames_size if stream else 0,
+        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), workers) + frames_size,
     )
 
 
@@ -135,5 +131,5 @@ def require_memory(footprints: list[Footprint]) -> None:
     memory.require(
         extra,
         f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
-        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame)",
+        f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
     )

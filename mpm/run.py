@@ -1,6 +1,7 @@
 """python -m mpm.run SCENE --out DIR: simulate one scene with the MPM."""
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 from datasets.command_line import run
@@ -10,9 +11,11 @@ from datasets.exchange.vtkhdf import FILE as VTKHDF
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
+from datasets.frames import HDF5, FrameWriter
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import stopping
+from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
@@ -37,6 +40,7 @@ def command(
     vtk: bool = False,
     vtkhdf: bool = False,
     forces: bool = False,
+    hdf5: bool = False,
     checkpoint: bool = False,
 ) -> int:
     """Simulate a scene and write its trajectory and a summary.
@@ -72,10 +76,14 @@ def command(
         The same in one file: DIR/trajectory.vtkhdf.
     forces
         Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
+    hdf5
+        Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not fit
+        into memory, unless fields are recorded too.
     checkpoint
         Leave DIR/checkpoint.npz at the end too: the same scene for a longer duration goes on from it.
     """
-    from mpm.simulation import Interrupted, simulate_resumably
+    # Imported here: --help needs no compiler.
+    from mpm.simulation import Interrupted, Options, simulate_resumably
 
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
@@ -93,36 +101,49 @@ def command(
         until_rest=until_rest,
     )
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
-    print(footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu"), flush=True)
-    file = out / "checkpoint.npz"
+    appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
+    plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
+    print(plan, flush=True)
+    file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and (key := start.difference(given, record, precise)):
         print(f"talus: {file}: {key}: that of another run; beginning anew", file=sys.stderr)
         start = None
-    try:
-        with stopping() as stop:
-            trajectory, end = simulate_resumably(
-                given, resume=start, stop=stop, arch=arch, record=record, precision=precise, progress=True
-            )
-    except Interrupted as interrupted:
-        interrupted.checkpoint.save(file)
-        end_time = given.frame_dt * interrupted.checkpoint.run.frame
-        print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
-        return stop.status
-    except InputError as error:
-        raise error.at(str(file)) if start is not None and not error.where else error from None
-    trajectory.save(out / "trajectory.npz")
-    write_json(out / "summary.json", trajectory.summary)
-    if checkpoint:
-        end.save(file)
-    else:
-        file.unlink(missing_ok=True)
-    if vtk:
-        write_vtk(trajectory, out / "vtk", progress=True)
-    if vtkhdf:
-        write_vtkhdf(trajectory, out / VTKHDF, progress=True)
-    if forces:
-        print("\n".join(spoken(write_forces(trajectory, out))))
+    if start is not None and frames.exists():
+        start.arrays["positions"] = open_trajectory(frames).positions
+    with ExitStack() as stack:
+        options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
+        if appended:
+            options["file"] = stack.enter_context(FrameWriter(frames))
+        stop = stack.enter_context(stopping())
+        try:
+            trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
+        except Interrupted as interrupted:
+            if appended:
+                options["file"].put(**interrupted.so_far.arrays())
+            interrupted.checkpoint.save(file)
+            end_time = given.frame_dt * interrupted.checkpoint.run.frame
+            print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
+            return stop.status
+        except InputError as error:
+            raise error.at(str(file)) if start is not None and not error.where else error from None
+        write_json(out / "summary.json", trajectory.summary)
+        if checkpoint:
+            end.save(file)
+        else:
+            file.unlink(missing_ok=True)
+        # The folder holds one trajectory: that of this run.
+        (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
+        if appended:
+            options["file"].put(**trajectory.arrays())
+        else:
+            trajectory.save(frames if hdf5 else out / "trajectory.npz")
+        if vtk:
+            write_vtk(trajectory, out / "vtk", progress=True)
+        if vtkhdf:
+            write_vtkhdf(trajectory, out / VTKHDF, progress=True)
+        if forces:
+            print("\n".join(spoken(write_forces(trajectory, out))))
     summary = trajectory.summary
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""

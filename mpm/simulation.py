@@ -10,13 +10,14 @@ What is recorded is a `mpm.Recording`: memory and compiled code are for that alo
 
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TypedDict, Unpack
 
+import numpy as np
 from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from datasets.frames import FrameWriter
 from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -53,8 +54,8 @@ class Options(TypedDict, total=False):
     """What to record, and until when to run; the positions in all frames unless given."""
     progress: bool
     """Show a bar."""
-    stream: Path
-    """Folder on whose disk the positions are kept, not in memory; of one scene, on the CPU, without fields."""
+    file: FrameWriter
+    """Where the positions are kept as they are computed, not in memory; of one scene, on the CPU, without fields."""
 
 
 class ScenesFailed(WorkFailed):
@@ -72,8 +73,10 @@ class ScenesFailed(WorkFailed):
 class Interrupted(KeyboardInterrupt):
     """A run was stopped between two calls of the kernel."""
 
-    def __init__(self, checkpoint: Checkpoint) -> None:
+    def __init__(self, checkpoint: Checkpoint, so_far: Trajectory) -> None:
         self.checkpoint = checkpoint
+        self.so_far = so_far
+        """What was recorded until then."""
         super().__init__()
 
 
@@ -107,7 +110,15 @@ def simulate_resumably(
     batch, wall_s, compile_s = run_one(scene, options, resume, stop or never_stop)
     checkpoint = Checkpoint.from_batch(batch, wall_s=wall_s)
     if batch.computed < scene.frames - 1 and not checkpoint.run.rest and failure(batch, 0) is None:
-        raise Interrupted(checkpoint)
+        kept = [frame for frame in batch.kept(0) if frame <= checkpoint.run.frame]
+        so_far = Trajectory(
+            positions=batch.recorded(0)[: len(kept)],
+            time=np.array(kept, np.float64) * scene.frame_dt,
+            velocity0=batch.particles[0].velocities.astype(np.float32),
+            friction=batch.particles[0].friction,
+            scene=scene,
+        )
+        raise Interrupted(checkpoint, so_far)
     outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
     return finished(outcome), checkpoint
 
@@ -136,8 +147,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     Scenes that need the same features run together, in the kernel that each would get alone; `wall_s` and `compile_s`
     of their summaries are those of all scenes together.
     """
-    if "stream" in options:
-        raise InputError("expected one scene whose frames are kept on disk, got others beside it", key="stream")
+    if "file" in options:
+        raise InputError("expected one scene whose frames are kept in a file, got others beside it", key="file")
     for scene in scenes:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
@@ -181,11 +192,11 @@ def run_one(
     record = options.get("record") or (resume.recording if resume else ALL)
     threads = options.get("threads")
     workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
-    stream = options.get("stream")
-    if stream is not None and (arch != "cpu" or record.fields):
-        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="stream")
-    gpu, on_disk = arch != "cpu", stream is not None
-    require_memory([footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, stream=on_disk)])
+    file, gpu = options.get("file"), arch != "cpu"
+    if file is not None and (gpu or record.fields):
+        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="file")
+    plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=file is not None)
+    require_memory([plan])
     particles = particles_of([scene])
     runtime.start(precision, threads, arch, enough=workers)
     batch = Batch(
@@ -195,7 +206,7 @@ def run_one(
         record=record,
         gpu=gpu,
         particles=particles,
-        stream=stream,
+        file=file,
     )
     if resume is not None:
         resume.restore(batch)

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.frames import FrameWriter
 from datasets.particles import Particles, initial_particles
 from datasets.scene import DOMAIN_SIDES, Scene
 from mpm.arrays.features import features_of
@@ -40,7 +40,6 @@ from mpm.arrays.properties import (
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
 from mpm.output.request import ALL, Recording, window_frames
-from mpm.output.stream import DiskFrames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
 Array = NDArray[Any]
@@ -50,9 +49,9 @@ class Batch:
     """The state of several scenes and what is recorded of it.
 
     `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
-    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. With
-    `stream` the positions of one scene are kept on the disk of that folder, and `record` holds those of one call of the
-    kernel. Raises InputError for more particles times frames than can be counted.
+    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The
+    positions of one scene can be kept in a `file`, and `positions` then holds those of one call of the kernel. Raises
+    InputError for more particles times frames than can be counted.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class Batch:
         record: Recording = ALL,
         gpu: bool = False,
         particles: Sequence[Particles] | None = None,
-        stream: Path | None = None,
+        file: FrameWriter | None = None,
     ) -> None:
         self.scenes, self.recording = list(scenes), record
         self.particles = particles_of(scenes) if particles is None else list(particles)
@@ -109,7 +108,7 @@ class Batch:
                 node += math.prod(nodes)
                 impulse += solids * features.dimension
             block += blocks
-            recorded += count * (len(kept) if stream is None else min(len(kept), FRAMES_PER_CALL))
+            recorded += count * (len(kept) if file is None else min(len(kept), FRAMES_PER_CALL))
             line += scene.frames
             recorded_impulse += scene.frames * solids
         per_particle = max(features.dimension, features.recorded)
@@ -130,14 +129,12 @@ class Batch:
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.positions = np.zeros(recorded * features.dimension, np.float32)
-        self.on_disk: DiskFrames | None = None
-        if stream is not None:
-            self.on_disk = DiskFrames(stream, (len(self.kept(0)), counts[0], features.dimension))
         self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
         self.arrivals = np.zeros(1, np.int32)
         self.computed = 0
+        self.file, self.finite_so_far = file, True
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
@@ -223,6 +220,11 @@ class Batch:
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, as `mpm.output.recorder.record_lane` does."""
         features, numbers, order = self.features, self.numbers(index), self.order_of(index)
+        if self.file is not None:
+            frame = np.empty((1, len(order), features.dimension), np.float32)
+            frame[0, order] = numbers[: features.dimension].T
+            self.append(frame)
+            return
         self.recorded(index)[slot, order] = numbers[: features.dimension].T
         columns = []
         if features.velocity_recorded:
@@ -289,24 +291,37 @@ class Batch:
 
     def recorded(self, index: int) -> NDArray[np.float32]:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
-        if self.on_disk is not None:
-            return self.on_disk.positions
+        if self.file is not None:
+            return self.file.frames("positions")
         return self.frames_of(self.positions, index, self.features.dimension)
 
     def finite(self, index: int) -> bool:
         """Whether all recorded positions of one scene are numbers."""
-        return bool(np.isfinite(self.recorded(index)).all()) if self.on_disk is None else self.on_disk.finite
+        return self.finite_so_far if self.file is not None else bool(np.isfinite(self.recorded(index)).all())
 
     def before_call(self, first: int) -> None:
-        """Let `record` begin with what is kept from frame `first` on, where frames are streamed."""
-        if self.on_disk is not None:
+        """Let `positions` begin with what is kept from frame `first` on, where frames are kept in a file."""
+        if self.file is not None:
             self.offsets[0, Offset.FIRST_SLOT] = np.searchsorted(self.kept(0), first)
 
     def after_call(self, last: int) -> None:
-        """Bring what is kept of the frames before `last` from `record` to the disk, where frames are streamed."""
-        if self.on_disk is not None:
-            begin, end = int(self.offsets[0, Offset.FIRST_SLOT]), int(np.searchsorted(self.kept(0), last))
-            self.on_disk.put(begin, self.positions.reshape(-1, *self.on_disk.positions.shape[1:])[: end - begin])
+        """Append to the file, where there is one, what `positions` holds of the frames before `last`."""
+        if self.file is not None:
+            rest, first = int(self.offsets[0, Offset.REST]), int(self.offsets[0, Offset.FIRST_SLOT])
+            count = int(np.searchsorted(self.kept(0), min(last, rest + 1) if rest else last)) - first
+            self.append(self.positions.reshape(-1, *self.empty_frames.shape[1:])[:count])
+
+    @property
+    def empty_frames(self) -> NDArray[np.float32]:
+        """No frames of the first scene, shape [0, N, D]."""
+        return np.zeros((0, int(self.offsets[0, Offset.PARTICLES]), self.features.dimension), np.float32)
+
+    def append(self, frames: NDArray[np.float32]) -> None:
+        """Append frames, shape [F, N, D], to the file."""
+        assert self.file is not None
+        if len(frames):
+            self.file.append(positions=frames)
+            self.finite_so_far &= bool(np.isfinite(frames).all())
 
     def recorded_fields(self, index: int) -> NDArray[np.float32]:
         """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""

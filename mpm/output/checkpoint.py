@@ -103,6 +103,11 @@ class Checkpoint:
             if key == "state":
                 check_state(array, batch)
             part[...] = array
+        if batch.file is not None:
+            # Where the first frame is kept, it is in the file already.
+            kept = sum(number <= self.run.frame for number in batch.kept(0))
+            for number in range(batch.recording.every > 0, kept):
+                batch.append(self.arrays["positions"][number][None])
         batch.offsets[0, Offset.REST], batch.offsets[0, Offset.STEPS] = self.run.rest, self.run.steps
         batch.clamped[0], batch.computed = self.run.clamped, self.run.frame
 
@@ -150,7 +155,8 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         "order": batch.order,
         "energy": batch.energies(0)[: frame + 1],
         "impulse": impulse[: (frame + 1) * solids].reshape(frame + 1, solids, impulse.shape[1]),
-        "positions": batch.recorded(0)[:kept],
+        # Those in a file stay there.
+        "positions": batch.recorded(0)[:kept] if batch.file is None else batch.empty_frames,
         "fields": batch.recorded_fields(0)[:kept],
         "retained": batch.retained,
         "settling": batch.settling,

@@ -1,17 +1,25 @@
-"""Frames that are kept on disk while a run goes on are those that memory would hold."""
+"""Frames that go to a file while a run computes them are those that memory would hold."""
 
 import dataclasses
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
+from datasets.command_line import run
 from datasets.errors import InputError
-from mpm import AT_REST, LAST, WITH_FIELDS, Recording, simulate
+from datasets.frames import FrameWriter
+from datasets.trajectory import Trajectory
+from mpm import WITH_FIELDS, Recording, simulate
+from mpm import simulation as solver
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import FRAMES_PER_CALL
 from mpm.footprint import footprint
-from mpm.simulation import simulate_each, simulate_resumably
+from mpm.run import command
+from mpm.simulation import simulate_each
 from tests.mpm.scenes import box
 
 FLOW = box(duration=0.28)
@@ -19,42 +27,73 @@ FLOW = box(duration=0.28)
 
 @pytest.mark.parametrize(
     "record",
-    [Recording(), LAST, AT_REST, Recording(frames=3), Recording(frames=50), Recording(until_rest=True)],
-    ids=["all", "last", "at rest", "every third", "fewer than calls", "all until rest"],
+    [Recording(), Recording(frames=3), Recording(frames=50), Recording(until_rest=True)],
+    ids=["all", "every third", "fewer than calls", "all until rest"],
 )
-def test_a_streamed_run_is_the_same_to_the_bit(tmp_path: Path, record: Recording) -> None:
+def test_frames_in_a_file_are_the_same_to_the_bit(tmp_path: Path, record: Recording) -> None:
     scene = dataclasses.replace(FLOW, duration=0.6) if record.until_rest else FLOW
     assert scene.frames > 2 * FRAMES_PER_CALL
-    whole, streamed = simulate(scene, record=record), simulate(scene, record=record, stream=tmp_path)
-    np.testing.assert_array_equal(streamed.positions, whole.positions)
-    np.testing.assert_array_equal(streamed.time, whole.time)
+    whole = simulate(scene, record=record)
+    with FrameWriter(tmp_path / "flow.h5") as file:
+        file.put(**simulate(scene, record=record, file=file).arrays())
+    found = Trajectory.load(tmp_path / "flow.h5")
+    np.testing.assert_array_equal(found.positions, whole.positions)
+    np.testing.assert_array_equal(found.time, whole.time)
     costs = ("wall_s", "compile_s")
-    assert {k: v for k, v in streamed.summary.items() if k not in costs} == {
+    assert {k: v for k, v in found.summary.items() if k not in costs} == {
         k: v for k, v in whole.summary.items() if k not in costs
     }
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_it_goes_on_from_a_checkpoint(tmp_path: Path) -> None:
-    _, checkpoint = simulate_resumably(dataclasses.replace(FLOW, duration=0.13), stream=tmp_path)
-    longer = simulate(FLOW, resume=checkpoint, stream=tmp_path)
-    np.testing.assert_array_equal(longer.positions, simulate(FLOW).positions)
 
 
 def test_memory_holds_the_frames_of_a_call(tmp_path: Path) -> None:
     whole = Batch([FLOW], precision="f32")
-    streamed = Batch([FLOW], precision="f32", stream=tmp_path)
-    assert whole.positions.size == FLOW.frames * len(whole.particles[0].positions) * 2
-    assert streamed.positions.size == FRAMES_PER_CALL * len(whole.particles[0].positions) * 2
-    plan, kept = footprint(FLOW, stream=True), footprint(FLOW)
-    assert plan.disk >= whole.positions.nbytes
-    assert plan.bytes == kept.bytes - plan.disk
-    assert "of frames on disk" in str(plan)
-    assert "disk" not in str(kept)
+    with FrameWriter(tmp_path / "flow.h5") as file:
+        assert Batch([FLOW], precision="f32", file=file).positions.size == whole.positions.size * FRAMES_PER_CALL / 57
+    assert footprint(FLOW, in_file=True).bytes <= footprint(FLOW).bytes - whole.positions.nbytes
 
 
 def test_fields_and_other_scenes_beside_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="stream: expected positions alone"):
-        simulate(FLOW, record=WITH_FIELDS, stream=tmp_path)
-    with pytest.raises(InputError, match="stream: expected one scene"):
-        simulate_each([FLOW, FLOW], stream=tmp_path)
+    with FrameWriter(tmp_path / "flow.h5") as file:
+        with pytest.raises(InputError, match="file: expected positions alone"):
+            simulate(FLOW, record=WITH_FIELDS, file=file)
+        with pytest.raises(InputError, match="file: expected one scene"):
+            simulate_each([FLOW, FLOW], file=file)
+
+
+SCENE = """
+duration = 0.2
+frame_dt = 0.005
+
+[domain]
+size = [1.0, 0.5]
+cell = 0.02
+
+[material]
+friction_deg = 30.0
+
+[[masses]]
+lower = [0.0, 0.0]
+size = [0.2, 0.2]
+"""
+
+
+def test_the_command_appends_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bar(tqdm):  # type: ignore[type-arg]
+        """Asks to stop after the first launch."""
+
+        def update(self, n: float | None = 1) -> bool | None:
+            os.kill(os.getpid(), signal.SIGINT)
+            return super().update(n)
+
+    scene, out = tmp_path / "pile.toml", tmp_path / "out"
+    scene.write_text(SCENE)
+    assert run(command, "mpm.run", [str(scene), "--out", str(out)]) == 0
+    whole = Trajectory.load(out / "trajectory.npz")
+    with monkeypatch.context() as patch:
+        patch.setattr(solver, "tqdm", Bar)
+        assert run(command, "mpm.run", [str(scene), "--out", str(out), "--hdf5"]) == 130
+    part = Trajectory.load(out / "trajectory.h5")
+    np.testing.assert_array_equal(part.positions, whole.positions[: 1 + FRAMES_PER_CALL])
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--hdf5"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["summary.json", "trajectory.h5"]
+    np.testing.assert_array_equal(Trajectory.load(out / "trajectory.h5").positions, whole.positions)
