@@ -18,6 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.records import Record, fraction, from_mapping, read_toml
@@ -115,7 +117,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
     known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
-    suitable = [each for each in known if supported(each, known, tolerance)]
+    suitable = [each for each in known if tightest(each, known) <= tolerance]
     if not suitable:
         best = min((tightest(each, known) for each in known), default=math.inf)
         raise InputError(
@@ -135,13 +137,8 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     )
 
 
-def supported(each: Measured, known: Sequence[Measured], tolerance: float) -> bool:
-    """Whether `tolerance` holds there and on all finer grids measured alike: an error small by luck does not count."""
-    return tightest(each, known) <= tolerance
-
-
 def tightest(each: Measured, known: Sequence[Measured]) -> float:
-    """The largest promise on this and all finer grids of `known` that differ from it in nothing else."""
+    """The largest promise on this and all finer grids that differ from it in nothing else: luck does not count."""
     return max(
         other.promised
         for other in known
@@ -187,22 +184,15 @@ def characteristic_length(scene: Scene) -> float:
 
 
 def connected_masses(masses: Sequence[Mass]) -> list[list[Mass]]:
-    """Masses in groups that touch."""
-    groups: list[list[Mass]] = []
-    for mass in masses:
-        near = [group for group in groups if any(touch(mass, other) for other in group)]
-        groups = [group for group in groups if group not in near] + [
-            [mass, *(other for group in near for other in group)]
-        ]
-    return groups
+    """Masses in groups whose boxes share at least a corner."""
+    lower = np.array([mass.lower for mass in masses])
+    upper = lower + np.array([mass.size for mass in masses])
+    # Imported here: who asks for help needs no graphs.
+    from scipy.sparse.csgraph import connected_components
 
-
-def touch(a: Mass, b: Mass) -> bool:
-    """Whether two boxes share at least a corner."""
-    return all(
-        low_a <= low_b + size_b + TOLERANCE and low_b <= low_a + size_a + TOLERANCE
-        for low_a, size_a, low_b, size_b in zip(a.lower, a.size, b.lower, b.size, strict=True)
-    )
+    touch = ((lower[:, None] <= upper + TOLERANCE) & (lower <= upper[:, None] + TOLERANCE)).all(axis=2)
+    count, group = connected_components(touch)
+    return [[mass for mass, own in zip(masses, group, strict=True) if own == number] for number in range(count)]
 
 
 def particle_steps(scene: Scene) -> int:

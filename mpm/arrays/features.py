@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import accumulate
 from typing import ClassVar, Protocol
 
 from datasets.geometry.placement import remembers_gaps
@@ -64,67 +66,15 @@ class Features(Record):
         """Particles in a block: what a register holds; one on a GPU."""
         return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
 
-    # The vectors of a block: position from 0, velocity, C row by row, stress, and what only some scenes need.
-
-    @property
-    def velocity(self) -> int:
-        """First vector of a block that holds velocity."""
-        return self.dimension
-
-    @property
-    def affine(self) -> int:
-        """First of the D x D vectors of APIC's C, row by row."""
-        return 2 * self.dimension
-
-    @property
-    def stress(self) -> int:
-        """First vector of the stress: xx, yy, zz, xy and, in 3D, yz, zx."""
-        return self.affine + self.dimension**2
-
     @property
     def stresses(self) -> int:
-        """Components of the stress; 2D is plane strain."""
+        """Components of the stress: xx, yy, zz, xy and, in 3D, yz, zx; 2D is plane strain."""
         return 4 if self.dimension == 2 else 6
-
-    @property
-    def plastic_strain(self) -> int:
-        """Vector of the plastic strain, where `strained`."""
-        return self.stress + self.stresses
 
     @property
     def strained(self) -> bool:
         """Plastic strain is accumulated."""
         return self.strain_recorded or self.softens
-
-    @property
-    def gap(self) -> int:
-        """Vector of the mean stress that what opened would have made [Pa], where `volume_correction`."""
-        return self.plastic_strain + int(self.strained)
-
-    @property
-    def properties(self) -> int:
-        """First vector of the material properties, where `heterogeneous`."""
-        return self.gap + int(self.volume_correction)
-
-    @property
-    def remainder(self) -> int:
-        """First of the D vectors of what rounding has kept from the position [m], where `compensated`."""
-        return self.properties + (self.columns if self.heterogeneous else 0)
-
-    @property
-    def before(self) -> int:
-        """First of the D vectors of the velocity at the end of the frame before, where `until_rest`."""
-        return self.remainder + (self.dimension if self.compensated else 0)
-
-    @property
-    def contacts(self) -> int:
-        """First of the vectors that `Contact` lists, where `contact`."""
-        return self.before + (self.dimension if self.until_rest else 0)
-
-    @property
-    def present(self) -> int:
-        """Vector of ones, and of zeros in the lanes that only mirror a scene's last particle."""
-        return self.contacts + self.contact_vectors
 
     @property
     def contact_vectors(self) -> int:
@@ -137,11 +87,6 @@ class Features(Record):
         return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
 
     @property
-    def block(self) -> int:
-        """Vectors in a block."""
-        return self.present + 1
-
-    @property
     def compensated(self) -> bool:
         """Positions are summed with compensation (Kahan 1965): in f32 slow particles far from the origin would rest."""
         return self.precision == "f32"
@@ -150,48 +95,6 @@ class Features(Record):
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
         return self.contact or self.walls_recorded
-
-    # What is recorded of a particle besides its position: velocity, stress or pressure, plastic strain.
-
-    @property
-    def recorded_stress(self) -> int:
-        """Which of a particle's recorded numbers is the first of its stress, or its pressure."""
-        return self.dimension if self.velocity_recorded else 0
-
-    @property
-    def recorded_strain(self) -> int:
-        """Which of a particle's recorded numbers is its plastic strain."""
-        return self.recorded_stress + (self.stresses if self.stress_recorded else int(self.pressure_recorded))
-
-    @property
-    def recorded(self) -> int:
-        """Numbers that are recorded of a particle besides its position."""
-        return self.recorded_strain + int(self.strain_recorded)
-
-    # A face, a line of `faces`: its corners, its normal and those of its corners and, in 3D, edges; friction at each
-    # corner, adhesion, number of its solid.
-
-    @property
-    def face_normal(self) -> int:
-        """Column of a face's normal; those of its D corners and, in 3D, of its 3 edges follow."""
-        return self.dimension**2
-
-    @property
-    def face_friction(self) -> int:
-        """Column of the friction at a face's first corner [-]."""
-        return self.face_normal + self.dimension * (1 + self.dimension + (3 if self.dimension == 3 else 0))
-
-    @property
-    def face_adhesion(self) -> int:
-        """Column of a face's adhesion [Pa]."""
-        return self.face_friction + self.dimension
-
-    @property
-    def face_solid(self) -> int:
-        """Column of the number of a face's solid."""
-        return self.face_adhesion + 1
-
-    # A node: momentum, mass and, where forces stay apart, force.
 
     @property
     def forces(self) -> bool:
@@ -203,53 +106,74 @@ class Features(Record):
         """Numbers in a node: a short vector, a power of two long."""
         return 8 if self.forces else 4
 
-    @property
-    def used(self) -> int:
-        """Numbers of a node that mean something; the others stay zero."""
-        return self.dimension + 1 + (self.dimension if self.forces else 0)
+    def __getattr__(self, name: str) -> int:
+        """Where the part `name` begins of a block, a record, a face, a node or the scratch; see `parts`."""
+        found = None if name.startswith("_") else offsets(self).get(name)
+        if found is None:
+            raise AttributeError(name)
+        return found
 
-    @property
-    def force(self) -> int:
-        """First number of a node that holds force, where `forces`."""
-        return self.dimension + 1
 
-    @property
-    def change(self) -> int:
-        """First number of a node that holds its change of velocity, where `relaxed`; mass and force are done with."""
-        return self.force
+def parts(features: Features) -> list[dict[str, int]]:
+    """How long the parts are of what the kernels read, in their order; one that a kernel does without has length 0."""
+    size, contact, relaxed = features.dimension, int(features.contact), int(features.relaxed)
+    return [
+        {  # Vectors of a block of particles; `present` is 1, and 0 in lanes that only mirror a scene's last particle.
+            "position": size,
+            "velocity": size,
+            "affine": size**2,  # APIC's C, row by row
+            "stress": features.stresses,
+            "plastic_strain": int(features.strained),
+            "gap": int(features.volume_correction),  # mean stress that what opened would have made [Pa]
+            "properties": features.columns if features.heterogeneous else 0,
+            "remainder": size if features.compensated else 0,  # what rounding has kept from the position [m]
+            "before": size if features.until_rest else 0,  # the velocity at the end of the frame before
+            "contacts": features.contact_vectors,
+            "present": 1,
+            "block": 0,
+        },
+        {  # Numbers that are recorded of a particle besides its position.
+            "recorded_velocity": size if features.velocity_recorded else 0,
+            "recorded_stress": features.stresses if features.stress_recorded else int(features.pressure_recorded),
+            "recorded_strain": int(features.strain_recorded),
+            "recorded": 0,
+        },
+        {  # Columns of a face: its corners, its normal and those of its corners and, in 3D, edges, ...
+            "face_corners": size**2,
+            "face_normal": size * (1 + size + (3 if size == 3 else 0)),
+            "face_friction": size,  # at each corner [-]
+            "face_adhesion": 1,  # [Pa]
+            "face_solid": 1,  # its number
+            "face_columns": 0,
+        },
+        {  # Numbers of a node: momentum, mass and, where they stay apart, force; the others stay zero.
+            "momentum": size,
+            "mass": 1,
+            "force": size if features.forces else 0,
+            "used": 0,
+        },
+        # Where `relaxed`, the change of a node's velocity stands in place of its force, which is done with.
+        {"momentum_and_mass": size + 1, "change": 0},
+        {  # Scratch vectors of a worker.
+            "weights": 3 * size,  # of the three nodes along each axis,
+            "levers": 3 * size,  # and these times their distances
+            "values": features.node * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
+            "lowest": size * (1 + 2 * relaxed),  # each particle's lowest node, the grid's velocity at it and its change
+            "density": 1 + size if features.volume_correction else 0,  # the grid's mass at each particle, its slopes
+            "origin": size * contact,  # the positions before a step
+            "push": 2 * size * contact,  # the contact's force per volume and its arm
+            "scratch": 0,
+        },
+    ]
 
-    # The scratch vectors of a worker: weights of the three nodes along each axis, these times their distances, what a
-    # block gives to its nodes, its lowest nodes.
 
-    @property
-    def values(self) -> int:
-        """First of the scratch vectors of what a block gives: a node's value at the lowest one, and D slopes of it."""
-        return 6 * self.dimension
-
-    @property
-    def lowest(self) -> int:
-        """First of the D scratch vectors that hold each particle's lowest node."""
-        return self.values + self.node * (1 + self.dimension)
-
-    @property
-    def scratch(self) -> int:
-        """Scratch vectors of a worker; after the lowest nodes, velocity of the grid and its change at each particle."""
-        return self.push + (2 * self.dimension if self.contact else 0)
-
-    @property
-    def push(self) -> int:
-        """First of the 2 D scratch vectors of the contact's force per volume and its arm, where `contact`."""
-        return self.origin + (self.dimension if self.contact else 0)
-
-    @property
-    def origin(self) -> int:
-        """First of the D scratch vectors of the positions before a step, where `contact`."""
-        return self.density + (1 + self.dimension if self.volume_correction else 0)
-
-    @property
-    def density(self) -> int:
-        """First of 1 + D scratch vectors: the grid's mass at each particle and its slopes (`volume_correction`)."""
-        return self.lowest + self.dimension * (3 if self.relaxed else 1)
+@cache
+def offsets(features: Features) -> dict[str, int]:
+    """Where each of the `parts` begins; the last of a group has no length and says how long the group is."""
+    found: dict[str, int] = {}
+    for group in parts(features):
+        found |= dict(zip(group, accumulate(group.values(), initial=0), strict=False))
+    return found
 
 
 class Filled(Protocol):

@@ -11,7 +11,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
-from mpm.exact_solutions import total_energy
+from validation.bench.stability.exact_solutions import total_energy
 
 SAND = Material(friction_deg=30.0, density=1500.0, young=1.0e6, poisson=0.3)
 CELL, GRAVITY = 0.02, 9.81

@@ -14,10 +14,16 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, Recording, runtime, simulate, simulate_many
-from mpm.exact_solutions import FreeFlight, SlidingBlock, centre_displacement, settlement, total_energy
 from mpm.output.request import FIELDS
 from tests.mpm import scenes
 from tests.mpm.scenes import SAND
+from validation.bench.stability.exact_solutions import (
+    FreeFlight,
+    SlidingBlock,
+    centre_displacement,
+    settlement,
+    total_energy,
+)
 
 box, room = partial(scenes.box, duration=0.2), partial(scenes.room, duration=0.2)
 DEPOSIT = dataclasses.replace(WITH_FIELDS, frames="last")

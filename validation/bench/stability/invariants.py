@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets.particles import initial_particles, particle_volumes
 from datasets.scene import TOLERANCE
 from datasets.trajectory import Trajectory
-from mpm.exact_solutions import total_energy
+from validation.bench.stability.exact_solutions import total_energy
 
 ROUNDING = 1.0e-4
 """Cells: what single precision makes of a coordinate in a box of some hundred cells."""

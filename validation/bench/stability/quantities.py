@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datasets.measures import front, toe
 from datasets.trajectory import Trajectory
-from mpm import exact_solutions as exact
+from validation.bench.stability import exact_solutions as exact
 from validation.bench.stability.invariants import particle_masses, wall_impulse
 
 DAMPING_OF_SAND = 0.005

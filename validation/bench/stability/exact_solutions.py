@@ -3,8 +3,8 @@
     slide = SlidingBlock.of_scene(scene)
     error = centre(trajectory)[-1, 0] - slide.displacement(scene.duration)
 
-Tests (`tests/mpm`) and the stability page (`python -m validation.bench stability`) take them from here. Positions and
-lengths in m, times in s, angles in radians; trajectories are read, never simulated.
+The stability page and tests (`tests/mpm`) take them from here. Positions and lengths in m, times in s, angles in
+radians; trajectories are read, never simulated.
 """
 
 import math
@@ -17,9 +17,6 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
-
-CRACKS = 0.1
-"""Tension limit over cohesion below which soil counts as cracking freely in `critical_height`."""
 
 
 def centre_displacement(flow: Trajectory) -> Floats:
@@ -133,38 +130,6 @@ def settlement(scene: Scene) -> float:
         total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)
         load += weight
     return total
-
-
-def geostatic_pressure(scene: Scene, depth: Floats) -> Floats:
-    """Mean stress (1 + 2 K0) / 3 rho g z [Pa] of a bed with a number for `k0`, at depths [m] below its surface."""
-    k0 = scene.masses[0].k0
-    assert isinstance(k0, float)
-    return (1.0 + 2.0 * k0) / 3.0 * scene.material.density * scene.gravity * depth
-
-
-def critical_height(scene: Scene) -> float:
-    """Critical height [m] of a vertical cut, N c / gamma tan(45 + phi / 2).
-
-    N = 2 for soil without tension: a slice beside the face, cut off by a crack, stands on its unconfined strength
-    (Drucker 1953); N = 4, a wedge on a plane, for soil with tension up to the apex of its cone (Fellenius 1927).
-    Soil with a limit below `CRACKS` of its cohesion, as by default, counts as soil without (`datasets.material`: the
-    default raises the height by some per cent).
-    """
-    material = scene.material
-    angle = math.radians(45.0 + 0.5 * material.friction_deg)
-    carries = material.tension_limit >= CRACKS * material.cohesion
-    unit_weight = material.density * scene.gravity
-    return (4.0 if carries else 2.0) * material.cohesion / unit_weight * math.tan(angle)
-
-
-def stability_number(friction_deg: float, tension: float) -> float:
-    """Gamma H / c of a slice beside the face that is held over its crack by `tension`, over c [-]; 2 t without it.
-
-    With t = tan(45 + phi / 2) the root h of h = 2 t + t sqrt(2 T h / c) - t^2 T / c (`datasets.material`).
-    """
-    t = math.tan(math.radians(45.0 + 0.5 * friction_deg))
-    half = 0.5 * t * math.sqrt(2.0 * tension)
-    return (half + math.sqrt(half**2 + 2.0 * t - t**2 * tension)) ** 2
 
 
 def landing_time(scene: Scene) -> float:
