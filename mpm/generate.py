@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import reduce
-from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -192,8 +191,8 @@ def statistics_of(workers: Workers, paths: list[Path]) -> MotionStatistics:
         unit="trajectory",
         dynamic_ncols=True,
     )
-    found = dict(each)
-    return reduce(add, (found[number] for number in range(len(paths))))
+    found: dict[int, MotionStatistics] = dict(each)
+    return reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
 
 
 def statistics_of_one(path: Path) -> MotionStatistics:

@@ -144,4 +144,5 @@ def kernel_of(
         for name, (dtype, rank) in ((name, elements[kind]) for name, kind in arrays.items())
     }
     run.__annotations__ = types | {"first": ti.i32, "last": ti.i32, "phase": ti.template()}
-    return ti.kernel(run)
+    compiled: Callable[..., None] = ti.kernel(run)
+    return compiled

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.files import replacing
-from datasets.frames import read_arrays
+from datasets.frames import read_arrays, write_npz
 from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
@@ -120,8 +119,7 @@ class Checkpoint:
             "recording": json.dumps(recording),
             "run": json.dumps(dataclasses.asdict(self.run)),
         }
-        with replacing(path) as part:
-            np.savez(part, **{key: np.array(text) for key, text in texts.items()}, **self.arrays)
+        write_npz(path, {key: np.array(text) for key, text in texts.items()} | self.arrays)
 
     @staticmethod
     def load(path: Path) -> "Checkpoint":

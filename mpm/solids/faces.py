@@ -99,8 +99,10 @@ def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers
         _, distance, _ = feet(surface.corners[face], centres[point])
         near = distance <= limit
         found.append((numbers[point[near]], face[near], distance[near]))
-    cells, faces = (np.concatenate([part[k] for part in found] or [np.zeros(0, np.int64)]) for k in (0, 1))
-    distance = np.concatenate([part[2] for part in found] or [np.zeros(0)])
+    none = np.zeros(0, np.int64)
+    cells = np.concatenate([none, *(part[0] for part in found)])
+    faces = np.concatenate([none, *(part[1] for part in found)])
+    distance = np.concatenate([np.zeros(0), *(part[2] for part in found)])
     order = np.lexsort((faces, cells))
     return cells[order], faces[order], distance[order]
 
@@ -109,10 +111,10 @@ def nodes_near(domain: Domain, surface: Surface, nodes: Integers, cutoff: float)
     """Distance, normal and friction at those of `nodes` within `cutoff` [m], by the names of `Faces`."""
     near = nearest(surface, node_positions(domain, nodes), cutoff)
     chosen = np.abs(near.distance) <= cutoff
-    nodes, distance, normal, face = (each[chosen] for each in (nodes, near.distance, near.normal, near.face))
+    nodes, face, distance, normal = nodes[chosen], near.face[chosen], near.distance[chosen], near.normal[chosen]
     _, _, weights = feet(surface.corners[face], node_positions(domain, nodes))
     friction = surface.friction[face]
-    stuck = np.isinf(friction).any(axis=1)
+    stuck: NDArray[np.bool_] = np.asarray(np.isinf(friction).any(axis=1))
     return {
         "nodes": nodes,
         "distance": distance,
