@@ -26,7 +26,6 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, motion_statistics
 from datasets.trajectory import Trajectory
-from mpm.output.checkpoint import ARRAYS, Progress
 from tests.datasets.toys import toy
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -110,19 +109,6 @@ def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> No
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
         named = set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE))
         assert named == set(file.files)
-
-
-def test_every_key_of_a_checkpoint(tmp_path: Path) -> None:
-    assert set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", section("Checkpoint (NPZ)"), re.M)))) == {
-        *ARRAYS,
-        "scene",
-        "recording",
-        "features",
-        "run",
-    }
-    assert all(
-        f"`{key}`" in section("Checkpoint (NPZ)") for key in (each.name for each in dataclasses.fields(Progress))
-    )
 
 
 def test_every_key_of_the_metadata() -> None:
