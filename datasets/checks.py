@@ -17,8 +17,8 @@ MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
 SMALL_ANGLE = 3.0
 """Angle of friction [deg] below which no sand is: one in radians is."""
-SOFTEST = 30.0
-"""Young's modulus over the largest pressure rho g h below which a body visibly sinks under its own weight [-]."""
+SOFTEST = 10.0
+"""Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
 
 def complete(scene: Scene) -> None:
@@ -230,6 +230,6 @@ def warn_if_unlikely(scene: Scene) -> None:
         if material.young < SOFTEST * pressure:
             warnings.warn(
                 f"{key}.young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {SOFTEST * pressure:.3g} Pa: "
-                "the body sinks under its own weight",
+                "the body sinks under its own weight by more than a twentieth of its height",
                 stacklevel=3,
             )

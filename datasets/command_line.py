@@ -3,6 +3,7 @@
 import errno
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -40,6 +41,8 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
     app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
     app.default(command)
+    python_format = warnings.formatwarning
+    warnings.formatwarning = one_line
     try:
         with terminable():
             status = app(
@@ -65,7 +68,14 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     except KeyboardInterrupt as interrupt:
         print(f"talus: interrupted; {str(interrupt) or 'what was finished is kept'}", file=sys.stderr)
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
+    finally:
+        warnings.formatwarning = python_format
     return status if isinstance(status, int) else 0
+
+
+def one_line(message: Warning | str, category: type[Warning], *place: Any) -> str:
+    """A warning as commands print it: what it says, without the place in the program that says it."""
+    return f"talus: {message}\n"
 
 
 def disk_failed(error: BaseException) -> bool:

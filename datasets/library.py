@@ -39,7 +39,11 @@ def read_scene(name: str | Path) -> Scene:
     """
     path = find(str(name), SCENES, "scene")
     try:
-        return scene_from(read_toml(path), path.parent)
+        data = read_toml(path)
+        if "unknowns" in data:
+            takes = "python -m inverse and python -m validation.loop take it"
+            raise InputError(f"expected a scene, got a problem: {takes}", key="unknowns")
+        return scene_from(data, path.parent)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
 

@@ -15,6 +15,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
+from datasets.checks import warn_if_unlikely
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.frames import FrameWriter
@@ -186,6 +187,7 @@ def run_one(
     scene: Scene, options: Options, resume: Checkpoint | None, stop: Callable[[], bool]
 ) -> tuple[Batch, float, float]:
     """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
+    warn_if_unlikely(scene)
     warn_if_unresolved(scene)
     arch = options.get("arch", "cpu")
     precision = options.get("precision") or (resume.features.precision if resume else "f32")
