@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from datasets.errors import InputError
 from datasets.records import Record
@@ -121,8 +122,14 @@ def features(settings: ModelSettings) -> dict[str, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSettings:
-    """How a model is fitted."""
+    """How a model is fitted, and how long."""
 
+    minutes: float = 60.0
+    """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
+    updates: int | None = None
+    """Updates to make instead."""
+    clock: Literal["wall", "cpu"] = "wall"
+    """What the minutes are: wall time, or time that the process computes, fair between runs on a busy machine."""
     batch: int = 3
     """Samples per update, of each process."""
     shares: tuple[float, ...] = ()
@@ -145,17 +152,20 @@ class TrainingSettings:
     """Share of samples that start with the flow itself: from positions and velocities alone."""
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
-    validate_minutes: float = 5.0
-    """Minutes between two validations."""
-    validate_updates: int = 500
-    """Updates between two validations where the budget is in updates."""
+    validations: int = 12
+    """Validations, equally far apart in the budget."""
     validate_flows: int = 8
-    """Flows to roll out then, half of them released at rest."""
+    """Flows to roll out then, spread over the valid splits."""
+    memory_gib: float = 4.0
+    """Activations of unrolled steps to keep, of each process; what does not fit is computed a second time."""
 
     def __post_init__(self) -> None:
-        for key in ("batch", "learning_rate", "loss_scale", "validate_minutes", "validate_updates", "validate_flows"):
+        positive = "minutes", "batch", "learning_rate", "loss_scale", "validations", "validate_flows", "memory_gib"
+        for key in positive:
             if not getattr(self, key) > 0:
                 raise InputError(f"expected a positive number, got {getattr(self, key)}", key=key)
+        if self.updates is not None and self.updates < 1:
+            raise InputError(f"expected an integer of at least 1, got {self.updates}", key="updates")
         if not self.unroll or min(self.unroll) < 1:
             raise InputError(f"expected integers of at least 1, got {list(self.unroll)}", key="unroll")
         if self.shares and not (min(self.shares) >= 0.0 and sum(self.shares) > 0.0):

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from datasets import command_line
-from datasets.errors import InputError
 from gns.settings import ModelSettings, TrainingSettings
 
 MODEL = ModelSettings()
@@ -17,15 +16,11 @@ TRAINING = TrainingSettings()
 def train(
     *datasets: Path,
     out: Path,
-    minutes: float = 60.0,
-    updates: int | None = None,
-    clock: Literal["wall", "cpu"] = "wall",
     resume: bool = False,
     begin: Path | None = None,
     seed: int = 0,
     threads: int = 1,
     device: Literal["cpu", "cuda"] | None = None,
-    memory_gib: float = 4.0,
     tensorboard: bool = False,
     model: Annotated[ModelSettings, Parameter(name="*")] = MODEL,
     training: Annotated[TrainingSettings, Parameter(name="*")] = TRAINING,
@@ -42,12 +37,6 @@ def train(
         Folders that `python -m mpm.generate` made.
     out
         Folder of the run.
-    minutes
-        Time to train, all parts of a resumed run together; unrolled steps and learning rate are laid over it.
-    updates
-        Updates to make instead.
-    clock
-        What the minutes are: wall time, or time that the process computes.
     resume
         Continue from OUT/last.pt; give the other flags again.
     begin
@@ -59,8 +48,6 @@ def train(
         Threads of torch.
     device
         cpu or cuda; a GPU where there is one unless given.
-    memory_gib
-        Activations of unrolled steps to keep, per process; what does not fit is computed a second time.
     tensorboard
         Write OUT/tensorboard too.
     """
@@ -69,28 +56,22 @@ def train(
 
     from gns import checkpoint
     from gns.library import model_path
-    from gns.training import Budget, Plan, fit
+    from gns.training import fit
 
     torch.set_num_threads(threads)
-    if not memory_gib >= 0.0:
-        raise InputError(f"expected a number of at least 0, got {memory_gib}", key="memory_gib")
-    begin = None if begin is None else model_path(begin)
-    if begin is not None and model == MODEL:
-        model = checkpoint.load(begin).simulator.settings
+    begun = None if begin is None else checkpoint.load(model_path(begin))
+    if begun is not None and model == MODEL:
+        model = begun.simulator.settings
     fit(
-        Plan(
-            datasets=datasets,
-            out=out,
-            model=model,
-            training=training,
-            budget=Budget(minutes=minutes, updates=updates, processor=clock == "cpu"),
-            begin=begin,
-            resume=resume,
-            seed=seed,
-            device=device,
-            memory_gib=memory_gib,
-            tensorboard=tensorboard,
-        )
+        datasets,
+        out,
+        model=model,
+        training=training,
+        begin=begun,
+        resume=resume,
+        seed=seed,
+        device=device,
+        tensorboard=tensorboard,
     )
 
 

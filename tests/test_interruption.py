@@ -29,7 +29,7 @@ PAGE = 4096
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
     *("--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
-    *("--updates", "12", "--validate-updates", "3"),
+    *("--updates", "12", "--validations", "4"),
 ]
 """Flags of a training of seconds."""
 

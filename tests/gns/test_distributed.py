@@ -15,7 +15,7 @@ from torch.nn.parallel import DistributedDataParallel
 from datasets.training.samples import Sample, cut
 from gns.distributed import Processes, joined
 from gns.samples import batched, flows_of
-from gns.settings import ModelSettings
+from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training import LAST, UnrolledLoss
 from tests.gns.conftest import TINY, rows
@@ -29,7 +29,7 @@ def gradients(simulator: Simulator, samples: list[Sample], processes: Processes)
     settings = simulator.settings
     batch = batched(samples, step=settings.step, history=settings.history)
     batch = batch.apply(lambda values: values.double() if values.is_floating_point() else values)
-    model: torch.nn.Module = UnrolledLoss(simulator, loss_scale=0.25, memory_gib=2e-3)
+    model: torch.nn.Module = UnrolledLoss(simulator, TrainingSettings(memory_gib=2e-3))
     if processes.count > 1:
         model = DistributedDataParallel(model)
     (processes.share(len(batch.pos)) * model(batch)).backward()
@@ -81,7 +81,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
 def test_torchrun_trains_and_resumes(dataset: Path, tmp_path: Path) -> None:
     def run(out: Path, *more: str) -> int:
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
-        command += ["gns.train", str(dataset), "--out", str(out), *TINY, "--validate-updates", "3", *more]
+        command += ["gns.train", str(dataset), "--out", str(out), *TINY, "--validations", "2", *more]
         subprocess.run(command, cwd=ROOT, check=True, timeout=120)
         return int(torch.load(out / LAST, weights_only=True)["position"]["updates"])
 

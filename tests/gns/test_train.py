@@ -13,10 +13,8 @@ from datasets.lock import locked
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint, training
-from gns.samples import flows_of
-from gns.settings import ModelSettings
 from gns.train import train
-from gns.training import LAST, pick
+from gns.training import LAST
 from tests.gns.conftest import TINY
 
 
@@ -28,11 +26,11 @@ def run(dataset: Path, out: Path, *flags: str) -> int:
 def test_a_training_leaves_a_model_with_its_card(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(dataset, tmp_path, "--updates", "2", "--minutes", "3") == 0
+    assert run(dataset, tmp_path, "--updates", "1") == 0
     assert "far too short" in capsys.readouterr().out
     found, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
     assert found is not None
-    assert (found.data.scenes, found.data.updates) == ({dataset.name: 4}, 2)
+    assert (found.data.scenes, found.data.updates) == ({dataset.name: 4}, 1)
     assert "released at rest" in (tmp_path / "scores.md").read_text() == found.scores
     assert (best.provenance["seed"], best.provenance["datasets"]) == (0, [str(dataset)])
     # The card again, of the folders that the model names.
@@ -41,7 +39,7 @@ def test_a_training_leaves_a_model_with_its_card(
 
 
 def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(dataset, tmp_path / "first", "--updates", "2") == 0
+    assert run(dataset, tmp_path / "first", "--updates", "1") == 0
     model, other = (tmp_path / name / "best.safetensors" for name in ("first", "second"))
     # At hardly any learning rate it stays what it was; its settings need not be repeated.
     begin = ("--updates", "1", "--begin", str(model), "--learning-rate", "1e-30", "--final-learning-rate", "0")
@@ -50,7 +48,7 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, other))
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
-    assert card.total_updates(checkpoint.load(other).provenance) == 3
+    assert card.total_updates(checkpoint.load(other).provenance) == 2
     # No weight depends on the speed of rest.
     assert run(dataset, tmp_path / "slower", *begin, "--rest-speed", "0.02") == 0
     assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
@@ -97,12 +95,6 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
     assert len((tmp_path / "out" / "scores.md").read_text().splitlines()) > 2
 
 
-def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettings) -> None:
-    released = flows_of(dataset, "train", settings)
-    assert [flow.name for flow in pick(released, 2)] == [released[0].name, released[2].name]
-    assert len(pick(released, 10)) == 4
-
-
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
@@ -111,7 +103,7 @@ def test_validation_flows_are_half_released(dataset: Path, settings: ModelSettin
         (["--batch", "0"], "batch: expected a positive number"),
         (["--shares", "1", "--shares", "1"], "shares: expected 1 shares, one of each dataset, got 2"),
         (["--minutes", "0"], "minutes: expected a positive number"),
-        (["--memory-gib", "-1"], "memory_gib: expected a number of at least 0"),
+        (["--memory-gib", "-1"], "memory_gib: expected a positive number"),
         (["--frames-per-step", "3", "--frame-dt", "0.001"], "expected frames 0.003 s apart"),
         (["--unroll", "40"], "expected at least 40 steps of 0.01 s, got 25"),
         (["--dimension", "3"], "expected a 3D trajectory"),

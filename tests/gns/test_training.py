@@ -16,7 +16,7 @@ from gns.samples import Sampler, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
-from gns.training import LAST, Budget, UnrolledLoss, learning_rate, rollout_loss, unrolled_steps
+from gns.training import LAST, UnrolledLoss, learning_rate, rollout_loss, unrolled_steps
 from tests.gns.conftest import NORMALISATION, TINY, rows
 
 
@@ -43,10 +43,10 @@ def test_what_fits_into_the_memory_is_kept_and_the_rest_makes_no_difference(
 ) -> None:
     sampler = Sampler([flows_of(dataset, "train", settings)], settings, TrainingSettings(batch=2))
     batch, gradients = sampler.batch(4, np.random.default_rng(0)), []
-    for gib in (0.0, 2e-3, 1.0):
+    for gib in (1e-9, 2e-3, 1.0):
         torch.manual_seed(0)
         simulator = Simulator(settings, NORMALISATION)
-        UnrolledLoss(simulator, loss_scale=0.25, memory_gib=gib)(batch).backward()
+        UnrolledLoss(simulator, TrainingSettings(memory_gib=gib))(batch).backward()
         gradients.append([parameter.grad for parameter in simulator.parameters()])
     for others in gradients[1:]:
         assert all(torch.equal(one, other) for one, other in zip(gradients[0], others, strict=True))
@@ -63,7 +63,7 @@ def last(out: Path) -> dict[str, Any]:
 
 
 def test_a_training_learns(dataset: Path, tmp_path: Path) -> None:
-    flags = ("--updates", "60", "--validate-updates", "20", "--learning-rate", "1e-2", "--warmup", "5")
+    flags = ("--updates", "60", "--validations", "3", "--learning-rate", "1e-2", "--warmup", "5")
     assert run(dataset, tmp_path, *flags) == 0
     scores = [float(row["score"]) for row in rows(tmp_path)]
     assert scores[-1] < 0.5 * scores[0]
@@ -74,21 +74,21 @@ def test_a_training_learns(dataset: Path, tmp_path: Path) -> None:
 def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A clock that goes on by a tenth of a second whenever it is read, however busy the machine is.
     ticks = itertools.count()
-    monkeypatch.setattr(Budget, "now", lambda budget: next(ticks) / 10.0)
+    monkeypatch.setattr("gns.training.time.perf_counter", lambda: next(ticks) / 10.0)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
     first = last(tmp_path)["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
     second = last(tmp_path)["position"]
     assert second["updates"] > first["updates"] > 0
     assert 3.0 > second["seconds"] >= 2.4 > 1.8 > first["seconds"] >= 1.2
-    assert [int(row["updates"]) for row in rows(tmp_path)] == [first["updates"], second["updates"]]
+    assert {first["updates"], second["updates"]} <= {int(row["updates"]) for row in rows(tmp_path)}
 
 
 @pytest.mark.parametrize(("call", "number", "done"), [("learning_rate", 3, 3), ("evaluate", 1, 3)])
 def test_a_run_that_was_stopped_goes_on(
     call: str, number: int, done: int, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flags = ("--updates", "7", "--validate-updates", "3")
+    flags = ("--updates", "6", "--validations", "2")
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     inner, calls = getattr(training, call), itertools.count(1)
 
@@ -105,14 +105,14 @@ def test_a_run_that_was_stopped_goes_on(
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert last(tmp_path)["position"]["updates"] == done
     assert run(dataset, tmp_path, *flags, "--resume") == 0
-    assert [row["updates"] for row in rows(tmp_path)] == ["3", "6", "7"]
+    assert [row["updates"] for row in rows(tmp_path)] == ["3", "6"]
     assert math.isfinite(last(tmp_path)["position"]["best"])
 
 
 def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(dataset, tmp_path, "--updates", "2") == 0
+    assert run(dataset, tmp_path, "--updates", "2", "--validations", "1") == 0
     before = (tmp_path / LAST).read_bytes()
     monkeypatch.setattr(training, "rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
