@@ -18,15 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 from datasets import files
 from datasets.command_line import run
-from datasets.definitions import DEFINITIONS
-from datasets.definitions.definition import Split
 from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory, trajectory_files
-from gns.library import shipped
+from gns.library import model_path, shipped
 from gns.ranges import Body, Range, outside, ranges_of
-from gns.settings import GRAVITY, features
+from gns.settings import ModelSettings, features
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
@@ -71,16 +69,11 @@ class Calibration(Record):
 class Card(Record):
     """What there is to know of a model."""
 
+    settings: ModelSettings
     features: dict[str, int]
     """Features of a particle in their order -> how many numbers."""
-    graph: dict[str, float]
-    """`radius` [m], `history` [steps], `step` [s], `cell` [m] of the thinning, and the sizes of the network."""
-    grid: dict[str, float]
-    """`cell` [m], `channels` and `layers` of the grid context."""
     normalisation: dict[str, float]
     """Scales of displacement and acceleration [m per step], mean and standard deviation of tan(phi) [-]."""
-    units: dict[str, float | None]
-    """`body_length` [m], `density` [kg/m^3], `gravity` [m/s^2] to which scenes are scaled; null: they are not."""
     data: Data
     licence: str
     """Of the weights."""
@@ -106,13 +99,9 @@ def describe(
         name: [Body.from_scene(scene).length / scene.domain.cell for scene in some] for name, some in scenes.items()
     }
     return Card(
+        settings=settings,
         features=features(settings),
-        graph={
-            key: getattr(settings, key) for key in ("radius", "history", "step", "cell", "width", "layers", "rounds")
-        },
-        grid={"cell": settings.grid_cell, "channels": settings.grid_channels, "layers": settings.grid_layers},
         normalisation={name: float(getattr(simulator, name)) for name in constants},
-        units={"body_length": settings.body_length, "density": settings.density, "gravity": GRAVITY},
         data=Data(
             scenes={name: len(some) for name, some in scenes.items()},
             cells_across={name: (round(min(some), 2), round(max(some), 2)) for name, some in across.items()},
@@ -131,6 +120,10 @@ def named(provenance: Mapping[str, Any]) -> dict[str, list[Scene]]:
 
     Raises InputError where one is neither.
     """
+    # Here, because it takes half a second.
+    from datasets.definitions import DEFINITIONS
+    from datasets.definitions.definition import Split
+
     found: dict[str, list[Scene]] = {}
     for each in map(str, provenance.get("datasets", [])):
         definition = re.fullmatch(r"([\w-]+): (\d+) trajectories", each)
@@ -223,13 +216,14 @@ def main(model: Path, /, *datasets: Path) -> None:
     Parameters
     ----------
     model
-        The model's file.
+        The model's file, or the name of a shipped one.
     datasets
         Folders of its training data; those that the model names unless given, or shipped definitions of that name.
     """
     # Here, because torch takes seconds, which --help should not.
     from gns import checkpoint
 
+    model = model_path(model)
     loaded, former = checkpoint.load(model), read(model)
     scenes = stored(datasets) if datasets else named(loaded.provenance)
     if not scenes:

@@ -6,7 +6,7 @@ sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the 
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.material import Material
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Mass, Scene
+from datasets.scene import Scene
 from gns.settings import ModelSettings
 
 MARGIN = 0.1
@@ -75,21 +74,6 @@ class Body:
         return self.density * self.gravity * self.length
 
 
-Values = Callable[[Scene, Body], Sequence[float]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """A quantity of a scene whose range bounds a surrogate's validity."""
-
-    unit: str
-    values: Values
-    """Its values in a scene; none where the scene has no such thing."""
-    bound: Bound = Bound.BOTH
-    scale: Callable[[float], float] = float
-    """Increasing function of a value, of which the width of its range is taken."""
-
-
 def logarithm(value: float) -> float:
     """ln x, the scale of what varies by factors; that of `SMALLEST` for all that is smaller."""
     return math.log(max(value, SMALLEST))
@@ -100,218 +84,148 @@ def logarithm_of_tangent(degrees: float) -> float:
     return logarithm(math.tan(math.radians(degrees)))
 
 
-def material(number: Callable[[Material, Body], float | None]) -> Values:
-    """A constant of the material of each mass; of those for which it is None there is none."""
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A quantity of a scene whose range bounds a surrogate's validity."""
 
-    def values(scene: Scene, body: Body) -> list[float]:
-        found = [number(scene.material_of(mass), body) for mass in scene.masses]
-        return [value for value in found if value is not None]
-
-    return values
-
-
-def cohesions(scene: Scene, body: Body) -> list[float]:
-    """Cohesion at the top and at the foot of each mass over rho g l."""
-    return [
-        scene.material_of(mass).cohesion_at(depth) / body.stress
-        for mass in scene.masses
-        for depth in (0.0, mass.size[1])
-    ]
-
-
-def box(scene: Scene, axis: int) -> Range:
-    """Where the masses begin and end along an axis [m]."""
-    return min(mass.lower[axis] for mass in scene.masses), max(
-        mass.lower[axis] + mass.size[axis] for mass in scene.masses
-    )
-
-
-def extent(axis: int) -> Values:
-    """Extent of all masses together along an axis over l."""
-
-    def values(scene: Scene, body: Body) -> list[float]:
-        if axis >= scene.dimension:
-            return []
-        low, high = box(scene, axis)
-        return [(high - low) / body.length]
-
-    return values
-
-
-def aspect(scene: Scene, _: Body) -> list[float]:
-    """Height over length of all masses together."""
-    (left, right), (low, high) = box(scene, 0), box(scene, 1)
-    return [(high - low) / (right - left)]
-
-
-def room(axis: int) -> Values:
-    """Distances of the sides of the box from the masses along an axis, both together, over l."""
-
-    def values(scene: Scene, body: Body) -> list[float]:
-        if axis >= scene.dimension:
-            return []
-        low, high = box(scene, axis)
-        return [(scene.domain.size[axis] - (high - low)) / body.length]
-
-    return values
-
-
-def slope_length(scene: Scene, body: Body) -> list[float]:
-    """Length of the box over l where the ground falls, and a farther side lets flows get faster."""
-    return [scene.domain.size[0] / body.length] if scene.slope_deg != 0.0 or scene.solids else []
-
-
-def velocities(mass: Mass) -> Sequence[Sequence[float]]:
-    """Initial velocities in a mass [m/s]; none where it is at rest."""
-    return mass.velocities or ((mass.velocity,) if mass.velocity else ())
-
-
-def speeds(scene: Scene, body: Body) -> list[float]:
-    """Largest initial speed of each mass over sqrt(g l)."""
-    return [max((math.hypot(*each) for each in velocities(mass)), default=0.0) / body.speed for mass in scene.masses]
-
-
-def climbs(scene: Scene, body: Body) -> list[float]:
-    """Upward component of the initial velocities over sqrt(g l)."""
-    return [each[1] / body.speed for mass in scene.masses for each in velocities(mass)]
-
-
-def spins(scene: Scene, body: Body) -> list[float]:
-    """Largest component of the initial velocity gradient of each mass times sqrt(l / g)."""
-    return [float(abs(mass.spin).max()) * body.time for mass in scene.masses]
-
-
-def stresses(scene: Scene, _: Body) -> list[float]:
-    """Horizontal over vertical stress at the start where masses are given any; elastic: nu / (1 - nu)."""
-    found = []
-    for mass in scene.masses:
-        if mass.k0 is not None:
-            poisson = scene.material_of(mass).poisson
-            found.append(poisson / (1.0 - poisson) if isinstance(mass.k0, str) else mass.k0)
-    return found
-
-
-def barriers(scene: Scene, _: Body) -> list[float]:
-    """Number of masses that barriers hold at first, where there are any."""
-    count = sum(mass.release is not None for mass in scene.masses)
-    return [float(count)] if count else []
-
-
-def corrections(scene: Scene, _: Body) -> list[float]:
-    """Volume correction (0 or 1) where the scene asks for another than scenes have by themselves."""
-    given = scene.volume_correction
-    if given is None or given == remembers_gaps(dataclasses.replace(scene, volume_correction=None)):
-        return []
-    return [float(given)]
-
-
-def relaxation(scene: Scene, _: Body) -> list[float]:
-    """Relaxation time over sqrt(cell / g)."""
-    return [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)]
-
-
-def baffle(number: Callable[[Baffle, Scene], float]) -> Values:
-    """A length of each baffle [m] over l."""
-    return lambda scene, body: [number(each, scene) / body.length for each in scene.baffles]
-
-
-def distance(each: Baffle, scene: Scene) -> float:
-    """Distance of a baffle from the masses along x [m], negative where it stands beside or beneath one."""
-    left, right = box(scene, 0)
-    return max(each.lower[0] - right, left - each.lower[0] - each.size[0])
-
-
-def ground(number: Callable[[Floats, Floats, float], Sequence[float]]) -> Values:
-    """Values of the elevation [m], the friction [-] and the distance of two elevations [m] where there is terrain."""
-
-    def values(scene: Scene, body: Body) -> Sequence[float]:
-        if not scene.solids:
-            return []
-        spacing = GROUND_SPACING * body.length
-        elevation, friction = ground_raster(scene, spacing)
-        return number(elevation / body.length, friction, spacing / body.length)
-
-    return values
-
-
-def steepest(elevation: Floats, _: Floats, spacing: float) -> list[float]:
-    """Angle of the steepest ground along an axis [deg]."""
-    rises = [np.abs(np.diff(elevation, axis=axis)).max() for axis in range(elevation.ndim)]
-    return [math.degrees(math.atan(float(max(rises)) / spacing))]
+    unit: str = ""
+    bound: Bound = Bound.BOTH
+    scale: Callable[[float], float] = float
+    """Increasing function of a value, of which the width of its range is taken."""
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "friction_deg": Quantity(
-        unit="deg", values=material(lambda sand, _: sand.friction_deg), scale=logarithm_of_tangent
-    ),
-    "cohesion": Quantity(unit="rho g l", values=cohesions),
-    "tension_cutoff": Quantity(
-        unit="of the cohesion",
-        values=material(lambda sand, _: sand.tension_limit / sand.cohesion if sand.cohesion > 0.0 else None),
-    ),
-    "young": Quantity(unit="rho g l", values=material(lambda sand, body: sand.young / body.stress), bound=Bound.LOWER),
-    "poisson": Quantity(unit="", values=material(lambda sand, _: sand.poisson)),
-    "dilation_deg": Quantity(unit="deg", values=material(lambda sand, _: sand.dilation_deg)),
-    "softening_length": Quantity(
-        unit="l",
-        values=material(
-            lambda sand, body: None if sand.softening_length is None else sand.softening_length / body.length
-        ),
-    ),
-    "k0": Quantity(unit="", values=stresses),
-    "barriers": Quantity(unit="", values=barriers),
-    "volume_correction": Quantity(unit="", values=corrections),
-    "relaxation_time": Quantity(unit="sqrt(cell / g)", values=relaxation),
-    "floor_friction": Quantity(unit="", values=lambda scene, _: [scene.floor_friction]),
-    "wall_friction": Quantity(unit="", values=lambda scene, _: [scene.wall_friction]),
-    "baffle_friction": Quantity(
-        unit="",
-        values=lambda scene, _: [
-            scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles
-        ],
-    ),
-    "ground_friction": Quantity(
-        unit="", values=ground(lambda _, friction, __: [float(friction.min()), float(friction.max())])
-    ),
-    "ground_deg": Quantity(unit="deg", values=ground(steepest), bound=Bound.UPPER),
-    "ground_relief": Quantity(
-        unit="l", values=ground(lambda elevation, _, __: [float(np.ptp(elevation))]), bound=Bound.UPPER
-    ),
-    "damping": Quantity(unit="", values=lambda scene, _: [scene.damping]),
-    "slope_deg": Quantity(unit="deg", values=lambda scene, _: [abs(scene.slope_deg)]),
-    "slope_length": Quantity(unit="l", values=slope_length, bound=Bound.UPPER),
-    "masses": Quantity(unit="", values=lambda scene, _: [float(len(scene.masses))]),
-    "mass_aspect": Quantity(unit="", values=aspect, scale=logarithm),
-    "mass_length": Quantity(unit="l", values=extent(0), scale=logarithm),
-    "mass_height": Quantity(unit="l", values=extent(1), scale=logarithm),
-    "mass_width": Quantity(unit="l", values=extent(2), scale=logarithm),
-    "drop": Quantity(
-        unit="l", values=lambda scene, body: [float(heights_above_ground(scene).max()) / body.length], bound=Bound.UPPER
-    ),
-    "room_along": Quantity(unit="l", values=room(0), bound=Bound.LOWER),
-    "room_across": Quantity(unit="l", values=room(2), bound=Bound.LOWER),
-    "speed": Quantity(unit="sqrt(g l)", values=speeds),
-    "upward_speed": Quantity(unit="sqrt(g l)", values=climbs),
-    "spin": Quantity(unit="sqrt(g / l)", values=spins),
-    "baffles": Quantity(unit="", values=lambda scene, _: [float(len(scene.baffles))]),
-    "baffle_length": Quantity(unit="l", values=baffle(lambda each, _: each.size[0])),
-    "baffle_height": Quantity(unit="l", values=baffle(lambda each, _: each.size[1])),
-    "baffle_foot": Quantity(unit="l", values=baffle(lambda each, _: each.lower[1])),
-    "baffle_width": Quantity(
-        unit="l",
-        values=lambda scene, body: [each.size[2] / body.length for each in scene.baffles if len(each.size) > 2],
-    ),
-    "baffle_distance": Quantity(unit="l", values=baffle(distance)),
-    "duration": Quantity(
-        unit="sqrt(l / g)", values=lambda scene, body: [scene.duration / body.time], bound=Bound.UPPER
-    ),
-    "spacing": Quantity(unit="l", values=lambda scene, body: [scene.particle_spacing / body.length], bound=Bound.UPPER),
-    "length": Quantity(unit="m", values=lambda _, body: [body.length]),
-    "density": Quantity(unit="kg/m^3", values=lambda _, body: [body.density]),
-    "gravity": Quantity(unit="m/s^2", values=lambda _, body: [body.gravity]),
+    "friction_deg": Quantity(unit="deg", scale=logarithm_of_tangent),
+    "cohesion": Quantity(unit="rho g l"),
+    "tension_cutoff": Quantity(unit="of the cohesion"),
+    "young": Quantity(unit="rho g l", bound=Bound.LOWER),
+    "poisson": Quantity(),
+    "dilation_deg": Quantity(unit="deg"),
+    "softening_length": Quantity(unit="l"),
+    "k0": Quantity(),
+    "barriers": Quantity(),
+    "volume_correction": Quantity(),
+    "relaxation_time": Quantity(unit="sqrt(cell / g)"),
+    "floor_friction": Quantity(),
+    "wall_friction": Quantity(),
+    "baffle_friction": Quantity(),
+    "ground_friction": Quantity(),
+    "ground_deg": Quantity(unit="deg", bound=Bound.UPPER),
+    "ground_relief": Quantity(unit="l", bound=Bound.UPPER),
+    "damping": Quantity(),
+    "slope_deg": Quantity(unit="deg"),
+    "slope_length": Quantity(unit="l", bound=Bound.UPPER),
+    "masses": Quantity(),
+    "mass_aspect": Quantity(scale=logarithm),
+    "mass_length": Quantity(unit="l", scale=logarithm),
+    "mass_height": Quantity(unit="l", scale=logarithm),
+    "mass_width": Quantity(unit="l", scale=logarithm),
+    "drop": Quantity(unit="l", bound=Bound.UPPER),
+    "room_along": Quantity(unit="l", bound=Bound.LOWER),
+    "room_across": Quantity(unit="l", bound=Bound.LOWER),
+    "speed": Quantity(unit="sqrt(g l)"),
+    "upward_speed": Quantity(unit="sqrt(g l)"),
+    "spin": Quantity(unit="sqrt(g / l)"),
+    "baffles": Quantity(),
+    "baffle_length": Quantity(unit="l"),
+    "baffle_height": Quantity(unit="l"),
+    "baffle_foot": Quantity(unit="l"),
+    "baffle_width": Quantity(unit="l"),
+    "baffle_distance": Quantity(unit="l"),
+    "duration": Quantity(unit="sqrt(l / g)", bound=Bound.UPPER),
+    "spacing": Quantity(unit="l", bound=Bound.UPPER),
+    "length": Quantity(unit="m"),
+    "density": Quantity(unit="kg/m^3"),
+    "gravity": Quantity(unit="m/s^2"),
 }
 ABSOLUTE = ("length", "density", "gravity")
 """What a model that scales its scenes does not see."""
+
+
+def values_of(scene: Scene) -> dict[str, list[float]]:
+    """The values of each quantity in a scene with gravity, in its unit; none where the scene has no such thing."""
+    body, masses, baffles = Body.from_scene(scene), scene.masses, scene.baffles
+    sand = [scene.material_of(mass) for mass in masses]
+    # Where all masses together begin and end along each axis.
+    low = [min(mass.lower[axis] for mass in masses) for axis in range(scene.dimension)]
+    high = [max(mass.lower[axis] + mass.size[axis] for mass in masses) for axis in range(scene.dimension)]
+    extents = [last - first for first, last in zip(low, high, strict=True)]
+    rooms = [whole - own for whole, own in zip(scene.domain.size, extents, strict=True)]
+    # None of a mass at rest.
+    velocities = [mass.velocities or ((mass.velocity,) if mass.velocity else ()) for mass in masses]
+    stresses = [
+        each.poisson / (1.0 - each.poisson) if isinstance(mass.k0, str) else mass.k0
+        for mass, each in zip(masses, sand, strict=True)
+        if mass.k0 is not None
+    ]
+    held = sum(mass.release is not None for mass in masses)
+    # That which the scene would not have by itself.
+    corrected = scene.volume_correction
+    usual = corrected is None or corrected == remembers_gaps(dataclasses.replace(scene, volume_correction=None))
+    lengths = {
+        "softening_length": [each.softening_length for each in sand if each.softening_length is not None],
+        "slope_length": [scene.domain.size[0]] if scene.slope_deg != 0.0 or scene.solids else [],
+        "mass_length": extents[:1],
+        "mass_height": extents[1:2],
+        "mass_width": extents[2:],
+        "drop": [float(heights_above_ground(scene).max())],
+        "room_along": rooms[:1],
+        "room_across": rooms[2:],
+        "baffle_length": [each.size[0] for each in baffles],
+        "baffle_height": [each.size[1] for each in baffles],
+        "baffle_foot": [each.lower[1] for each in baffles],
+        "baffle_width": [each.size[2] for each in baffles if len(each.size) > 2],
+        # Along x from the masses, negative beside or beneath one.
+        "baffle_distance": [max(each.lower[0] - high[0], low[0] - each.lower[0] - each.size[0]) for each in baffles],
+        "spacing": [scene.particle_spacing],
+    }
+    return {
+        **terrain(scene, body.length),
+        **{name: [length / body.length for length in found] for name, found in lengths.items()},
+        "friction_deg": [each.friction_deg for each in sand],
+        "cohesion": [
+            each.cohesion_at(depth) / body.stress
+            for mass, each in zip(masses, sand, strict=True)
+            for depth in (0.0, mass.size[1])
+        ],
+        "tension_cutoff": [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0],
+        "young": [each.young / body.stress for each in sand],
+        "poisson": [each.poisson for each in sand],
+        "dilation_deg": [each.dilation_deg for each in sand],
+        "k0": stresses,
+        "barriers": [float(held)] if held else [],
+        "volume_correction": [] if usual else [float(bool(corrected))],
+        "relaxation_time": [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)],
+        "floor_friction": [scene.floor_friction],
+        "wall_friction": [scene.wall_friction],
+        "baffle_friction": [scene.baffle_friction if each.friction is None else each.friction for each in baffles],
+        "damping": [scene.damping],
+        "slope_deg": [abs(scene.slope_deg)],
+        "masses": [float(len(masses))],
+        "mass_aspect": [extents[1] / extents[0]],
+        "speed": [max((math.hypot(*each) for each in some), default=0.0) / body.speed for some in velocities],
+        "upward_speed": [each[1] / body.speed for some in velocities for each in some],
+        "spin": [float(abs(mass.spin).max()) * body.time for mass in masses],
+        "baffles": [float(len(baffles))],
+        "duration": [scene.duration / body.time],
+        "length": [body.length],
+        "density": [body.density],
+        "gravity": [body.gravity],
+    }
+
+
+def terrain(scene: Scene, length: float) -> dict[str, list[float]]:
+    """Friction, steepest angle along an axis [deg], and relief over l of the terrain; length: l [m]."""
+    if not scene.solids:
+        return {}
+    spacing = GROUND_SPACING * length
+    elevation, friction = ground_raster(scene, spacing)
+    rise = max(float(np.abs(np.diff(elevation, axis=axis)).max()) for axis in range(elevation.ndim))
+    return {
+        "ground_friction": [float(friction.min()), float(friction.max())],
+        "ground_deg": [math.degrees(math.atan(rise / spacing))],
+        "ground_relief": [float(np.ptp(elevation)) / length],
+    }
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:
@@ -319,16 +233,15 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
 
     Particles may be as far apart as a cell of the model is long: it follows one of each cell.
     """
-    found: dict[str, list[float]] = {}
+    found: dict[str, list[float]] = {name: [] for name in QUANTITIES}
     for scene in scenes:
-        body = Body.from_scene(scene)
-        for name, quantity in QUANTITIES.items():
-            if name not in ABSOLUTE or settings.body_length is None:
-                found.setdefault(name, []).extend(quantity.values(scene, body))
-        if settings.body_length is None:
-            found["spacing"].append(settings.cell / body.length)
+        for name, values in values_of(scene).items():
+            found[name] += values
+        body = settings.body_length or Body.from_scene(scene).length
+        found["spacing"].append(settings.cell / body)
     if settings.body_length is not None:
-        found["spacing"].append(settings.cell / settings.body_length)
+        for name in ABSOLUTE:
+            del found[name]
     return {name: (round(min(values), 9), round(max(values), 9)) for name, values in found.items() if values}
 
 
@@ -342,12 +255,12 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
     """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
     if scene.gravity <= 0.0:
         return ["gravity 0 (none in the training data)"]
-    found, body = [], Body.from_scene(scene)
+    found, present = [], values_of(scene)
     scaled = not any(name in ranges for name in ABSOLUTE)
     for name, quantity in QUANTITIES.items():
         if scaled and name in ABSOLUTE:
             continue
-        values, unit = quantity.values(scene, body), f" {quantity.unit}" if quantity.unit else ""
+        values, unit = present.get(name), f" {quantity.unit}" if quantity.unit else ""
         if not values:
             continue
         if name not in ranges:

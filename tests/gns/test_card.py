@@ -56,10 +56,8 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     first = simulator.network.encoder.mlp[0]
     assert isinstance(first, torch.nn.Linear)
     assert sum(found.features.values()) == first.in_features
-    assert found.graph["radius"] == SCALED.radius
-    assert found.graph["history"] == 2
+    assert found.settings == SCALED
     assert found.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
-    assert found.units == {"body_length": SCALED.body_length, "density": 1800.0, "gravity": 9.81}
     assert found.data.scenes == {"flow2d": 640}
     assert found.data.cells_across["flow2d"][1] == pytest.approx(56.6, abs=0.1)
     assert (found.data.command, found.data.seed, found.data.updates) == (PROVENANCE["command"], 4, 3000)
