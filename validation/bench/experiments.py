@@ -1,6 +1,5 @@
 """`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,7 +20,6 @@ from validation.experiments.experiment import (
     MeasuredScene,
     Quantity,
     Shipped,
-    Variant,
     read_experiments,
 )
 from validation.experiments.quantities import quantity
@@ -33,7 +31,7 @@ CLOSE = 2.0
 """Spreads within which a number agrees."""
 LADDER_DEG = (20.0, 24.0, 28.0, 32.0, 36.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
-QUICK_FACTOR = 2.0
+QUICK = "aluminium-rods"
 
 Simulate = Callable[[Sequence[Scene]], Sequence[Positions]]
 """Scenes to their deposits [m], each of shape [N, D]."""
@@ -102,19 +100,6 @@ class Inferred:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VariantScore:
-    """The front of a scene that differs in one respect, beside the one that it differs from, on the coarse cells."""
-
-    experiment: str
-    variant: Variant
-    measured: Measured
-    found: float
-    """[m]."""
-    usual: float
-    """[m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Findings:
     """All that the page is made from."""
 
@@ -124,17 +109,14 @@ class Findings:
     others: tuple[Score, ...]
     """At its other angles, on the coarse cells."""
     inferred: tuple[Inferred, ...]
-    variants: tuple[VariantScore, ...]
 
 
 def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> str:
     """Run all experiments in the folder `experiments`: experiments.md and its picture.
 
-    quick: those in 2D, on cells twice as large. Raises InputError for an experiment that cannot be read.
+    quick: the aluminium rods alone. Raises InputError for an experiment that cannot be read.
     """
-    shipped = read_experiments(experiments)
-    if quick:
-        shipped = [with_cells(each, QUICK_FACTOR) for each in shipped if each.dimension == 2]
+    shipped = [each for each in read_experiments(experiments) if each.name == QUICK or not quick]
     findings = compute(shipped, partial(deposits_of, RunStore(keep)))
     draw(out / "experiments.png", findings)
     return page(findings, quick=quick).write(out / "experiments.md")
@@ -143,20 +125,6 @@ def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> 
 def deposits_of(store: RunStore, scenes: Sequence[Scene]) -> list[Positions]:
     """The deposits [m] of scenes, each of shape [N, D], at rest or at their end."""
     return [flow.positions[-1] for flow in store.run([Run(scene=scene, record=AT_REST) for scene in scenes])]
-
-
-def with_cells(shipped: Shipped, factor: float) -> Shipped:
-    """The same experiment on cells larger by `factor` [-]."""
-
-    def larger(cells: tuple[float, float]) -> tuple[float, float]:
-        return factor * cells[0], factor * cells[1]
-
-    cases = tuple(
-        dataclasses.replace(case, cells=None if case.cells is None else larger(case.cells))
-        for case in shipped.experiment.cases
-    )
-    experiment = dataclasses.replace(shipped.experiment, cells=larger(shipped.experiment.cells), cases=cases)
-    return dataclasses.replace(shipped, experiment=experiment)
 
 
 def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
@@ -207,15 +175,11 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         )
         for number in (0, 1)
     }
-    variants = [
-        variant_score(each, variant, coarse, simulate) for each in shipped for variant in each.experiment.variants
-    ]
     return Findings(
         shipped=tuple(shipped),
         scores=scores[0],
         others=scores[1],
         inferred=tuple(inferred),
-        variants=tuple(variants),
     )
 
 
@@ -226,21 +190,6 @@ def run(wanted: Sequence[tuple[Shipped, MeasuredScene, int, float]], simulate: S
         (each.name, case.name, deg): partial(quantity, scene=scene, positions=deposit)
         for (each, case, _, deg), scene, deposit in zip(wanted, scenes, simulate(scenes), strict=True)
     }
-
-
-def variant_score(each: Shipped, variant: Variant, coarse: Deposits, simulate: Simulate) -> VariantScore:
-    """A scene that differs in one respect, at the first angle of its experiment."""
-    case = next(case for case in each.experiment.cases if case.name == variant.case)
-    angle = each.experiment.angles[0].deg
-    scene = each.scene(variant.scene, each.cells(case)[0], angle)
-    (deposit,) = simulate([scene])
-    return VariantScore(
-        experiment=each.name,
-        variant=variant,
-        measured=case.extent,
-        found=quantity(case.extent, scene, deposit),
-        usual=coarse[each.name, case.name, angle](case.extent),
-    )
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
@@ -303,11 +252,6 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
     )
     beyond = [each for each in findings.scores if not each.agrees]
     reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
-    reasons += [
-        f"- {each.experiment}, {each.variant.name}: the front moves by {1000.0 * (each.found - each.usual):+.0f} mm, to"
-        f" {(each.found - each.measured.value) / each.measured.spread:+.1f} spreads: {each.variant.comment}"
-        for each in findings.variants
-    ]
     text.text("\n".join(reasons))
     text.section("The angle from the front")
     text.text("""

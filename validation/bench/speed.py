@@ -15,7 +15,7 @@ from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.processes import processors
-from datasets.records import Record, from_mapping, read_toml
+from datasets.reading import read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
@@ -60,23 +60,6 @@ CASES = (
     Case(dimension=3, cells=64, scenes=1, frames=20),
     Case(dimension=3, cells=106, scenes=1, frames=5),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Code(Record):
-    """Another code and its rates."""
-
-    name: str
-    rates: tuple[str, ...]
-    """Per column of the table; a dash where nothing was measured."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class OtherCodes(Record):
-    """The contents of `speed.toml`."""
-
-    columns: tuple[str, ...]
-    codes: tuple[Code, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,8 +212,10 @@ def page(
     """)
     text.table(rate_rows(rates))
     text.text("Other codes on two cores of an AMD EPYC, not in this run (`validation/bench/speed.toml`):")
-    others = from_mapping(OtherCodes, read_toml(Path(__file__).with_suffix(".toml")))
-    text.table([{"": code.name} | dict(zip(others.columns, code.rates, strict=True)) for code in others.codes])
+    others = read_toml(Path(__file__).with_suffix(".toml"))
+    text.table(
+        [{"": code["name"]} | dict(zip(others["columns"], code["rates"], strict=True)) for code in others["codes"]]
+    )
     text.section("A gradient by the adjoint")
     text.text(f"""
         A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that

@@ -132,17 +132,6 @@ class MeasuredScene(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variant(Record):
-    """A scene that differs in one respect, computed on the coarse cells: the effect of that respect."""
-
-    name: str
-    case: str
-    scene: str
-    comment: str
-    """What differs, and why it is tried."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Assumption(Record):
     """The choice for something that the authors do not state."""
 
@@ -166,18 +155,11 @@ class Experiment(Record):
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
     cases: tuple[MeasuredScene, ...]
-    variants: tuple[Variant, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.floor, str) and self.floor != "material":
             raise InputError(f"expected a coefficient or 'material', got {self.floor!r}", key="floor")
-        names = [case.name for case in self.cases]
-        for number, variant in enumerate(self.variants):
-            if variant.case not in names:
-                raise InputError(
-                    f"expected one of {', '.join(names)}, got {variant.case!r}", key=f"variants[{number}].case"
-                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,11 +169,6 @@ class Shipped:
     name: str
     folder: Path
     experiment: Experiment
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return read_scene(str(self.folder / self.experiment.cases[0].scene)).dimension
 
     def cells(self, case: MeasuredScene) -> tuple[float, float]:
         """Grid cells of a case, the coarse and the fine one [m]."""

@@ -17,7 +17,6 @@ from validation.experiments.experiment import (
     Quantity,
     Shipped,
     Status,
-    Variant,
     read_experiment,
     read_experiments,
 )
@@ -45,8 +44,6 @@ def test_every_number_has_source_licence_and_status(shipped: Shipped) -> None:
 @pytest.mark.parametrize("shipped", SHIPPED, ids=lambda each: each.name)
 def test_scenes_are_undamped_and_hold_what_was_measured(shipped: Shipped) -> None:
     files = [(case.scene, case) for case in shipped.experiment.cases]
-    cases = {case.name: case for case in shipped.experiment.cases}
-    files += [(variant.scene, cases[variant.case]) for variant in shipped.experiment.variants]
     for file, case in files:
         coarse, fine = shipped.cells(case)
         assert fine < coarse
@@ -103,7 +100,7 @@ def test_a_missing_scene_is_named(shelf: Path) -> None:
 def test_the_page_on_formats_names_every_key() -> None:
     page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
-    for kind in (Experiment, Angle, MeasuredScene, Measured, Variant, Assumption):
+    for kind in (Experiment, Angle, MeasuredScene, Measured, Assumption):
         for each in dataclasses.fields(kind):
             assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
     for status in Status:

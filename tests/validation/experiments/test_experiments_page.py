@@ -61,7 +61,7 @@ def test_the_page_follows_other_numbers(shelf: Path, tmp_path: Path, monkeypatch
     path = shelf / "wedge" / "experiment.toml"
     path.write_text(path.read_text().replace("value = 0.52", f"value = {front_of(25.0)}"))
     monkeypatch.setattr(experiments, "deposits_of", lambda _, scenes: deposits(scenes))
-    monkeypatch.setattr(experiments, "QUICK_FACTOR", 1.0)
+    monkeypatch.setattr(experiments, "QUICK", "wedge")
     assert "1 of 1 lengths are within" in experiments.bench(tmp_path, quick=True, keep=tmp_path, experiments=shelf)
     text = (tmp_path / "experiments.md").read_text()
     assert "The wedge is imaginary" not in text

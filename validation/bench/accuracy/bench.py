@@ -249,7 +249,7 @@ def page(
     trials: Mapping[int, Errors],
     known: Sequence[Measured],
     paper: columns.PaperColumns,
-    fronts: columns.Found,
+    fronts: columns.Fronts,
     *,
     quick: bool = False,
 ) -> Page:
@@ -336,7 +336,7 @@ def draw(
     path: Path,
     trials: Mapping[int, Errors],
     promised: Mapping[tuple[int, Resolution], float],
-    fronts: columns.Found,
+    fronts: columns.Fronts,
 ) -> None:
     """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
     with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
@@ -355,8 +355,10 @@ def draw(
             axis.set_ylabel("error over the extent [%]")
             axis.legend()
         last = pane(axes, 0, len(trials))
-        for name, aspects, values in columns.series(fronts):
+        known = {**fronts, **columns.laws(), **columns.codes()}
+        for name in dict.fromkeys(name for dimension, name, _ in known if dimension == 2):
+            points = sorted((a, value) for (dimension, who, a), value in known.items() if (dimension, who) == (2, name))
             ours = name in (columns.OURS, columns.APIC)
-            last.plot(aspects, values, "o-" if ours else "--", linewidth=1.2 if ours else 0.8, markersize=4, label=name)
+            last.plot(*zip(*points, strict=True), "o-" if ours else "--", linewidth=0.8, markersize=4, label=name)
         last.set(xscale="log", yscale="log", title="columns in 2D", xlabel="H / L", ylabel="front, (d - L) / L")
         last.legend(fontsize=6)

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,9 @@ from numpy.typing import NDArray
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.measures import FRONT_QUANTILE, Positions, runout
-from datasets.records import Record, from_mapping, read_toml
+from datasets.reading import read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm import AT_REST
-from validation.bench.paper import read_paper
 from validation.report.page import Page, Row, percent, signed
 from validation.runs import Run, RunStore
 
@@ -34,43 +32,13 @@ CELLS = {2: 16, 3: 8}
 ASPECTS = {2: (0.5, 1.0, 2.0, 4.0, 8.0), 3: (0.5, 1.0, 2.0, 4.0)}
 EXTENT = {2: (3.0, 0.8), 3: (3.0, 0.55)}
 """Prefactor and exponent, by dimension, of a runout (d - L) / L that no column comes near: the length of the box."""
-SUMMIT = 0.25
-"""The deposit's height is measured this near to the axis, in L."""
 OURS, APIC = "Talus", "Talus, APIC"
 
-Quantity = Literal["front", "height"]
-Found = Mapping[tuple[int, Quantity, str, float], float]
-"""Fronts (d - L) / L and heights h / L by dimension, quantity, transfer and aspect ratio."""
+PUBLISHED = Path(__file__).with_suffix(".toml")
+"""Runouts of the paper, laws of the literature, fronts by other codes."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Law(Record):
-    """A published law prefactor a^exponent, in some range of the aspect ratio a."""
-
-    source: str
-    dimension: int
-    quantity: Quantity
-    prefactor: float
-    exponent: float
-    above: float = 0.0
-    below: float = math.inf
-
-
-@dataclass(frozen=True, kw_only=True)
-class Code(Record):
-    """Fronts (d - L) / L by another code."""
-
-    name: str
-    aspects: tuple[float, ...]
-    fronts: tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Published(Record):
-    """The contents of `columns.toml`."""
-
-    laws: tuple[Law, ...]
-    codes: tuple[Code, ...]
+Fronts = Mapping[tuple[int, str, float], float]
+"""(d - L) / L by dimension, name and aspect ratio."""
 
 
 def column(dimension: int, aspect: float, cells: int) -> Scene:
@@ -103,17 +71,14 @@ def column(dimension: int, aspect: float, cells: int) -> Scene:
     )
 
 
-def measured(positions: Positions) -> dict[Quantity, float]:
-    """The front, (d - L) / L with d the radius that 99.5 % of the particles are within, and h / L at the axis."""
+def front(positions: Positions) -> float:
+    """(d - L) / L, with d the radius that 99.5 % of the particles are within."""
     x = positions.astype(np.float64)
     radius = x[:, 0] if x.shape[1] == 2 else np.hypot(x[:, 0], x[:, 2])
-    return {
-        "front": float(np.quantile(radius, FRONT_QUANTILE)) / LENGTH - 1.0,
-        "height": float(np.quantile(x[radius < SUMMIT * LENGTH, 1], 0.99)) / LENGTH,
-    }
+    return float(np.quantile(radius, FRONT_QUANTILE)) / LENGTH - 1.0
 
 
-def collapse(store: RunStore, *, quick: bool) -> Found:
+def collapse(store: RunStore, *, quick: bool) -> Fronts:
     """Columns over their aspect ratio, by the default transfer and, in 2D, by APIC."""
     kinds = [(2, OURS, None), (2, APIC, 0.0), (3, OURS, None)]
     runs = {
@@ -124,67 +89,55 @@ def collapse(store: RunStore, *, quick: bool) -> Found:
         for aspect in ASPECTS[dimension][1 : 3 if quick else None]
     }
     flows = store.run(list(runs.values()))
+    return {key: front(flow.positions[-1]) for key, flow in zip(runs, flows, strict=True)}
+
+
+def laws() -> Fronts:
+    """Published laws at the aspect ratios that they are for."""
     return {
-        (dimension, quantity, name, aspect): value
-        for (dimension, name, aspect), flow in zip(runs, flows, strict=True)
-        for quantity, value in measured(flow.positions[-1]).items()
+        (law["dimension"], law["source"], aspect): law["prefactor"] * aspect ** law["exponent"]
+        for law in read_toml(PUBLISHED)["laws"]
+        for aspect in ASPECTS[law["dimension"]]
+        if law.get("above", 0.0) <= aspect < law.get("below", math.inf)
     }
 
 
-def others() -> Found:
-    """Published laws at the aspect ratios that they are for, and the fronts of other codes."""
-    published = from_mapping(Published, read_toml(Path(__file__).with_suffix(".toml")))
-    laws = {
-        (law.dimension, law.quantity, law.source, aspect): law.prefactor * aspect**law.exponent
-        for law in published.laws
-        for aspect in ASPECTS[law.dimension]
-        if law.above <= aspect < law.below
+def codes() -> Fronts:
+    """Fronts by other codes."""
+    return {
+        (2, code["name"], aspect): value
+        for code in read_toml(PUBLISHED)["codes"]
+        for aspect, value in zip(code["aspects"], code["fronts"], strict=True)
     }
-    codes: Found = {
-        (2, "front", code.name, aspect): value
-        for code in published.codes
-        for aspect, value in zip(code.aspects, code.fronts, strict=True)
-    }
-    return {**laws, **codes}
 
 
-def aspect_tables(page: Page, found: Found) -> None:
+def aspect_tables(page: Page, found: Fronts) -> None:
     """The tables of columns over their aspect ratio."""
-    known = {**found, **others()}
     page.section("Columns over their aspect ratio")
     page.text(f"""
         Columns of length (in 3D: cylinders of radius) L and height H = a L, dry sand of {FRICTION_DEG:g}° on a floor as
-        rough, undamped, {CELLS[2]} cells across the smaller of L and H in 2D, {CELLS[3]} in 3D, until they rest. Front:
-        (d - L) / L of 99.5 % of the particles; height: h / L at the axis. The laws of the literature are of the
-        furthest grains; side walls brake the experiments in channels, not discs and rods. Other codes ran on the same
-        grids.
+        rough, undamped, {CELLS[2]} cells across the smaller of L and H in 2D, {CELLS[3]} in 3D, until they rest: the
+        front, (d - L) / L of 99.5 % of the particles. The laws of the literature are of the furthest grains; side walls
+        brake the experiments in channels, not discs and rods. Other codes ran on the same grids.
     """)
-    for dimension, quantity in dict.fromkeys(key[:2] for key in found):
-        names = dict.fromkeys(name for d, q, name, _ in known if (d, q) == (dimension, quantity))
-        aspects = [a for d, q, name, a in found if (d, q, name) == (dimension, quantity, OURS)]
+    known = {**found, **laws(), **codes()}
+    for dimension in dict.fromkeys(dimension for dimension, *_ in found):
+        names = dict.fromkeys(name for d, name, _ in known if d == dimension)
+        aspects = [a for d, name, a in found if (d, name) == (dimension, OURS)]
         rows: list[Row] = [
-            {f"{quantity}, {dimension}D": name}
-            | {f"a = {a:g}": known.get((dimension, quantity, name, a), math.nan) for a in aspects}
+            {f"{dimension}D": name} | {f"a = {a:g}": known.get((dimension, name, a), math.nan) for a in aspects}
             for name in names
         ]
         page.table(rows, formats={f"a = {a:g}": ".2f" for a in aspects})
 
 
-def aspect_text(found: Found) -> str:
+def aspect_text(found: Fronts) -> str:
     """How fronts compare with other codes and with published laws, one sentence."""
-    codes = [
-        found[2, "front", APIC, a] / value
-        for (_, _, who, a), value in others().items()
-        if "APIC" in who and (2, "front", APIC, a) in found
-    ]
-    laws = [
-        found[d, "front", OURS, a] / value
-        for (d, quantity, who, a), value in others().items()
-        if quantity == "front" and "APIC" not in who and (d, "front", OURS, a) in found
-    ]
+    off = [abs(found[d, APIC, a] / value - 1.0) for (d, _, a), value in codes().items() if (d, APIC, a) in found]
+    times = [found[d, OURS, a] / value for (d, _, a), value in laws().items() if (d, OURS, a) in found]
     return (
-        f"By APIC, columns run out as in other codes within {percent(max(abs(each - 1.0) for each in codes))}; by the"
-        f" default transfer {min(laws):.2f} to {max(laws):.2f} times as far as published laws say."
+        f"By APIC, columns run out as in other codes within {percent(max(off))}; by the default transfer"
+        f" {min(times):.2f} to {max(times):.2f} times as far as published laws say."
     )
 
 
@@ -233,7 +186,7 @@ class PaperColumns:
 
 def paper_columns(store: RunStore, seeds: int) -> PaperColumns:
     """Run the paper's columns."""
-    stated = {each.name: each.runout for each in read_paper().scenarios}
+    stated = read_toml(PUBLISHED)["paper"]
     keys = [(damping, name, seed) for damping in DAMPINGS for name in stated for seed in range(seeds)]
     flows = store.run(
         [Run(scene=dataclasses.replace(read_scene(f"column-{n}"), damping=d, seed=seed)) for d, n, seed in keys]
@@ -242,14 +195,3 @@ def paper_columns(store: RunStore, seeds: int) -> PaperColumns:
     for (damping, name, _), flow in zip(keys, flows, strict=True):
         found.setdefault((damping, name), []).append(runout(flow.positions[-1]))
     return PaperColumns(found=found, stated=stated)
-
-
-def series(found: Found) -> Sequence[tuple[str, list[float], list[float]]]:
-    """Name, aspect ratios and fronts in 2D of ours and of the laws, for the picture."""
-    known = {**found, **others()}
-    names = dict.fromkeys(name for d, q, name, _ in known if (d, q) == (2, "front"))
-    lines = []
-    for name in names:
-        points = sorted((a, value) for (d, q, who, a), value in known.items() if (d, q, who) == (2, "front", name))
-        lines.append((name, [a for a, _ in points], [value for _, value in points]))
-    return lines

@@ -113,14 +113,7 @@ def scaled(lengths: tuple[float, ...], unit: float) -> tuple[float, ...]:
     return tuple(length * unit for length in lengths)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Flows(Record):
-    """The contents of `flows.toml`."""
-
-    flows: tuple[Flow, ...]
-
-
 def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:
     """The scenes of a dimension that `--tolerance` is measured on, or those that it is tried on, by name."""
-    flows = from_mapping(Flows, read_toml(Path(__file__).with_suffix(".toml"))).flows
+    flows = [from_mapping(Flow, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
     return {each.name: each.scene() for each in flows if (each.dimension, each.unseen) == (dimension, unseen)}

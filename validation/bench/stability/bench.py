@@ -89,13 +89,6 @@ class Row(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows(Record):
-    """The contents of `rows.toml`."""
-
-    rows: tuple[Row, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Verdict:
     """What was found of a row; a run that gave no trajectory has a message alone."""
 
@@ -113,7 +106,7 @@ class Verdict:
 
 def read_rows(names: Sequence[str] = ()) -> list[Row]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {row.name: row for row in from_mapping(Rows, read_toml(FOLDER / "rows.toml")).rows}
+    rows = {each["name"]: from_mapping(Row, each) for each in read_toml(FOLDER / "rows.toml")["rows"]}
     for name in names:
         if name not in rows:
             near = difflib.get_close_matches(name, rows, n=1)
