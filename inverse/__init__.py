@@ -5,7 +5,7 @@
     result = invert(read_problem("friction-tall-42"))
     print(result.unknowns)  # {'friction_deg': 41.59}; the truth of this twin experiment is 42 degrees
 
-A problem is a TOML file (docs/formats.md) or a `Problem` built in Python.
+A problem is a TOML file (docs/formats.md) or a `Problem` built in Python; its unknowns are numbers or fields.
 """
 
 from importlib import import_module
@@ -15,13 +15,14 @@ import gns  # noqa: F401  (sets what torch reads when it is loaded, before a mod
 
 if TYPE_CHECKING:
     from inverse.inversion import invert
+    from inverse.parameters.parameter import Parameter
     from inverse.problem import Problem, read_problem
     from inverse.result import Result
-    from inverse.settings import ObservationSettings, Parameter, TargetSettings
+    from inverse.settings import ObservationSettings, TargetSettings
 
 _MODULES = {
     "ObservationSettings": "inverse.settings",
-    "Parameter": "inverse.settings",
+    "Parameter": "inverse.parameters.parameter",
     "Problem": "inverse.problem",
     "Result": "inverse.result",
     "TargetSettings": "inverse.settings",
@@ -37,3 +38,7 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_MODULES])

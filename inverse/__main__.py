@@ -1,12 +1,10 @@
-"""`python -m inverse PROBLEM --out DIR`: one inversion, by the surrogate or by the MPM, and what it cost."""
+"""`python -m inverse PROBLEM --out DIR`: one inversion by one forward model, and what it cost."""
 
 import sys
 from pathlib import Path
 
 from datasets.command_line import run
-from inverse.forward.gns import MEMORY_GIB
-from inverse.inversion import ForwardModel, Gradient, invert
-from inverse.problem import read_problem
+from inverse.settings import ForwardModel, Gradient
 
 
 def main(
@@ -17,11 +15,12 @@ def main(
     gradient: Gradient | None = None,
     forward: ForwardModel | None = None,
     model: Path | None = None,
-    memory_gib: float = MEMORY_GIB,
+    memory_gib: float = 0.5,
 ) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
 
-    The MPM does not check the answer, so the verdict is "unconfirmed"; `python -m validation.loop` asks it.
+    Numbers are found by the surrogate or by the MPM alone, so the verdict is "unconfirmed"; `python -m validation.loop`
+    asks the MPM for its word. Fields are found by the MPM's adjoint, and checked by a run of it.
 
     Parameters
     ----------
@@ -30,20 +29,22 @@ def main(
     out
         Folder for the results.
     gradient
-        Reverse mode, of the surrogate by default, of the MPM by its adjoint; central differences, the MPM's default;
-        or none, a search without.
+        Reverse mode, of the surrogate by default, of the MPM by its adjoint; or central differences, the MPM's default.
     forward
         What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     memory_gib
-        Activations that the backward pass may find ready, instead of computing them again.
+        Activations that the backward pass may find ready, instead of computing them again [GiB].
     """
-    result = invert(
-        read_problem(problem), forward=forward, gradient=gradient, model=model, memory_gib=memory_gib, out=out
-    )
-    for each in result.problem.parameters:
-        print(f"{each.name:<24} {each.kind.text(result.unknowns[each.name])}")
+    # Imported here: torch takes seconds to load, and help has no use for it.
+    from inverse.inversion import invert
+    from inverse.problem import read_problem
+    from inverse.report import summary
+
+    asked = read_problem(problem)
+    result = invert(asked, forward=forward, gradient=gradient, model=model, memory_gib=memory_gib, out=out)
+    print(summary(result))
 
 
 if __name__ == "__main__":

@@ -4,23 +4,26 @@ import dataclasses
 from collections.abc import Sequence
 
 from datasets.errors import InputError
-from datasets.scene import Baffle, Scene
+from datasets.field import FRICTION
+from datasets.scene import Scene
 from inverse.observations import KINDS, build
-from inverse.parameters import Vector, with_kinds
+from inverse.parameters import known_names, with_kinds
 from inverse.parameters.baffles import swept
+from inverse.parameters.field import UnknownField
+from inverse.parameters.parameter import Parameter
 from inverse.settings import (
-    MEASURED,
     LoopSettings,
     Method,
     ObservationSettings,
     OptimiserSettings,
-    Parameter,
     TargetSettings,
     noise_of,
 )
 
 FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
+OF_FIELDS, OF_NUMBERS = ("mean", "deviation", "length"), ("initial", "step")
+"""Keys that an unknown has as a field, or as a number, alone."""
 
 
 def require(ok: bool, key: str, expected: str, got: object) -> None:
@@ -35,45 +38,62 @@ def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
     names = [each.name for each in parameters]
     for index, each in enumerate(parameters):
         key = f"unknowns[{index}]"
-        try:
-            each.kind.check(scene)
-        except InputError as error:
-            raise InputError(error.message, key=f"{key}.name") from None
         require(names.count(each.name) == 1, f"{key}.name", "each unknown once", f"{each.name!r} twice")
-        require(each.lower < each.upper, f"{key}.upper", f"a value above {each.lower:g}", each.upper)
-        inside = each.lower <= each.initial <= each.upper
-        require(inside, f"{key}.initial", f"a value in [{each.lower:g}, {each.upper:g}]", each.initial)
-        for name in ("step", "learning_rate"):
-            value = getattr(each, name)
-            require(value is None or value > 0.0, f"{key}.{name}", "a positive number", value)
-    initial = [each.initial for each in parameters]
+        needed = OF_FIELDS if each.is_field else ("initial", "lower", "upper")
+        for name in needed:
+            require(getattr(each, name) is not None, f"{key}.{name}", "a value", "none, the key is missing")
+        for name in OF_NUMBERS if each.is_field else OF_FIELDS:
+            kind = "number" if each.is_field else "field, which has a spacing"
+            require(getattr(each, name) is None, f"{key}.{name}", f"it of a {kind}, alone", getattr(each, name))
+        if not each.is_field:
+            check_number(scene, each, key)
+    numbers = [(index, each) for index, each in enumerate(parameters) if not each.is_field]
+    if numbers:
+        check_bounds(scene, numbers)
+
+
+def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
+    """Raise InputError for a number that `scene` has not, or with bounds that are none."""
+    try:
+        parameter.kind.check(scene)
+    except InputError as error:
+        message = error.message
+        if message.startswith("expected one of"):
+            message = f"expected one of {', '.join(known_names(scene))}, which the scene has, got {parameter.name!r}"
+        raise InputError(message, key=f"{key}.name") from None
+    lower, upper = parameter.bounds
+    require(lower < upper, f"{key}.upper", f"a value above {lower:g}", upper)
+    require(lower <= parameter.start <= upper, f"{key}.initial", f"a value in [{lower:g}, {upper:g}]", parameter.start)
+    require(parameter.step is None or parameter.step > 0.0, f"{key}.step", "a positive number", parameter.step)
+
+
+def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:
+    """Raise InputError for numbers, each with its index, between whose bounds not every scene can be simulated."""
+    parameters = [each for _, each in numbers]
+    initial = [each.start for each in parameters]
     _check_scene(scene, parameters, initial, "unknowns")
-    apart = [index for index, each in enumerate(parameters) if not each.kind.independent]
+    apart = [row for row, each in enumerate(parameters) if not each.kind.independent]
     # A thousand velocities would be a thousand scenes: those that no other parameter bears on are tried together.
-    for bound in ("lower", "upper"):
-        together = [
-            value if index in apart else getattr(parameters[index], bound) for index, value in enumerate(initial)
-        ]
+    for end in (0, 1):
+        together = [value if row in apart else parameters[row].bounds[end] for row, value in enumerate(initial)]
         try:
             _check_scene(scene, parameters, together, "unknowns")
         except InputError:
             apart = list(range(len(parameters)))
-    for index in apart:
-        each = parameters[index]
-        for bound in ("lower", "upper"):
-            values = [*initial[:index], getattr(each, bound), *initial[index + 1 :]]
-            _check_scene(scene, parameters, values, f"unknowns[{index}].{bound}")
+    for row in apart:
+        for end, name in enumerate(("lower", "upper")):
+            values = [*initial[:row], parameters[row].bounds[end], *initial[row + 1 :]]
+            _check_scene(scene, parameters, values, f"unknowns[{numbers[row][0]}].{name}")
     # Baffles are boxes that move independently along the axes: all positions are clear if the box of them all is.
-    boxes = swept(scene, [each.kind for each in parameters], [(each.lower, each.upper) for each in parameters])
-    baffles: list[Baffle] = [boxes.get(index, baffle) for index, baffle in enumerate(scene.baffles)]
+    boxes = swept(scene, [each.kind for each in parameters], [each.bounds for each in parameters])
     try:
-        dataclasses.replace(scene, baffles=tuple(baffles))
+        dataclasses.replace(scene, baffles=tuple(boxes.get(row, each) for row, each in enumerate(scene.baffles)))
     except InputError as error:
         message = f"expected bounds between which every scene can be simulated, but over all of them {error}"
         raise InputError(message, key="unknowns") from None
 
 
-def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float] | Vector, key: str) -> None:
+def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:
     """Raise InputError under `key` unless `scene` can be simulated with these values."""
     try:
         with_kinds(scene, [each.kind for each in parameters], values)
@@ -81,136 +101,100 @@ def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence
         raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None
 
 
-def check_options(settings: ObservationSettings, prefix: str) -> None:
-    """Raise InputError for a kind that is not there, or for keys that its observation does not use."""
-    if settings.kind not in KINDS:
-        raise InputError(f"expected one of {', '.join(KINDS)}, got {settings.kind!r}", key=f"{prefix}.kind")
-    kind = KINDS[settings.kind]
-    used = ("kind", "name", "noise", *kind.sources, *kind.options)
-    for field in dataclasses.fields(settings):
-        if field.name not in used and getattr(settings, field.name) != field.default:
-            users = [name for name, each in KINDS.items() if field.name in (*each.sources, *each.options)]
-            message = f"expected it with kind {' or '.join(users)} alone, not with {settings.kind}"
-            raise InputError(message, key=f"{prefix}.{field.name}")
+def check_fields(
+    scene: Scene, fields: Sequence[UnknownField], observations: Sequence[ObservationSettings], target: TargetSettings
+) -> None:
+    """Raise InputError for fields that cannot be found by the adjoint, or a twin without their truth."""
+    own = {(each.quantity, each.mass) for each in scene.fields}
+    for each in fields:
+        each.check_bounds(scene)
+        known = not target.twin or target.draw is not None or (each.settings.quantity, each.settings.mass) in own
+        require(known, "unknowns", f"a scene with a field of {each.name} as the truth, or target.draw", "none")
+        if each.settings.quantity == FRICTION:
+            expected = "a body without initial stress, whose yield depends on an unknown friction"
+            for index, mass in enumerate(scene.masses):
+                require(mass.k0 is None, f"scene.masses[{index}].k0", expected, mass.k0)
+    for index, settings in enumerate(observations):
+        operator = build(settings, scene)
+        jointly = operator.of_positions and not operator.every_particle
+        require(jointly, f"observations[{index}].kind", "an observation of positions of few numbers", settings.kind)
+    require(not target.minimise, "target.minimise", "numbers, a field has no design", "fields")
 
 
-def check_observation(scene: Scene, settings: ObservationSettings) -> None:
-    """Raise InputError for a problem's only observation that cannot be made of a flow of `scene`."""
-    check_options(settings, "observation")
-    if not KINDS[settings.kind].alone:
-        alone = ", ".join(name for name, kind in KINDS.items() if kind.alone)
-        raise InputError(f"expected one of {alone}; others stand in [[observations]]", key="observation.kind")
-    for key in ("name", *MEASURED):
-        usual = next(field.default for field in dataclasses.fields(settings) if field.name == key)
-        require(getattr(settings, key) == usual, f"observation.{key}", "it in [target]", getattr(settings, key))
-    try:
-        build(settings, scene)
-    except InputError as error:
-        raise InputError(error.message, key=f"observation.{error.key}") from None
-
-
-def check_observations(settings: Sequence[ObservationSettings], target: TargetSettings) -> None:
-    """Raise InputError for observations that cannot be joined, or a target beside them that is no simulated flow."""
-    check_joined(settings)
-    allowed = ("twin", "seed", "truth", "trajectory")
-    for field in dataclasses.fields(target):
-        usual = field.default if field.default is not dataclasses.MISSING else {}
-        if field.name not in allowed and getattr(target, field.name) != usual:
-            message = f"expected {', '.join(allowed)} beside multiple observations, which bring the rest themselves"
-            raise InputError(message, key=f"target.{field.name}")
-    if target.twin and target.trajectory is not None:
-        raise InputError("expected twin = true or a trajectory, got both", key="target")
-
-
-def check_joined(settings: Sequence[ObservationSettings]) -> None:
-    """Raise InputError for observations that cannot be joined."""
-    for index, each in enumerate(settings):
-        check_options(each, f"observations[{index}]")
-        if not KINDS[each.kind].jointly:
-            joined = ", ".join(name for name, kind in KINDS.items() if kind.jointly)
-            raise InputError(f"expected one of {joined}, got {each.kind!r}", key=f"observations[{index}].kind")
-
-
-def check_target(scene: Scene, observation: ObservationSettings, target: TargetSettings) -> None:
-    """Raise InputError for a target that is none of this observation."""
-    kind = KINDS[observation.kind]
-    sources = ("value", "values", "trajectory", "csv")
-    given = [name for name in sources if getattr(target, name) is not None]
-    given += [name for name in ("twin", "minimise") if getattr(target, name)]
-    if len(given) != 1:
-        got = " and ".join(given) or "none"
-        message = f"expected exactly one of {', '.join(sources)}, twin = true and minimise = true, got {got}"
-        raise InputError(message, key="target")
-    (source,) = given
-    if source in ("value", "values", "csv") and source not in kind.sources:
-        others = " or ".join((*kind.sources, "trajectory", "twin = true"))
-        raise InputError(f"expected {others} for a target of kind {observation.kind}", key=f"target.{source}")
-    if target.minimise and not kind.scalar:
+def check_observations(scene: Scene, observations: Sequence[ObservationSettings], target: TargetSettings) -> None:
+    """Raise InputError for observations that cannot be made of a flow of `scene`, or compared with each other."""
+    require(len(observations) > 0, "observations", "at least one observation", "none")
+    for index, settings in enumerate(observations):
+        prefix = f"observations[{index}]"
+        require(settings.kind in KINDS, f"{prefix}.kind", f"one of {', '.join(KINDS)}", repr(settings.kind))
+        kind = KINDS[settings.kind]
+        used = ("kind", "name", "noise", *kind.sources, *kind.options)
+        for field in dataclasses.fields(settings):
+            if field.name not in used and getattr(settings, field.name) != field.default:
+                users = [name for name, each in KINDS.items() if field.name in (*each.sources, *each.options)]
+                message = f"expected it with kind {' or '.join(users)} alone, not with {settings.kind}"
+                raise InputError(message, key=f"{prefix}.{field.name}")
+        given = [name for name in ("value", "values", "csv") if getattr(settings, name) is not None]
+        require(len(given) < 2, prefix, "one of value, values and csv", " and ".join(given))
+        alone = len(observations) == 1 or not kind.every_particle
+        require(alone, f"{prefix}.kind", "an observation of few numbers beside others", repr(settings.kind))
+        try:
+            noise_of(settings.noise)
+            if settings.csv is None:
+                build(settings, scene).stated(settings, scene)
+        except InputError as error:
+            raise InputError(error.message, key=f"{prefix}.{error.key}") from None
+        if target.measured and not given:
+            message = f"expected what was measured for {settings.kind}: {' or '.join(kind.sources) or 'a trajectory'}"
+            raise InputError(f"{message}; or twin, a trajectory or minimise in [target]", key=prefix)
+        require(target.measured or not given, prefix, "no numbers beside those of [target]", " and ".join(given))
+    if target.minimise and (len(observations) > 1 or not KINDS[observations[0].kind].scalar):
         scalar = ", ".join(name for name, each in KINDS.items() if each.scalar)
-        raise InputError(f"expected it with {scalar}, not with {observation.kind}", key="target.minimise")
-    try:
-        share, _ = noise_of(target.noise)
-        stated = {name: getattr(target, name) for name in ("value", "values")}
-        build(observation, scene).stated(dataclasses.replace(observation, **stated), scene)
-    except InputError as error:
-        raise InputError(error.message, key=f"target.{error.key}") from None
-    if share > 0.0 and source not in ("value", "csv"):
-        raise InputError("expected a percentage beside value or csv alone, else a length", key="target.noise")
-    if target.csv is None:
-        for key in ("unit", "datum", "heights"):
-            usual = next(field.default for field in dataclasses.fields(target) if field.name == key)
-            require(getattr(target, key) == usual, f"target.{key}", "it beside a csv alone", getattr(target, key))
+        raise InputError(f"expected it with one observation of {scalar}", key="target.minimise")
 
 
-def check_twin(scene: Scene, parameters: Sequence[Parameter], target: TargetSettings) -> None:
-    """Raise InputError for a twin whose scene is not another one than the inversion's, or cannot be simulated."""
+def check_target(scene: Scene, parameters: Sequence[Parameter], target: TargetSettings) -> None:
+    """Raise InputError for two sources of numbers, a twin that is the inversion's own flow, or one without a truth."""
+    sources = {"twin": target.twin, "trajectory": target.trajectory is not None, "minimise": target.minimise}
+    given = [name for name, there in sources.items() if there]
+    require(len(given) < 2, "target", "one of twin = true, trajectory and minimise = true", " and ".join(given))
     if not target.twin:
         require(not target.truth, "target.truth", "twin = true beside a truth", "none")
+        require(target.draw is None, "target.draw", "twin = true beside a draw", "none")
         return
-    if target.seed < 0 or target.seed == scene.seed:
-        raise InputError(f"expected a seed of at least 0 and other than the scene's {scene.seed}", key="target.seed")
-    known = {each.name: each for each in parameters}
+    other = target.seed >= 0 and target.seed != scene.seed
+    require(other, "target.seed", f"a seed of at least 0 and other than the scene's {scene.seed}", target.seed)
+    known = {each.name: each for each in parameters if not each.is_field}
     for name in target.truth:
-        if name not in known:
-            raise InputError(f"expected one of the unknowns {', '.join(known)}", key=f"target.truth.{name}")
-    true = [known[name] for name in target.truth]
-    _check_scene(scene, true, list(target.truth.values()), "target.truth")
+        require(name in known, f"target.truth.{name}", f"one of the unknowns {', '.join(known)}", name)
+    _check_scene(scene, [known[name] for name in target.truth], list(target.truth.values()), "target.truth")
 
 
 def check_search(
     parameters: Sequence[Parameter],
-    observation: ObservationSettings,
+    observations: Sequence[ObservationSettings],
     optimiser: OptimiserSettings,
     loop: LoopSettings,
 ) -> None:
     """Raise InputError for a search that cannot be made."""
     for key, number, minimum in (
         ("optimiser.max_iterations", optimiser.max_iterations, 1),
-        ("optimiser.max_trials", optimiser.max_trials, 1),
         ("optimiser.seed", optimiser.seed, 0),
+        ("optimiser.seeds", optimiser.seeds, 1),
+        ("optimiser.ensemble", optimiser.ensemble, 4),
         ("loop.mpm_runs", loop.budget(len(parameters)), len(parameters) + FEWEST_RUNS),
     ):
-        require(number >= minimum, key, f"an integer of at least {minimum}", number)
+        require(number is None or number >= minimum, key, f"an integer of at least {minimum}", number)
     for key, value, maximum in (
         ("optimiser.stop_below", optimiser.stop_below, 1.0),
-        ("optimiser.learning_rate", optimiser.learning_rate, 1e9),
-        ("loop.confirm_within", loop.confirm_within, 1.0),
-        ("loop.profile_within", loop.profile_within, 1.0),
-        ("loop.runout_within", loop.runout_within, 1.0),
-        ("loop.toe_within", loop.toe_within, 100.0),
-        ("loop.deposit_within", loop.deposit_within, 100.0),
-        ("loop.passed_within", loop.passed_within, 1.0),
-        ("loop.joint_within", loop.joint_within, 100.0),
         ("loop.mpm_seconds", loop.mpm_seconds, 1e9),
     ):
         require(value is None or 0.0 < value <= maximum, key, f"a number in (0, {maximum:g}]", value)
-    every_particle = KINDS[observation.kind].every_particle
-    for each in parameters:
-        if every_particle and each.kind.changes_volume:
-            message = f"expected another kind than {observation.kind}: with {each.name} the number of particles changes"
-            raise InputError(message, key="observation.kind")
-    if every_particle and optimiser.method is Method.GAUSS_NEWTON:
-        others = " or ".join(method for method in Method if method is not Method.GAUSS_NEWTON)
-        raise InputError(
-            f"expected {others}: a {observation.kind} is too many numbers for their Jacobian", key="optimiser.method"
-        )
+    if not any(KINDS[each.kind].every_particle for each in observations):
+        return
+    for parameter in parameters:
+        fixed = parameter.is_field or not parameter.kind.changes_volume
+        expected = f"another kind: with {parameter.name} the number of particles changes"
+        require(fixed, "observations[0].kind", expected, observations[0].kind)
+    expected = "lbfgs-b or secants: a deposit is too many numbers for their Jacobian"
+    require(optimiser.method is not Method.GAUSS_NEWTON, "optimiser.method", expected, optimiser.method)

@@ -1,47 +1,30 @@
 """One inversion by one forward model: minimise the misfit, then report what was found."""
 
-import os
 import sys
 import time
-from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+
 from datasets.errors import InputError
+from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
-from inverse.bounds import Bounds
-from inverse.forward.gns import MEMORY_GIB, GnsForward, GnsSource
+from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.interface import Differentiable, Evaluation
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import automatic, central, without_gradient
-from inverse.observations import Target
-from inverse.observations.reading import read_target
-from inverse.optimise import best, explore, minimise
+from inverse.found import Answer, Verdict, plain
+from inverse.jacobian import automatic, central, observed
+from inverse.optimise import minimise
+from inverse.parameters import Vector
 from inverse.problem import Problem
-from inverse.report import markdown as report
-from inverse.result import Result, Verdict
-from inverse.secants import sample
-from inverse.settings import Method, Surrogate
+from inverse.result import Result
+from inverse.secants import lowest, sample
+from inverse.settings import ForwardModel, Gradient, Method, Surrogate
+from inverse.target import Target, read_target
 from mpm import simulate, simulate_many
 
-
-class Gradient(StrEnum):
-    """Where the gradient comes from."""
-
-    AD = "ad"
-    """Reverse mode: automatic differentiation of the surrogate, the adjoint of the MPM."""
-    FD = "fd"
-    """Central differences."""
-    NONE = "none"
-    """None at all: the optimiser's `sampler` proposes, `max_trials` is the budget."""
-
-
-class ForwardModel(StrEnum):
-    """What predicts the observation."""
-
-    GNS = "gns"
-    MPM = "mpm"
+COMMAND = "python -m inverse"
 
 
 def invert(
@@ -51,9 +34,9 @@ def invert(
     gradient: Gradient | None = None,
     model: Path | None = None,
     memory_gib: float = MEMORY_GIB,
-    out: Path | None = None,
+    out: Path | str | None = None,
 ) -> Result:
-    """Find the parameters of `problem` by one forward model; the verdict is left to the MPM (`validation.solve`).
+    """Find the parameters of `problem` by one forward model; `validation.solve` asks the MPM for its word.
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))
@@ -62,45 +45,90 @@ def invert(
 
     forward: the surrogate where absent, unless the problem asks for none; gradient: reverse mode of the surrogate,
     central differences of the MPM where absent; model: weights, those that ship where absent; memory_gib:
-    activations that the backward pass may find ready; out: folder for `result.json`, `report.md` and pictures.
-    Raises InputError for a combination that there is none of.
+    activations that the backward pass may find ready; out: folder for `result.json`, `report.md` and pictures. Fields
+    are found by the MPM's adjoint, with their posterior. Raises InputError for a combination that there is none of,
+    WorkFailed where a run blows up.
     """
-    if forward is None:
-        forward = ForwardModel.MPM if problem.surrogate is Surrogate.NONE else ForwardModel.GNS
     if memory_gib < 0.0:
         raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
-    target = read_target(problem, simulate)
-    chosen: GnsForward | MpmForward
-    if forward is ForwardModel.MPM and gradient is Gradient.AD:
-        # Imported here: other inversions have no use for its kernels.
-        from inverse.forward.adjoint import AdjointForward
-
-        chosen = AdjointForward(problem, target.observation, simulate_many)
-    elif forward is ForwardModel.MPM:
-        chosen = MpmForward(problem, target.observation, simulate_many)
-    else:
-        chosen = surrogate(problem, target, model, memory_gib)
-    began = time.perf_counter()
-    records = search(problem, target, chosen, gradient)
-    seconds = time.perf_counter() - began
-    mpm_seconds = seconds if forward is ForwardModel.MPM else 0.0
-    result = unconfirmed(problem, target, records, seconds, mpm_seconds=mpm_seconds)
     if out is not None:
-        result.write(out)
-        report.write(result, chosen.deposit, out, forward="surrogate" if forward is ForwardModel.GNS else "MPM")
+        make_folder(Path(out))
+    if problem.fields:
+        if forward is ForwardModel.GNS or gradient is Gradient.FD:
+            raise InputError("expected the MPM and its adjoint, which fields are found by", where="--forward")
+        # Imported here: other inversions have no use for the adjoint's kernels.
+        from inverse.field_inversion import of_fields
+
+        result = of_fields(problem)
+    else:
+        target = read_target(problem, simulate)
+        chosen = forward_model(problem, target, forward, gradient, model, memory_gib)
+        result = of_numbers(problem, target, chosen, gradient)
+    if out is not None:
+        result.save(out)
     return result
 
 
-def surrogate(problem: Problem, target: Target, model: Path | None, memory_gib: float) -> GnsForward:
-    """The learned surrogate of `problem`. Raises InputError."""
-    unsupported = [each.name for each in problem.parameters if not each.kind.differentiable]
+def forward_model(
+    problem: Problem,
+    target: Target,
+    forward: ForwardModel | None,
+    gradient: Gradient | None,
+    model: Path | None,
+    memory_gib: float,
+) -> GnsForward | MpmForward:
+    """What predicts the observation. Raises InputError."""
+    if forward is ForwardModel.MPM or (forward is None and problem.surrogate is Surrogate.NONE):
+        if gradient is not Gradient.AD:
+            return MpmForward(problem, target.observation, simulate_many)
+        # Imported here: other inversions have no use for its kernels.
+        from inverse.forward.adjoint import AdjointForward
+
+        return AdjointForward(problem, target.observation, simulate_many)
+    unsupported = [each.name for each in problem.numbers if not each.kind.differentiable]
     if unsupported or not target.observation.of_positions:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsSource(checkpoint.load(weights).simulator, problem, target.observation, memory_gib).start(None)
+    return GnsForward(checkpoint.load(weights).simulator, problem, target.observation, memory_gib)
+
+
+def of_numbers(
+    problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
+) -> Result:
+    """The minimum of the misfit of `forward`, which nothing has checked."""
+    began = time.perf_counter()
+    records = search(problem, target, forward, gradient)
+    total, found = time.perf_counter() - began, lowest(records)
+    seconds = {key: float(np.mean([getattr(e, f"{key}_s") for e in records])) for key in ("forward", "backward")}
+    by_mpm = isinstance(forward, MpmForward)
+    return Result(
+        problem=problem,
+        target=target,
+        verdict=Verdict.UNCONFIRMED,
+        answers=(Answer(parameters=found.parameters),),
+        forward="MPM" if by_mpm else "surrogate",
+        predicted=found.observation,
+        deposit=forward.deposit(found.parameters),
+        iterations=[as_json(problem, each) for each in records],
+        seconds=seconds | {"per_iteration": sum(seconds.values()), "mpm": total if by_mpm else 0.0, "total": total},
+        record={"loss": {"mpm" if by_mpm else "surrogate": found.loss, "initial": records[0].loss}},
+        command=COMMAND,
+    )
+
+
+def as_json(problem: Problem, evaluation: Evaluation) -> dict[str, object]:
+    """An evaluation as `result.json` has it."""
+    gradient = evaluation.gradient
+    return {
+        "unknowns": problem.named(evaluation.parameters),
+        "observation": plain(evaluation.observation),
+        "loss": evaluation.loss,
+        "gradient": None if gradient is None else problem.named(gradient),
+        "seconds": {"forward": evaluation.forward_s, "backward": evaluation.backward_s},
+    }
 
 
 def search(
@@ -109,41 +137,17 @@ def search(
     """Every evaluation of `forward` on the way to the minimum of its misfit."""
     gradient = gradient or (Gradient.AD if isinstance(forward, GnsForward) else Gradient.FD)
     values, components = forward.select(target.values), target.observation.components
-    if gradient is Gradient.NONE:
-        # The MPM runs a scene per core, and as many are proposed at a time.
-        at_once = 1 if isinstance(forward, GnsForward) else os.cpu_count() or 1
-        return explore(forward, values, problem, components=components, at_once=at_once)
-    settings, bounds = problem.optimiser, Bounds.from_problem(problem)
-    jacobian = settings.method is Method.GAUSS_NEWTON
+    settings, box, initial = problem.optimiser, problem.box, problem.initial
     spread: list[Evaluation] = []
     if settings.method is Method.SECANTS:
-        spread = sample(forward, values, problem.initial, bounds, components=components)
-        evaluate = without_gradient(forward, values, components=components)
+        spread = sample(forward, values, initial, box, components=components)
+
+        def evaluate(at: Vector) -> Evaluation:
+            return observed(forward, values, [at], components=components)[0]
+
     elif gradient is Gradient.AD and isinstance(forward, Differentiable):
+        jacobian = settings.method is Method.GAUSS_NEWTON
         evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)
     else:
-        evaluate = central(forward, values, problem.steps, components=components, with_jacobian=jacobian)
-    rates = [each.learning_rate for each in problem.parameters]
-    return spread + minimise(evaluate, problem.initial, bounds, settings, rates=rates, sample=spread)
-
-
-def unconfirmed(
-    problem: Problem, target: Target, records: Sequence[Evaluation], seconds: float, *, mpm_seconds: float = 0.0
-) -> Result:
-    """The result of `records` of one forward model, `seconds` [s] in all, of which `mpm_seconds` in the MPM.
-
-    The prediction of a forward model that is the MPM itself counts as the surrogate's here: nobody has checked it.
-    """
-    found = best(records)
-    return Result(
-        problem=problem,
-        target=target,
-        verdict=Verdict.UNCONFIRMED,
-        answer=found.parameters,
-        certainty=None,
-        predicted=found.observation,
-        loss=found.loss,
-        evaluations=records,
-        mpm_seconds=mpm_seconds,
-        total_seconds=seconds,
-    )
+        evaluate = central(forward, values, problem.steps, components=components)
+    return spread + minimise(evaluate, initial, box, settings, sample=spread)

@@ -9,6 +9,7 @@
     misfit = c/M |y - y*|^2,    d(misfit)/du = 2 c/M (y - y*) J
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 
@@ -36,42 +37,49 @@ def automatic(forward: Differentiable, target: Values, *, components: int = 1, w
         point = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         prediction = forward.predict(point)
         observation: Values = prediction.detach().numpy()
-        residual = observation - target
         middle = time.perf_counter()
-        weights = 2.0 * components / len(target) * residual
+        weights = 2.0 * components / len(target) * (observation - target)
         jacobian = _rows(prediction, point) if with_jacobian else None
         if jacobian is None:
             gradient = torch.autograd.grad(prediction, point, torch.from_numpy(weights))[0].numpy()
         else:
             gradient = weights @ jacobian
-        return _evaluation(values, observation, residual, components, gradient, jacobian, (start, middle))
+        return Evaluation(
+            parameters=values.copy(),
+            observation=observation,
+            residual=observation - target,
+            components=components,
+            gradient=gradient,
+            jacobian=jacobian,
+            forward_s=middle - start,
+            backward_s=time.perf_counter() - middle,
+        )
 
     return evaluate
 
 
-def central(
-    forward: Forward, target: Values, steps: Vector, *, components: int = 1, with_jacobian: bool = False
-) -> Evaluate:
-    """Misfit and gradient of `forward` against `target` [M] by central differences of `steps` [U].
+def central(forward: Forward, target: Values, steps: Vector, *, components: int = 1) -> Evaluate:
+    """Misfit, gradient and Jacobian of `forward` against `target` [M] by central differences of `steps` [U].
 
-    Differences of y, not of its square: they lose fewer digits. with_jacobian: keep it, for Gauss-Newton.
+    Differences of y, not of its square: they lose fewer digits.
     """
 
     def evaluate(values: Vector) -> Evaluation:
+        (found,) = observed(forward, target, [values], components=components)
         start = time.perf_counter()
-        (observation,) = forward.observe([values])
-        middle = time.perf_counter()
         jacobian = by_differences(forward, values, steps)
-        residual = observation - target
-        gradient = 2.0 * components * residual @ jacobian / len(target)
-        kept = jacobian if with_jacobian else None
-        return _evaluation(values, observation, residual, components, gradient, kept, (start, middle))
+        return dataclasses.replace(
+            found,
+            gradient=2.0 * components * found.residual @ jacobian / len(target),
+            jacobian=jacobian,
+            backward_s=time.perf_counter() - start,
+        )
 
     return evaluate
 
 
 def observed(forward: Forward, target: Values, points: Sequence[Vector], *, components: int = 1) -> list[Evaluation]:
-    """Misfit of `forward` from `target` [M] at each point [U], with its residual, without a gradient."""
+    """Misfit of `forward` from `target` [M] at each point [U], without a gradient."""
     start = time.perf_counter()
     observations = forward.observe(points)
     seconds = (time.perf_counter() - start) / len(points)
@@ -79,25 +87,12 @@ def observed(forward: Forward, target: Values, points: Sequence[Vector], *, comp
         Evaluation(
             parameters=point.copy(),
             observation=observation,
-            loss=components * float(np.mean((observation - target) ** 2)),
-            gradient=None,
-            forward_s=seconds,
-            backward_s=0.0,
             residual=observation - target,
+            components=components,
+            forward_s=seconds,
         )
         for point, observation in zip(points, observations, strict=True)
     ]
-
-
-def without_gradient(forward: Forward, target: Values, *, components: int = 1) -> Evaluate:
-    """Misfit of `forward` from `target` [M], with its residual."""
-    return lambda values: observed(forward, target, [values], components=components)[0]
-
-
-def by_ad(forward: Differentiable, values: Vector) -> NDArray[np.float64]:
-    """d(observation)/d(parameters) by automatic differentiation, shape [M, U]: for few numbers M."""
-    point = torch.tensor(values, dtype=torch.float64, requires_grad=True)
-    return _rows(forward.predict(point), point)
 
 
 def by_differences(forward: Forward, values: Vector, steps: Vector) -> NDArray[np.float64]:
@@ -108,39 +103,8 @@ def by_differences(forward: Forward, values: Vector, steps: Vector) -> NDArray[n
     return np.stack([(a - b) / (2.0 * h) for a, b, h in zip(ahead, behind, steps, strict=True)], axis=1)
 
 
-def one_sided(forward: Forward, values: Vector, base: Values, steps: Vector) -> NDArray[np.float64]:
-    """d(observation)/d(parameters) by differences from `base` [M], the observation at `values`, shape [M, U].
-
-    Half the predictions of `by_differences`; steps: with their signs, so that none leaves the bounds.
-    """
-    numbers = forward.observe([values + move for move in np.diag(steps)])
-    return np.stack([(number - base) / step for number, step in zip(numbers, steps, strict=True)], axis=1)
-
-
 def _rows(prediction: Tensor, point: Tensor) -> NDArray[np.float64]:
     """d(prediction)/d(point), shape [M, U], row by row by M backward passes."""
     last = len(prediction) - 1
     rows = [torch.autograd.grad(each, point, retain_graph=row < last)[0].numpy() for row, each in enumerate(prediction)]
     return np.stack(rows)
-
-
-def _evaluation(
-    values: Vector,
-    observation: Values,
-    residual: Values,
-    components: int,
-    gradient: Vector,
-    jacobian: NDArray[np.float64] | None,
-    clock: tuple[float, float],
-) -> Evaluation:
-    start, middle = clock
-    return Evaluation(
-        parameters=values.copy(),
-        observation=observation,
-        loss=components * float(np.mean(residual**2)),
-        gradient=gradient,
-        forward_s=middle - start,
-        backward_s=time.perf_counter() - middle,
-        residual=residual if jacobian is not None else None,
-        jacobian=jacobian,
-    )

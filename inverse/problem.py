@@ -2,26 +2,27 @@
 
 import dataclasses
 import math
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.field import Field
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from inverse import checks
-from inverse.observations import KINDS, Observation
 from inverse.parameters import Kind, Vector, with_kinds, with_parameters
+from inverse.parameters.field import UnknownField
+from inverse.parameters.parameter import Parameter
 from inverse.settings import (
     LoopSettings,
     ObservationSettings,
     OptimiserSettings,
-    Parameter,
     Surrogate,
     TargetSettings,
 )
@@ -35,12 +36,33 @@ class _File(Record):
 
     scene: str
     unknowns: tuple[Parameter, ...]
-    observation: ObservationSettings | None = None
-    observations: tuple[ObservationSettings, ...] = ()
-    target: TargetSettings | None = None
+    observations: tuple[ObservationSettings, ...]
+    target: TargetSettings = field(default_factory=TargetSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
     surrogate: Surrogate = Surrogate.AUTO
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The box of the prior bounds of U numbers."""
+
+    lower: Vector
+    upper: Vector
+
+    @property
+    def range(self) -> Vector:
+        """Width of the box, shape [U]."""
+        return self.upper - self.lower
+
+    @property
+    def middle(self) -> Vector:
+        """Centre of the box, shape [U]."""
+        return 0.5 * (self.lower + self.upper)
+
+    def clip(self, parameters: Vector) -> Vector:
+        """The nearest point of the box."""
+        return np.clip(parameters, self.lower, self.upper)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,88 +73,127 @@ class Problem:
     ...     name="my column",
     ...     scene=read_scene("column-tall-42"),
     ...     parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-    ...     observation=ObservationSettings(kind="front"),
-    ...     target=TargetSettings(value=0.55, noise=0.005),
+    ...     observations=(ObservationSettings(kind="front", value=0.55, noise=0.005),),
     ... )
     """
 
     name: str
     """Stem of its file."""
+    asked: str = ""
+    """Its path or name as it was asked for; `name` where absent."""
     folder: Path = Path()
     """Relative paths in it start here."""
     scene: Scene
-    """The flow; its own values of the parameters are not used by the inversion."""
+    """The flow; its own values of the parameters are a twin's truth and nothing else."""
     parameters: tuple[Parameter, ...]
-    """What to find (`[[unknowns]]`), in the order of every vector of parameters."""
-    observation: ObservationSettings = field(default_factory=lambda: ObservationSettings(kind="joint"))
-    """What was observed, where it is one thing."""
+    """What to find (`[[unknowns]]`): numbers, in the order of every vector of them, and fields."""
+    observations: tuple[ObservationSettings, ...]
+    """What was observed, compared together."""
     target: TargetSettings = field(default_factory=TargetSettings)
-    """What came out."""
+    """Where the numbers come from."""
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
     surrogate: Surrogate = Surrogate.AUTO
-    observations: tuple[ObservationSettings, ...] = ()
-    """In place of `observation`: multiple ones, compared together."""
 
     def __post_init__(self) -> None:
         checks.check_parameters(self.scene, self.parameters)
-        if self.observations:
-            checks.check_observations(self.observations, self.target)
-        else:
-            checks.check_observation(self.scene, self.observation)
-            checks.check_target(self.scene, self.observation, self.target)
-        checks.check_twin(self.scene, self.parameters, self.target)
-        checks.check_search(self.parameters, self.observation, self.optimiser, self.loop)
+        checks.check_observations(self.scene, self.observations, self.target)
+        checks.check_target(self.scene, self.parameters, self.target)
+        checks.check_search(self.parameters, self.observations, self.optimiser, self.loop)
+        if any(each.is_field for each in self.parameters):
+            checks.check_fields(self.scene, self.fields, self.observations, self.target)
+            if self.target.seed in self.seeds and self.target.twin:
+                expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
+                raise InputError(f"expected {expected}, got {self.target.seed}", key="target.seed")
 
     @property
-    def observed(self) -> type[Observation]:
-        """The class of what was observed."""
-        return KINDS[self.observation.kind]
+    def numbers(self) -> list[Parameter]:
+        """The parameters that are numbers."""
+        return [each for each in self.parameters if not each.is_field]
+
+    @cached_property
+    def fields(self) -> list[UnknownField]:
+        """Those that are fields, with their nodes and priors. Raises InputError, which names the key."""
+        found = []
+        for index, each in enumerate(self.parameters):
+            if each.is_field:
+                try:
+                    found.append(UnknownField(each, self.scene))
+                except InputError as error:
+                    raise InputError(error.message, key=f"unknowns[{index}].{error.key}") from None
+        return found
 
     @property
     def names(self) -> list[str]:
-        """The names of the parameters."""
-        return [each.name for each in self.parameters]
+        """The names of the numbers."""
+        return [each.name for each in self.numbers]
 
     @property
     def kinds(self) -> list[Kind]:
-        """What the parameters are."""
-        return [each.kind for each in self.parameters]
+        """What the numbers are."""
+        return [each.kind for each in self.numbers]
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """(lower, upper) of each parameter."""
-        return [(each.lower, each.upper) for each in self.parameters]
+        """(lower, upper) of each number."""
+        return [each.bounds for each in self.numbers]
+
+    @property
+    def box(self) -> Bounds:
+        """The same as a box."""
+        lower, upper = np.array(self.bounds).reshape(-1, 2).T
+        return Bounds(lower, upper)
 
     @property
     def initial(self) -> Vector:
         """Where the search starts, shape [U]."""
-        return np.array([each.initial for each in self.parameters])
+        return np.array([each.start for each in self.numbers])
 
     @property
     def steps(self) -> Vector:
-        """Step of a finite difference in each parameter, shape [U]."""
-        return np.array([each.step or each.kind.step for each in self.parameters])
+        """Step of a finite difference in each number, shape [U]."""
+        return np.array([each.step or each.kind.step for each in self.numbers])
 
-    def scene_at(self, values: Vector, seed: int | None = None) -> Scene:
-        """The scene at parameters `values` [U], with another jitter `seed` if so asked. Raises InputError."""
+    def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Field] = ()) -> Scene:
+        """The scene at numbers `values` [U] and `fields`, with another jitter `seed` if so asked. Raises InputError."""
         scene = with_kinds(self.scene, self.kinds, values)
+        if self.fields:
+            unknown = {each.settings.quantity for each in self.fields}
+            kept = tuple(each for each in scene.fields if each.quantity not in unknown)
+            scene = dataclasses.replace(scene, fields=kept + tuple(fields))
         return scene if seed is None else dataclasses.replace(scene, seed=seed)
 
     def named(self, values: Vector) -> dict[str, float]:
-        """The entries of a vector of parameters [U] by name."""
+        """The entries of a vector of numbers [U] by name."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
-    def text(self, name: str, value: float) -> str:
-        """A value of the parameter `name` with its unit."""
-        return next(each.kind for each in self.parameters if each.name == name).text(value)
+    @cached_property
+    def true_fields(self) -> list[Field]:
+        """The fields of a twin, drawn from the prior or the scene's own."""
+        if self.target.draw is None:
+            own = {(each.quantity, each.mass): each for each in self.scene.fields}
+            return [own[each.settings.quantity, each.settings.mass] for each in self.fields]
+        rng = np.random.default_rng(self.target.draw)
+        return [each.field(each.prior.field(rng.standard_normal(each.prior.size))) for each in self.fields]
 
     @property
     def twin_scene(self) -> Scene:
         """The scene of a twin experiment: the true parameters and a jitter of its own."""
         truth = self.target.truth
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
-        return dataclasses.replace(scene, seed=self.target.seed)
+        values = np.array([each.kind.read(scene) for each in self.numbers])
+        return self.scene_at(values, self.target.seed, self.true_fields if self.fields else ())
+
+    @property
+    def seeds(self) -> range:
+        """Jitter seeds of a search for fields; those that measure the scatter come after them."""
+        return range(self.scene.seed, self.scene.seed + self.optimiser.seeds)
+
+    @property
+    def scatter_seeds(self) -> range:
+        """Jitter seeds of the runs that measure the scatter: none of the search's, nor the twin's."""
+        first = max(self.seeds[-1], self.target.seed) + 1
+        return range(first, first + self.optimiser.ensemble)
 
     @property
     def released(self) -> float | None:
@@ -149,54 +210,26 @@ def read_problem(name: str) -> Problem:
     """
     path = find(name, PROBLEMS, "problem")
     try:
-        file = from_mapping(_File, _without_unused(read_toml(path)))
-        observation, target = _observed(file)
+        data = read_toml(path)
+        for former, now in (("observation", "observations"), ("fields", "unknowns")):
+            if former in data:
+                message = f"expected [[{now}]], each with what was measured of it, and no [{former}]"
+                raise InputError(message, key=former)
+        file = from_mapping(_File, data)
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
         return Problem(
             name=path.stem,
+            asked=str(name),
             folder=path.parent,
             scene=scene,
             parameters=file.unknowns,
-            observation=observation,
             observations=file.observations,
-            target=target,
+            target=file.target,
             optimiser=file.optimiser,
             loop=file.loop,
             surrogate=file.surrogate,
         )
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
-
-
-_UNUSED = (
-    ("optimiser", "start", "the surrogate begins at rest"),
-    ("optimiser", "starts", "the loop looks over the whole box"),
-    ("loop", "seeds", "every MPM run has a jitter seed of its own"),
-    ("loop", "trust", "MPM runs fill the box"),
-)
-"""Keys of older files, which are read and not used: table, key, why."""
-
-
-def _without_unused(data: dict[str, Any]) -> dict[str, Any]:
-    """A file's data without keys that are no longer used, with a warning for each."""
-    for table, key, why in _UNUSED:
-        if isinstance(data.get(table), dict) and key in data[table]:
-            warnings.warn(f"{table}.{key} is no longer used, {why}", FutureWarning, stacklevel=3)
-            data = data | {table: {name: value for name, value in data[table].items() if name != key}}
-    return data
-
-
-def _observed(file: _File) -> tuple[ObservationSettings, TargetSettings]:
-    """Observation and target of a file that has one of both, or multiple observations. Raises InputError."""
-    if file.observations:
-        if file.observation is not None:
-            raise InputError("expected one [observation] or multiple [[observations]], got both", key="observation")
-        return ObservationSettings(kind="joint"), file.target or TargetSettings()
-    for key in ("observation", "target"):
-        if getattr(file, key) is None:
-            raise InputError("expected a value, the key is missing", key=key)
-    assert file.observation is not None
-    assert file.target is not None
-    return file.observation, file.target

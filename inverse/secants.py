@@ -23,11 +23,11 @@ import scipy.optimize
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from inverse.bounds import Bounds
 from inverse.forward.interface import Evaluation, Forward
 from inverse.jacobian import Evaluate, observed
 from inverse.observations import Values
 from inverse.parameters import Vector
+from inverse.problem import Bounds
 
 MORE, MOST = 6, 32
 """Predictions of a sample beyond the number of parameters, and at most."""
@@ -46,14 +46,14 @@ def sample(forward: Forward, target: Values, start: Vector, bounds: Bounds, *, c
     points = [bounds.clip(start), *(bounds.lower + bounds.range * spread)][: min(len(start) + MORE, MOST)]
     found = observed(forward, target, points, components=components)
     base = lowest(found)
-    step = least_squares_step(residual(base), fitted(found, base, bounds), base.parameters, bounds, 1.0)
+    step = least_squares_step(base.residual, fitted(found, base, bounds), base.parameters, bounds, 1.0)
     return found + observed(
         forward, target, [bounds.clip(base.parameters + step * bounds.range)], components=components
     )
 
 
 def secants(evaluate: Evaluate, found: Sequence[Evaluation], bounds: Bounds) -> None:
-    """Minimise from the best of a sample; `evaluate` ends it. Evaluations need their residual and no gradient.
+    """Minimise from the best of a sample; `evaluate` ends it. Evaluations need no gradient.
 
     The trust region is halved where a step brings less than a quarter of what B promised, and doubled where it ends
     such a step early.
@@ -61,13 +61,13 @@ def secants(evaluate: Evaluate, found: Sequence[Evaluation], bounds: Bounds) -> 
     base = lowest(found)
     jacobian, radius = fitted(found, base, bounds), RADIUS
     while True:
-        step = least_squares_step(residual(base), jacobian, base.parameters, bounds, radius)
-        promised = float(np.sum(residual(base) ** 2) - np.sum((residual(base) + jacobian @ step) ** 2))
+        step = least_squares_step(base.residual, jacobian, base.parameters, bounds, radius)
+        promised = float(np.sum(base.residual**2) - np.sum((base.residual + jacobian @ step) ** 2))
         if promised <= 0.0:
             return
         record = evaluate(bounds.clip(base.parameters + step * bounds.range))
-        change = residual(record) - residual(base)
-        gain = float(np.sum(residual(base) ** 2) - np.sum(residual(record) ** 2)) / promised
+        change = record.residual - base.residual
+        gain = float(np.sum(base.residual**2) - np.sum(record.residual**2)) / promised
         length = float(np.abs(step).max())
         jacobian = jacobian + np.outer(change - jacobian @ step, step) / (step @ step)
         if gain < 0.25:
@@ -82,7 +82,7 @@ def fitted(found: Sequence[Evaluation], base: Evaluation, bounds: Bounds) -> NDA
     """dr/ds of the linear function through `base` and, by least squares, the others; shape [M, U]."""
     found = [each for each in found if np.isfinite(each.loss)]
     steps = np.array([(each.parameters - base.parameters) / bounds.range for each in found])
-    changes = np.array([residual(each) - residual(base) for each in found])
+    changes = np.array([each.residual - base.residual for each in found])
     weights = np.linalg.solve(steps @ steps.T + RIDGE * np.eye(len(steps)), changes)
     return np.asarray((steps.T @ weights).T)
 
@@ -104,9 +104,3 @@ def least_squares_step(
 def lowest(found: Sequence[Evaluation]) -> Evaluation:
     """The evaluation of minimum loss."""
     return min(found, key=lambda each: each.loss if np.isfinite(each.loss) else np.inf)
-
-
-def residual(found: Evaluation) -> Values:
-    """Of an evaluation that has one, shape [M]."""
-    assert found.residual is not None
-    return found.residual

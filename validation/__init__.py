@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
 
 if TYPE_CHECKING:
-    from validation.loop.result import Result
+    from inverse.result import Result
     from validation.loop.solve import solve
 
 __all__ = ["Result", "solve"]
@@ -25,7 +25,11 @@ def __getattr__(name: str) -> Any:
 
         return solve
     if name == "Result":
-        from validation.loop.result import Result
+        from inverse.result import Result
 
         return Result
     raise AttributeError(name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

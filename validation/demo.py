@@ -10,7 +10,7 @@ import numpy as np
 from datasets import measures
 from datasets.command_line import run
 from inverse.problem import read_problem
-from inverse.settings import Surrogate, TargetSettings
+from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from mpm import LAST, simulate
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
@@ -43,10 +43,16 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     print("Which friction angle did it have? The front is all that the inversion is given.\n")
 
     # From here on neither the angle nor its deposit is used, until the answer stands.
-    (parameter,) = stated.parameters
-    without_truth = stated.scene.with_friction_deg(parameter.initial)
-    measured = TargetSettings(value=front)
-    problem = dataclasses.replace(stated, name="demo", scene=without_truth, target=measured, surrogate=Surrogate.GNS)
+    (parameter,) = stated.numbers
+    problem = dataclasses.replace(
+        stated,
+        name="demo",
+        asked="demo",
+        scene=stated.scene.with_friction_deg(parameter.start),
+        observations=(ObservationSettings(kind="front", value=front),),
+        target=TargetSettings(),
+        surrogate=Surrogate.GNS,
+    )
     result = solve(problem, out, model=model)
 
     target = dataclasses.replace(result.target, deposit=deposit, truth={parameter.name: truth_deg})

@@ -87,25 +87,26 @@ class Run:
         tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
 
         def slopes(gradient: Gradient) -> tuple[Tensor]:
-            return (torch.from_numpy(self.derivatives(gradient, values)),)
+            return (torch.from_numpy(derivatives(gradient, self.kinds, values)),)
 
         observed = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
         return [Flow(*observed[first : first + 3]) for first in range(0, len(observed), 3)]
 
-    def derivatives(self, gradient: Gradient, values: Vector) -> Vector:
-        """dJ/d(parameters) at `values`, shape [U], from the gradient with respect to what the run begins with."""
-        found = np.zeros(len(values))
-        by_mass = gradient.of_mass(gradient.velocities)
-        for index, each in enumerate(self.kinds):
-            if isinstance(each, Velocity):
-                found[index] = by_mass[each.mass, each.axis]
-                continue
 
-            def scene_at(value: float, index: int = index) -> Scene:
-                return with_kinds(gradient.scene, self.kinds, np.where(np.arange(len(values)) == index, value, values))
+def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Vector:
+    """dJ/d(parameters) at `values` [U], shape [U], from the gradient with respect to what the run begins with."""
+    found = np.zeros(len(values))
+    by_mass = gradient.of_mass(gradient.velocities)
+    for index, each in enumerate(kinds):
+        if isinstance(each, Velocity):
+            found[index] = by_mass[each.mass, each.axis]
+            continue
 
-            found[index] = gradient.along(scene_at, float(values[index]))
-        return found
+        def scene_at(value: float, index: int = index) -> Scene:
+            return with_kinds(gradient.scene, kinds, np.where(np.arange(len(values)) == index, value, values))
+
+        found[index] = gradient.along(scene_at, float(values[index]))
+    return found
 
 
 class ParticleRun:

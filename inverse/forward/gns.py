@@ -8,7 +8,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.trajectory import Trajectory
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
@@ -37,8 +36,12 @@ class GnsForward:
         *,
         seed: int | None = None,
     ) -> None:
-        """seed: of the particles' jitter; the scene's where absent. Raises InputError as `gns.initial.check`."""
-        self.simulator, self.observation, self.kinds = simulator, observation, problem.kinds
+        """seed: of the particles' jitter; the scene's where absent. Raises InputError as `gns.initial.check`.
+
+        The weights are frozen, which makes the backward pass much cheaper.
+        """
+        self.simulator = simulator.requires_grad_(False)
+        self.observation, self.kinds = observation, problem.kinds
         scene = problem.scene if seed is None else dataclasses.replace(problem.scene, seed=seed)
         dtype = next(simulator.parameters()).dtype
         self.initial = initial_state(scene, simulator.settings, seed=THINNING_SEED).to(dtype=dtype)
@@ -76,18 +79,3 @@ class GnsForward:
         """Positions [m] at the times of the initial state, shape [T, n, D]."""
         initial = self.entered(parameters)
         return unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
-
-
-class GnsSource:
-    """Starts surrogates of one problem; the weights are frozen, which makes the backward pass much cheaper."""
-
-    def __init__(
-        self, simulator: Simulator, problem: Problem, observation: Observation, memory_gib: float = MEMORY_GIB
-    ) -> None:
-        self.simulator = simulator.requires_grad_(False)
-        self.problem, self.observation, self.memory_gib = problem, observation, memory_gib
-
-    def start(self, beginning: Trajectory | None) -> GnsForward:
-        """The surrogate of the flow whose particles have the jitter of `beginning`, else that of the scene."""
-        seed = None if beginning is None else beginning.scene.seed
-        return GnsForward(self.simulator, self.problem, self.observation, self.memory_gib, seed=seed)

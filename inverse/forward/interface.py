@@ -55,18 +55,23 @@ class Evaluation:
     """Shape [U]."""
     observation: Values
     """What the forward model predicts there, shape [M]."""
-    loss: float
-    """Misfit from the target (`inverse.observations.observation.Observation.misfit`)."""
-    gradient: Vector | None
+    residual: Values
+    """Observation less target, shape [M]."""
+    components: int = 1
+    """See `inverse.observations.observation.Observation`."""
+    gradient: Vector | None = None
     """d(loss)/d(parameters), shape [U]; None for a search without gradients."""
-    forward_s: float
-    """Seconds of prediction."""
-    backward_s: float
-    """Seconds for the gradient on top of it."""
-    residual: Values | None = None
-    """Observation less target, shape [M], for methods of least squares."""
     jacobian: NDArray[np.float64] | None = None
     """d(observation)/d(parameters), shape [M, U], where it was asked for."""
+    forward_s: float = 0.0
+    """Seconds of prediction."""
+    backward_s: float = 0.0
+    """Seconds for the gradient on top of it."""
+
+    @property
+    def loss(self) -> float:
+        """Misfit from the target (`Observation.misfit`)."""
+        return self.components * float(np.mean(self.residual**2))
 
     @property
     def slope(self) -> Vector:

@@ -6,46 +6,26 @@
 >>> front.observe(trajectory)
 """
 
-from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.observations.deposit import Deposit
-from inverse.observations.front import Front, FrontOverTime
+from inverse.observations.front import Front, Runout
 from inverse.observations.gauges import Gauges
 from inverse.observations.impulse import Impulse, PeakForce
-from inverse.observations.joint import Joint
-from inverse.observations.observation import DepositObservation, Observation, Rollout, Values
+from inverse.observations.observation import Observation, Rollout, Values
 from inverse.observations.outline import Outline
 from inverse.observations.passed import Passed
 from inverse.observations.profile import Profile
-from inverse.observations.runout import Runout
-from inverse.observations.target import Target
 from inverse.observations.toe import Toe
 from inverse.settings import ObservationSettings
 
-__all__ = ["KINDS", "DepositObservation", "Observation", "Rollout", "Target", "Values", "build"]
+__all__ = ["KINDS", "Observation", "Rollout", "Values", "build"]
 
 KINDS: dict[str, type[Observation]] = {
-    each.kind: each
-    for each in (
-        Front,
-        Runout,
-        Profile,
-        Toe,
-        Deposit,
-        Passed,
-        FrontOverTime,
-        Gauges,
-        Impulse,
-        PeakForce,
-        Outline,
-        Joint,
-    )
+    each.kind: each for each in (Front, Runout, Profile, Toe, Deposit, Passed, Gauges, Impulse, PeakForce, Outline)
 }
 """Every kind of observation by its name in TOML."""
 
 
 def build(settings: ObservationSettings, scene: Scene) -> Observation:
     """The observation operator that `settings` describe, for flows of `scene`. Raises InputError."""
-    if settings.kind not in KINDS:
-        raise InputError(f"expected one of {', '.join(KINDS)}, got {settings.kind!r}", key="kind")
     return KINDS[settings.kind].build(settings, scene)

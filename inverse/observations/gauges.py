@@ -1,6 +1,6 @@
 """Heights of the flow at gauges, in the end or at times of their own."""
 
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -10,10 +10,8 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
-from inverse.observations.measured_profile import read_columns
-from inverse.observations.observation import Context, Measurement, Observation, Rollout, Values
-from inverse.observations.sampling import at_times, predicted_at_times, require_count, require_inside, require_times
+from inverse.observations.measured_profile import read_columns, require_inside
+from inverse.observations.observation import Context, Measurement, Observation, Values, require_times
 from inverse.settings import ObservationSettings
 
 
@@ -29,20 +27,18 @@ class Gauges(Observation):
     kind = "height"
     label = "the height at gauges"
     sources = ("csv", "values")
-    source = "csv, or values at x"
     options = ("x", "z", "times", "spacing", "unit", "datum")
-    alone = False
 
-    def __init__(
-        self, scene: Scene, x: Values, *, spacing: float, z: float | None = None, times: Values | None = None
-    ) -> None:
-        """x: of each number [m], shape [M]; times: of each [s], shape [M], the end where absent; spacing, z: [m]."""
-        self.x, self.z, self.spacing, self.times = x, z, spacing, times
-        self.over_time = times is not None
-        self.area = hat_area(x, spacing, scene.domain.size[0])
+    def __init__(self, settings: ObservationSettings, scene: Scene, x: Values, times: Values | None) -> None:
+        """x: of each number [m], shape [M]; times: of each [s], shape [M], the end where absent."""
+        z = settings.z
+        if z is not None and (scene.dimension != 3 or not 0.0 <= z <= scene.domain.size[2]):
+            raise InputError(f"expected a z inside a box in 3D, got {z:g}", key="z")
+        self.scene, self.x, self.z, self.spacing, self.times = scene, x, z, settings.spacing, times
+        self.area = hat_area(x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
-            self.area = self.area * (width if z is None else float(hat_area(np.array([z]), spacing, width)[0]))
+            self.area = self.area * (width if z is None else float(hat_area(np.array([z]), self.spacing, width)[0]))
 
     @classmethod
     def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
@@ -53,51 +49,32 @@ class Gauges(Observation):
         if times is not None and len(times) != len(x):
             # Every gauge at every time, one gauge after the other.
             x, times = np.repeat(x, len(times)), np.tile(times, len(x))
-        return cls._at(settings, scene, x, times)
+        return cls(settings, scene, x, times)
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         if settings.csv is None:
             return super().read(settings, context)
-        path, scene, metres = context.folder / settings.csv, context.scene, settings.unit.metres
-        columns = read_columns(path, ("x", "height"), optional=("time",))
-        x = require_inside(columns[0] * metres, scene.domain.size[0], path)
-        times = require_times(columns[2], scene, path) if len(columns) > 2 else None
-        values = (columns[1] - settings.datum) * metres
-        return Measurement(observation=cls._at(settings, scene, x, times), values=values)
+        scene, metres = context.scene, settings.unit.metres
+        columns = read_columns(context.folder / settings.csv, ("x", "height"), optional=("time",))
+        x = require_inside(columns[0] * metres, scene.domain.size[0])
+        times = require_times(columns[2], scene) if len(columns) > 2 else None
+        return Measurement(observation=cls(settings, scene, x, times), values=(columns[1] - settings.datum) * metres)
 
-    @classmethod
-    def _at(cls, settings: ObservationSettings, scene: Scene, x: Values, times: Values | None) -> Self:
-        if settings.z is not None and (scene.dimension != 3 or not 0.0 <= settings.z <= scene.domain.size[2]):
-            raise InputError(f"expected a z inside a box in 3D, got {settings.z:g}", key="z")
-        return cls(scene, x, spacing=settings.spacing, z=settings.z, times=times)
+    @property
+    def count(self) -> int:
+        return len(self.x)
 
-    def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
-        return require_count(super().stated(settings, scene), len(self.x))
+    def gathered(self, rows: Any) -> Any:
+        return rows.diagonal()
 
-    def observe(self, trajectory: Trajectory) -> Values:
-        scene = trajectory.scene
-        volumes = particle_volumes(scene, trajectory.positions.shape[1])
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        volumes = particle_volumes(self.scene, len(positions))
         # Of particles from elsewhere only the mean volume is known, as in a profile.
-        volumes = volumes * (released_volume(scene) / volumes.sum())
+        volumes = volumes * (released_volume(self.scene) / volumes.sum())
+        return np.asarray(self.smooth(torch.from_numpy(positions), torch.from_numpy(volumes)).numpy())
 
-        def heights(positions: NDArray[np.floating]) -> Values:
-            with torch.no_grad():
-                return np.asarray(self._heights(torch.from_numpy(positions), torch.from_numpy(volumes)).numpy())
-
-        if self.times is None:
-            return heights(trajectory.positions[-1])
-        return np.asarray(at_times(heights, trajectory, self.times).diagonal())
-
-    def predict(self, rollout: Rollout) -> Tensor:
-        def heights(positions: Tensor) -> Tensor:
-            return self._heights(positions, rollout.volumes)
-
-        if self.times is None:
-            return heights(rollout.positions[-1])
-        return predicted_at_times(heights, rollout, self.times).diagonal()
-
-    def _heights(self, positions: Tensor, volumes: Tensor) -> Tensor:
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         distance = (positions[:, 0].double()[:, None] - torch.from_numpy(self.x)).abs() / self.spacing
         share = (1.0 - distance).clamp(min=0.0)
         if self.z is not None:

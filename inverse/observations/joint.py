@@ -1,4 +1,4 @@
-"""Multiple observations as one: each number in its own standard deviations, so that all are compared in one sum.
+"""Several observations as one: each number in its own standard deviations, so that all are compared in one sum.
 
     z_i = y_i / s_i,    s_i^2 = n_i^2 + c_i^2,    misfit = 1/M sum_i (z_i - z*_i)^2
 
@@ -12,30 +12,24 @@
 The scatter of a flow keeps a number that was measured very precisely from outweighing all others.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 import torch
-from scipy.stats import chi2
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.observation import Observation, Rollout, Values
-from inverse.observations.target import Target
-from inverse.settings import LoopSettings, ObservationSettings
-
-CONFIDENCE = 0.95
-"""Share of perfect answers whose misfit is within the default tolerance."""
+from inverse.settings import ObservationSettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One of multiple observations."""
+    """One of several observations."""
 
     name: str
     """As reports call it."""
@@ -45,27 +39,26 @@ class Part:
 
 
 class Joint(Observation):
-    """Multiple observations, each number over its standard deviation: without a unit."""
+    """Several observations, each number over its standard deviation: without a unit."""
 
     kind = "joint"
-    label = "multiple observations"
-    unit = ""
-    alone = jointly = False
-    distance_unit = (1.0, "standard deviations, root mean square over the numbers")
-    change_unit = (1.0, "standard deviations")
+    label = "several observations"
+    unit = "standard deviations"
 
     def __init__(self, parts: Sequence[Part], scale: Values, prior: Values) -> None:
         """scale, prior: s and c of each number, in its unit, both of shape [M]."""
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
-        self.over_time = any(part.observation.over_time for part in parts)
         self.of_positions = all(part.observation.of_positions for part in parts)
 
     @classmethod
     def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        raise InputError("expected [[observations]] for multiple observations", key="kind")
+        raise InputError("expected multiple [[observations]]", key="kind")
+
+    @property
+    def over_time(self) -> bool:
+        return any(part.observation.over_time for part in self.parts)
 
     def raw(self, values: Values) -> Values:
-        """`values` [M] in the units of the observations."""
         return np.asarray(values * self.scale)
 
     def record(self) -> dict[str, Any]:
@@ -82,19 +75,5 @@ class Joint(Observation):
         numbers = torch.cat([part.observation.predict(rollout) for part in self.parts])
         return numbers / torch.from_numpy(self.scale)
 
-    def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        if loop.joint_within is not None:
-            return loop.joint_within
-        # The errors of one observation's numbers are dependent: each counts as one number at least.
-        count = len(self.parts)
-        return math.sqrt(float(chi2.ppf(CONFIDENCE, count)) / count) * math.hypot(1.0, scatter)
-
     def prior_scatter(self, values: Values, cell: float) -> Values:
         return np.asarray(self.prior / self.scale)
-
-    def values_text(self, values: Values) -> str:
-        return f"{len(values)} numbers"
-
-    @classmethod
-    def misfit_text(cls, misfit: float, cell: float) -> str:
-        return f"{math.sqrt(misfit):.3g} standard deviations"

@@ -106,7 +106,7 @@ def profile_of(
         if not np.all(np.diff(x) > 0.0):
             raise InputError("expected x in ascending order")
         x, height = x * unit.metres, (height - datum) * unit.metres
-        check_box(x, length)
+        require_inside(x, length)
         if heights is Heights.ELEVATION:
             height = height - ground(x)
         check_heights(height)
@@ -129,25 +129,22 @@ def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = 
     return [found[name] for name in (*names, *optional) if name in found]
 
 
-def check_box(x: Floats, length: float) -> None:
-    """Raise InputError for an x [m] outside of the box."""
+def require_inside(x: Floats, length: float) -> Floats:
+    """`x` [m], if they lie in the box of `length` [m]. Raises InputError."""
     slack = 1e-9 * length
     outside = x[(x < -slack) | (x > length + slack)]
     if len(outside):
-        raise InputError(
-            f"expected x between the walls, 0 and {length:g} m, got {outside[-1]:g} m; unit says in what unit the "
-            "file is"
-        )
+        got = f"got {outside[-1]:g} m; unit says in what unit the file is"
+        raise InputError(f"expected x between the walls, 0 and {length:g} m, {got}")
+    return x
 
 
 def check_heights(height: Floats) -> None:
     """Raise InputError for heights [m] that are below the floor by more than noise, or nowhere above it."""
     if height.max() <= 0.0:
-        raise InputError("expected a height above the floor, got none; target.datum is the floor's in the file")
+        raise InputError("expected a height above the floor, got none; datum is the floor's in the file")
     if height.min() < -BELOW * height.max():
-        raise InputError(
-            f"expected heights above the floor, got {height.min():g} m; target.datum is the floor's in the file"
-        )
+        raise InputError(f"expected heights above the floor, got {height.min():g} m; datum is the floor's in the file")
 
 
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
@@ -199,6 +196,6 @@ def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> N
     if not minimum * released <= area <= maximum * released:
         raise InputError(
             f"expected {minimum:g} to {maximum:g} times the area that was released, {released:.4g} m^2, for {heights} "
-            f"heights, got {area:.4g} m^2, {area / released:.3g} times; target.unit, datum and heights say what "
+            f"heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what "
             "stands in the file"
         )

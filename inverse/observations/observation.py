@@ -1,32 +1,26 @@
-"""What an observation operator is: an object that holds all that depends on which one it is, each kind in one file.
+"""What an observation operator is: M numbers of a flow, exactly for verdicts and smoothly for gradients.
 
 A new kind is a class in a file of its own and a line in `inverse.observations.KINDS`.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.special import betainc
 from torch import Tensor
 
-from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.settings import LoopSettings, ObservationSettings
-
-if TYPE_CHECKING:
-    from inverse.observations.measured_profile import MeasuredProfile
-    from inverse.observations.target import Target
+from inverse.observations.measured_profile import MeasuredProfile
+from inverse.settings import ObservationSettings
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
@@ -59,22 +53,18 @@ class Context:
     """Relative paths start here."""
     released: float | None
     """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
-    joint: bool
-    """Whether other observations are compared along with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors of the measurement."""
+    """Errors of a measurement."""
 
-    covariance: Matrix
-    """Of the numbers, shape [M, M]."""
+    deviation: Values
+    """Standard deviation of each number, shape [M]."""
+    covariance: Matrix | None = None
+    """Where the errors depend on each other, shape [M, M]."""
     roughness: float = 1.0
-    """By how much a measured profile scatters more than its stated noise."""
-    profile: tuple[Values, Values] | None = None
-    """Of a profile: stations and heights [m], both of shape [S]."""
-    deviation: Values | None = None
-    """Standard deviation of each of these heights [m], shape [S]."""
+    """By how much a measured profile scatters more than its stated noise, which is counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,12 +74,12 @@ class Measurement:
     observation: "Observation"
     values: Values | None
     """Shape [M]; None where a simulated flow makes them."""
-    profile: "MeasuredProfile | None" = None
+    profile: MeasuredProfile | None = None
     """Where a height profile was measured."""
 
 
 class Observation(ABC):
-    """An observation operator: M numbers of a flow, exactly for verdicts and smoothly for gradients."""
+    """An observation operator."""
 
     kind: ClassVar[str]
     """Its name in a problem's TOML."""
@@ -99,34 +89,18 @@ class Observation(ABC):
     """Of the numbers; empty for a share."""
     sources: ClassVar[tuple[str, ...]] = ("value",)
     """Keys under which its numbers may stand."""
-    source: ClassVar[str] = "value"
-    """The same in words."""
     options: ClassVar[tuple[str, ...]] = ()
     """Keys of its settings besides `kind`, `name`, `noise` and those of its numbers."""
-    alone: ClassVar[bool] = True
-    """Whether it may be a problem's only observation: there is a tolerance for it."""
-    jointly: ClassVar[bool] = True
-    """Whether it may be one of multiple observations."""
     scalar: ClassVar[bool] = False
-    """Whether it is one number."""
+    """Whether it is one number, which a design may minimise."""
     every_particle: ClassVar[bool] = False
     """Whether its numbers are those of single particles: too many for a Jacobian, and as many in every run."""
-    along_flow: ClassVar[bool] = False
-    """Whether its numbers are lengths along x, which grow with the runout."""
     components: int = 1
     """How many of the numbers are the components of one point: their squared differences add up in the misfit."""
-    over_time: bool = False
-    """Whether it needs more of a trajectory than its last frame."""
     times: Values | None = None
-    """When it looks at the flow [s], where it does so at times."""
+    """When it looks at the flow [s], one time for each number or one for all; in the end where absent."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
-    distance_unit: ClassVar[tuple[float, str]] = (100.0, "%")
-    """Factor and unit in which `distance` is reported."""
-    change_unit: ClassVar[tuple[float, str]] = (1e3, "mm")
-    """Factor and unit in which a change of a number is reported."""
-
-    # The operator
 
     @classmethod
     @abstractmethod
@@ -144,7 +118,16 @@ class Observation(ABC):
         if settings.value is not None:
             self.check_value(settings.value, scene)
             return np.array([settings.value])
-        return None if settings.values is None else np.array(settings.values)
+        if settings.values is None:
+            return None
+        if (count := self.count) is not None and len(settings.values) != count:
+            raise InputError(f"expected {count} numbers, got {len(settings.values)}", key="values")
+        return np.array(settings.values)
+
+    @property
+    def count(self) -> int | None:
+        """M, where the settings decide it."""
+        return None if self.times is None else len(self.times)
 
     def check_value(self, value: float, scene: Scene) -> None:
         """Raise InputError unless the one number is possible: by default a length in the box."""
@@ -155,17 +138,43 @@ class Observation(ABC):
     def check_run(self, run: Trajectory, scene: Scene) -> None:  # noqa: B027
         """Raise InputError for an observed run that cannot be compared with runs of `scene`."""
 
-    def profile_of(self, run: Trajectory) -> "MeasuredProfile | None":
+    def profile_of(self, run: Trajectory) -> MeasuredProfile | None:
         """Of a simulated flow the profile whose heights have errors; None where there is none."""
         return None
 
-    @abstractmethod
+    @property
+    def over_time(self) -> bool:
+        """Whether it needs more of a trajectory than its last frame."""
+        return self.times is not None
+
     def observe(self, trajectory: Trajectory) -> Values:
         """Of a run, exactly; shape [M]."""
+        if self.times is None:
+            return self.exact(trajectory.positions[-1])
+        return np.asarray(self.gathered(at_times(self.exact, trajectory.positions, trajectory.time, self.times)))
 
     def predict(self, rollout: Rollout) -> Tensor:
         """Of a rollout, differentiable; shape [M]."""
-        raise NotImplementedError(f"{self.kind} of a rollout")
+
+        def smooth(positions: Tensor) -> Tensor:
+            return self.smooth(positions, rollout.volumes)
+
+        if self.times is None:
+            return smooth(rollout.positions[-1])
+        found: Tensor = self.gathered(at_times(smooth, rollout.positions, rollout.times, self.times))
+        return found
+
+    def gathered(self, rows: Any) -> Any:
+        """The numbers [M] from those at each of the times [T, ...]."""
+        return rows.reshape(-1)
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        """Of the positions of all particles [m], shape [N, D]; returns shape [M]."""
+        raise NotImplementedError(f"{self.kind} of positions")
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        """Of positions [m], shape [N, D], of particles with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
+        raise NotImplementedError(f"{self.kind} of positions")
 
     def front(self, values: Values) -> float:
         """The deposit's front [m] by this observation alone; nan where it does not give it."""
@@ -175,8 +184,6 @@ class Observation(ABC):
         """The part of an exact observation that can be compared with that of the particles `indices` alone."""
         return values
 
-    # Against a target
-
     def misfit(self, values: Values, target: Values) -> float:
         """Mean over what is compared of the squared distance from the target [unit^2].
 
@@ -184,65 +191,18 @@ class Observation(ABC):
         """
         return self.components * float(np.mean((values - target) ** 2))
 
-    def distance(self, values: Values, target: Values) -> float:
-        """How far two observations are apart in the measure of the verdict: by default root mean square [unit]."""
-        return math.sqrt(self.misfit(values, target))
-
-    def tolerance(self, loop: LoopSettings, cell: float, target: "Target", scatter: float) -> float:
-        """The largest `distance` from the target within which the MPM confirms.
-
-        cell: of the grid [m]; scatter: root mean square of `distance` between runs that differ in their jitter seed
-        alone. Where twice of it is more than what was asked for, that is what can be had.
-        """
-        raise NotImplementedError(f"{self.kind} is no problem's only observation; `alone` says so")
-
-    def is_within(
-        self,
-        loop: LoopSettings,
-        cell: float,
-        target: "Target",
-        values: Values,
-        *,
-        front_error: float,
-        scatter: float,
-        front_scatter: float,
-    ) -> bool:
-        """Whether the MPM's `values` [M] confirm.
-
-        front_error: relative error of its front [-]; scatter: see `tolerance`; front_scatter: the same of the front.
-        """
-        if abs(front_error) > self.front_tolerance(loop, target, front_scatter):
-            return False
-        return self.distance(values, target.values) <= self.tolerance(loop, cell, target, scatter)
-
-    def front_tolerance(self, loop: LoopSettings, target: "Target", front_scatter: float) -> float:
-        """Relative error of the front [-] within which the MPM confirms; infinite where only the numbers count."""
-        return math.inf
-
     def prior_scatter(self, values: Values, cell: float) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * cell)
 
     def errors(
-        self, values: Values, profile: "MeasuredProfile | None", *, share: float, noise: float, cell: float
+        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
     ) -> Errors:
         """Errors of the measured `values` [M], by default independent of each other.
 
         share, noise: stated standard deviation as a share of each number [-] and in its unit; cell: [m].
         """
-        return Errors(covariance=np.diag((share * values) ** 2 + noise**2))
-
-    def residuals(
-        self, target: "Target", found: Sequence[Trajectory], ensemble: Sequence[Trajectory]
-    ) -> tuple[Values, Values, Matrix]:
-        """Mean residual [K] of the runs `found`, standard deviation [K] of the target, numbers [n, K] of `ensemble`."""
-        noise = np.full(len(target.values), target.noise)
-        if target.covariance is not None:
-            noise = np.sqrt(np.diag(target.covariance))
-        shown = np.mean([self.observe(run) for run in found], axis=0)
-        return shown - target.values, noise, np.stack([self.observe(run) for run in ensemble])
-
-    # In reports and pictures
+        return Errors(deviation=np.hypot(share * values, noise))
 
     def raw(self, values: Values) -> Values:
         """`values` [M] in their own units."""
@@ -252,65 +212,48 @@ class Observation(ABC):
         """What `result.json` tells of the numbers besides their values."""
         return {}
 
-    @classmethod
-    def misfit_unit(cls) -> str:
-        """Unit of the misfit."""
-        return f"{cls.unit}^2" if cls.unit else "-"
-
-    def values_text(self, values: Values) -> str:
+    def text(self, values: Values) -> str:
         """The numbers in words."""
-        return f"{self.kind} {values[0]:.4f} {self.unit}"
+        if len(values) > 3:
+            return f"{len(values)} numbers"
+        return f"{', '.join(f'{value:.4f}' for value in values)} {self.unit}".strip()
 
-    @classmethod
-    def distance_text(cls, distance: float) -> str:
-        """`distance` in words."""
-        factor, unit = cls.distance_unit
-        return f"{factor * distance:.3g} {unit}"
-
-    @classmethod
-    def change_text(cls, change: float, *, sign: bool = True) -> str:
-        """A change of a number in words."""
-        factor, unit = cls.change_unit
-        return f"{factor * change:{'+' if sign else ''}.3g} {unit}"
-
-    @classmethod
-    def misfit_text(cls, misfit: float, cell: float) -> str:
-        """The distance that a misfit stands for, in words; cell: [m]."""
-        root = math.sqrt(misfit)
-        return f"{1e3 * root:.3g} mm ({root / cell:.2g} cells)"
-
-    def caption(self, deposit: NDArray[np.floating]) -> str:
-        """What was observed of a deposit, positions [m], shape [N, D], in a few words."""
-        return f"front at {measures.front(deposit):.4f} m"
-
-    def mark(self, axis: Axes, deposit: NDArray[np.floating], colour: str, target: Values | None) -> None:
-        """Mark what was observed on a picture of a deposit, positions [m], shape [N, D]; target: shape [M]."""
-        axis.axvline(measures.front(deposit), color=colour, linewidth=0.9)
-
-    def mark_profile(self, axis: Axes) -> None:  # noqa: B027
-        """Mark on a picture of height profiles where the observation was made."""
-
-    def legend(self) -> list[Line2D]:
-        """What the marks mean."""
-        return []
+    def root_text(self, root: float) -> str:
+        """A root mean square of changes of the numbers in words."""
+        factor, unit = {"m": (1e3, "mm"), "": (100.0, "%")}.get(self.unit, (1.0, self.unit))
+        return f"{factor * root:.3g} {unit}"
 
 
-class DepositObservation(Observation):
-    """Something observed of a deposit alone."""
+def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
+    """For each of `times` the frame before it and its fraction of the interval to the next, both of shape [M]."""
+    times = np.clip(times, time[0], time[-1])
+    before = np.clip(np.searchsorted(time, times, side="right") - 1, 0, max(0, len(time) - 2))
+    if len(time) == 1:
+        return before, np.zeros(len(times))
+    return before, (times - time[before]) / (time[before + 1] - time[before])
 
-    def observe(self, trajectory: Trajectory) -> Values:
-        return self.exact(trajectory.positions[-1])
 
-    def predict(self, rollout: Rollout) -> Tensor:
-        return self.smooth(rollout.positions[-1], rollout.volumes)
+def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
+    """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
 
-    @abstractmethod
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        """Of the positions of all particles [m], shape [N, D]; returns shape [M]."""
+    Between two frames it is linear in time: a step of the surrogate may last longer than a flow takes to pass a gauge,
+    whose height then is far from linear.
+    """
+    different, which = np.unique(times, return_inverse=True)
+    before, share = brackets(time, different)
+    after = np.minimum(before + 1, len(time) - 1)
+    between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
+    rows = [operator((1.0 - s) * series[b] + s * series[a]) for b, a, s in between]
+    return torch.stack(rows)[torch.from_numpy(which)] if isinstance(rows[0], Tensor) else np.stack(rows)[which]
 
-    @abstractmethod
-    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        """Of positions [m], shape [N, D], of particles with `volumes` [m^D], shape [N]; differentiable; shape [M]."""
+
+def require_times(times: Values, scene: Scene) -> Values:
+    """`times` [s], if the scene lasts for them. Raises InputError."""
+    if not np.all((times >= 0.0) & (times <= scene.duration * (1.0 + 1e-9))):
+        got = times[(times < 0.0) | (times > scene.duration)][0]
+        message = f"expected times in [0, {scene.duration:g}] s, which the scene lasts, got {got:g}"
+        raise InputError(message, key="times")
+    return times
 
 
 def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:

@@ -11,16 +11,15 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.particles import mass_centroids, mass_volumes
 from datasets.scene import Scene
-from inverse.observations.measured_profile import read_columns
-from inverse.observations.observation import Context, DepositObservation, Measurement, Values, harrell_davis
-from inverse.observations.sampling import require_count, require_inside
+from inverse.observations.measured_profile import read_columns, require_inside
+from inverse.observations.observation import Context, Measurement, Observation, Values, harrell_davis
 from inverse.settings import ObservationSettings
 
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
 """Of an outline, where none are named."""
 
 
-class Outline(DepositObservation):
+class Outline(Observation):
     """The extent of a deposit in 3D from the centroid of its masses along directions of the plan.
 
     Along a direction n it is the quantile of (p - c) . n over the particles that a front is along x, c the centroid of
@@ -30,9 +29,7 @@ class Outline(DepositObservation):
     kind = "outline"
     label = "the outline of the deposit in plan"
     sources = ("csv", "values")
-    source = "csv, or values in directions_deg"
     options = ("directions_deg", "unit")
-    alone = False
 
     def __init__(self, scene: Scene, directions_deg: Values) -> None:
         """directions_deg: from +x towards +z, shape [M]."""
@@ -52,13 +49,14 @@ class Outline(DepositObservation):
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         if settings.csv is None:
             return super().read(settings, context)
-        observation, path = cls.build(settings, context.scene), context.folder / settings.csv
-        vertices = np.stack(read_columns(path, ("x", "z")), axis=1) * settings.unit.metres
-        require_inside(vertices[:, 0], context.scene.domain.size[0], path)
+        observation = cls.build(settings, context.scene)
+        vertices = np.stack(read_columns(context.folder / settings.csv, ("x", "z")), axis=1) * settings.unit.metres
+        require_inside(vertices[:, 0], context.scene.domain.size[0])
         return Measurement(observation=observation, values=observation.of_line(vertices))
 
-    def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
-        return require_count(super().stated(settings, scene), self.directions.shape[1])
+    @property
+    def count(self) -> int:
+        return self.directions.shape[1]
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions

@@ -1,26 +1,23 @@
 """The share of the material that came to rest beyond a line across the flow."""
 
-import math
 from typing import Self
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.observations.observation import DepositObservation, Values
-from inverse.observations.target import Target
-from inverse.settings import LoopSettings, ObservationSettings
+from inverse.observations.observation import Observation, Values
+from inverse.settings import ObservationSettings
 
 SCATTER = 0.005
 """Standard deviation of the share from flow to flow [-], before an ensemble has measured it."""
 
 
-class Passed(DepositObservation):
+class Passed(Observation):
     """The share of the volume that came to rest beyond x = `line` [m].
 
     Smoothly, a particle at x counts as 1 / (1 + exp((line - x) / width)).
@@ -31,8 +28,6 @@ class Passed(DepositObservation):
     unit = ""
     options = ("line", "width")
     scalar = True
-    distance_unit = (100.0, "% of the material")
-    change_unit = (100.0, "% of the material")
 
     def __init__(self, scene: Scene, line: float, width: float) -> None:
         self.scene, self.line, self.width = scene, line, width
@@ -58,28 +53,8 @@ class Passed(DepositObservation):
         share = volumes.double() / volumes.double().sum()
         return (share @ torch.sigmoid((positions[:, 0].double() - self.line) / self.width)).reshape(1)
 
-    def distance(self, values: Values, target: Values) -> float:
-        """Difference of the shares [-]."""
-        return float(abs(values[0] - target[0]))
-
-    def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        return max(loop.passed_within, 2.0 * scatter)
-
     def prior_scatter(self, values: Values, cell: float) -> Values:
         return np.full(len(values), SCATTER)
 
-    def values_text(self, values: Values) -> str:
+    def text(self, values: Values) -> str:
         return f"{100.0 * values[0]:.2f} % beyond {self.line:g} m"
-
-    @classmethod
-    def misfit_text(cls, misfit: float, cell: float) -> str:
-        return f"{100.0 * math.sqrt(misfit):.2f} % of the material"
-
-    def caption(self, deposit: NDArray[np.floating]) -> str:
-        return self.values_text(self.exact(deposit))
-
-    def mark(self, axis: Axes, deposit: NDArray[np.floating], colour: str, target: Values | None) -> None:
-        axis.axvline(self.line, color="#b2182b", linestyle="--", linewidth=1.2, zorder=5)
-
-    def mark_profile(self, axis: Axes) -> None:
-        axis.axvline(self.line, color="#b2182b", linestyle="--", linewidth=1.2)

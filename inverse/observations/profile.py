@@ -1,4 +1,4 @@
-"""The height profile along x of the deposit, or of the flow at a time; a measured one at its own rows.
+"""The height profile along x of the deposit, or of the flow at a time; one whose heights have errors at its own rows.
 
     h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
@@ -11,7 +11,6 @@ A row is the height at one x, the model's a mean over its spacing. The differenc
 """
 
 import math
-from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -28,16 +27,14 @@ from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
 from inverse.observations.observation import (
     Context,
-    DepositObservation,
     Errors,
-    Matrix,
     Measurement,
-    Rollout,
+    Observation,
     Values,
+    at_times,
+    require_times,
 )
-from inverse.observations.sampling import brackets, predicted_at_times, require_times
-from inverse.observations.target import Target
-from inverse.settings import Heights, LoopSettings, ObservationSettings
+from inverse.settings import Heights, ObservationSettings
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
@@ -47,7 +44,7 @@ DRAWS = 400
 """Of noise on the heights, by which the covariance of the observation is known to 7 %."""
 
 
-class Profile(DepositObservation):
+class Profile(Observation):
     """The height profile by its quantiles: the x behind which a given share of its area lies, for `SHARES` of it.
 
     The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
@@ -58,17 +55,24 @@ class Profile(DepositObservation):
     """
 
     kind = "profile"
-    label = "the height profile of the deposit"
+    label = "the height profile"
     sources = ("csv",)
-    source = "csv"
     options = ("spacing", "unit", "datum", "heights", "times")
-    along_flow = True
-    distance_unit = (100.0, "% of the profile's mean x")
 
-    def __init__(self, scene: Scene, spacing: float, times: Values | None = None) -> None:
-        """times: the one at which the flow is seen [s], shape [1]; the end where absent."""
-        self.times, self.over_time = times, times is not None
-        self.stations = measures.profile_stations(scene, spacing)
+    def __init__(
+        self, scene: Scene, spacing: float, times: Values | None = None, rows: NDArray[np.float64] | None = None
+    ) -> None:
+        """times: the one at which the flow is seen [s], shape [1]; the end where absent.
+
+        rows: where alone the heights are known [m], ascending, shape [R]; beyond their ends they go on to the walls, as
+        far apart as the last two. The model's own stations where absent.
+        """
+        self.times, self.sampled = times, rows is not None
+        self.fine = self.stations = measures.profile_stations(scene, spacing)
+        if rows is not None:
+            self.stations = to_the_wall(rows, scene.domain.size[0])
+        units = np.eye(len(self.fine))
+        self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
         self.scene, self.volume = scene, released_volume(scene)
         self.width = math.prod(scene.domain.size[2:])
 
@@ -87,12 +91,12 @@ class Profile(DepositObservation):
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         scene = context.scene
         simulated = cls.build(settings, scene)
-        sampled = SampledProfile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
+        made = Profile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
         if settings.csv is None:
-            # Compared with others its noise is that of its heights.
-            rows = simulated.stations
-            operator = sampled(scene, settings.spacing, rows, simulated.times) if context.joint else simulated
-            return Measurement(observation=operator, values=None)
+            # The noise of a simulated profile is that of its heights; one without any is compared as it is.
+            if settings.noise != 0.0 or made is SurfaceProfile:
+                simulated = made(scene, settings.spacing, simulated.times, simulated.stations)  # type: ignore[assignment]
+            return Measurement(observation=simulated, values=None)
         profile = profile_of(
             context.folder / settings.csv,
             unit=settings.unit,
@@ -102,36 +106,16 @@ class Profile(DepositObservation):
             released=context.released,
             ground=lambda x: ground(scene, x),
         )
-        operator = sampled(scene, settings.spacing, profile.x, simulated.times)
+        operator = made(scene, settings.spacing, simulated.times, profile.x)
         values = operator.of_heights(profile.at(operator.stations))
         return Measurement(observation=operator, values=values, profile=profile)
 
-    def seen(self, run: Trajectory) -> NDArray[np.floating]:
-        """Positions of the particles of `run` when it is seen [m], shape [N, D]."""
-        if self.times is None:
-            return np.asarray(run.positions[-1])
-        (before,), (share,) = brackets(run.time, self.times)
-        after = min(before + 1, len(run.time) - 1)
-        return np.asarray((1.0 - share) * run.positions[before] + share * run.positions[after])
-
-    def observe(self, trajectory: Trajectory) -> Values:
-        return self.exact(self.seen(trajectory))
-
-    def predict(self, rollout: Rollout) -> Tensor:
-        if self.times is None:
-            return super().predict(rollout)
-        return self.smooth(predicted_at_times(lambda positions: positions, rollout, self.times)[0], rollout.volumes)
-
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
-        return self.at(positions, self.stations)
-
-    def at(self, positions: NDArray[np.floating], stations: Values) -> Values:
-        """The profile [m] at evenly spaced `stations` [m]; positions [m], shape [N, D]."""
         volumes = particle_volumes(self.scene, len(positions))
         # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
         share = volumes * (self.volume / (volumes.sum() * self.width))
-        return measures.height_profile(positions, share, stations)
+        return np.asarray(self.sampling @ measures.height_profile(positions, share, self.fine))
 
     def of_heights(self, heights: Values) -> Values:
         """The observation [M] of a profile [m] at `stations`."""
@@ -141,12 +125,7 @@ class Profile(DepositObservation):
         return self.of_heights(self.heights(positions))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        return self._quantiles(self.smooth_heights(positions, volumes, self.stations))
-
-    @staticmethod
-    def smooth_heights(positions: Tensor, volumes: Tensor, along: Values) -> Tensor:
-        """The profile at evenly spaced stations `along` x [m], but for a constant factor, shape [S]; differentiable."""
-        stations = torch.from_numpy(along)
+        stations = torch.from_numpy(self.fine)
         spacing, last = stations[1] - stations[0], len(stations) - 1
         scaled = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
         left = scaled.detach().long().clamp(max=last - 1)
@@ -157,56 +136,7 @@ class Profile(DepositObservation):
         # Half of a station's length lies beyond the wall.
         ends = torch.ones_like(heights)
         ends[[0, last]] = 2.0
-        return heights * ends
-
-    def _quantiles(self, heights: Tensor) -> Tensor:
-        stations = torch.from_numpy(self.stations)
-        pieces = (heights[1:] + heights[:-1]) * 0.5
-        area = torch.cat([torch.zeros(1, dtype=torch.float64), torch.cumsum(pieces, 0)])
-        shares = torch.tensor(SHARES, dtype=torch.float64) * area[-1]
-        right = torch.searchsorted(area.detach(), shares.detach()).clamp(1, len(pieces))
-        part = (shares - area[right - 1]) / pieces[right - 1]
-        return stations[right - 1] + part * (stations[1] - stations[0])
-
-    def front(self, values: Values) -> float:
-        return float(values[-1])
-
-    def distance(self, values: Values, target: Values) -> float:
-        """Mean distance of equal shares over their mean x [-]."""
-        return float(np.abs(values - target).sum() / np.abs(target).sum())
-
-    def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        noise = target.noise / float(np.abs(target.values).mean())
-        return math.hypot(max(loop.profile_within, 2.0 * scatter), 2.0 * noise)
-
-    def front_tolerance(self, loop: LoopSettings, target: Target, front_scatter: float) -> float:
-        """Twice the scatter will do: the target's front is one flow's. Of a measured one also twice its noise."""
-        largest = max(loop.confirm_within, 2.0 * front_scatter)
-        if target.covariance is None:
-            return largest
-        return math.hypot(largest, 2.0 * math.sqrt(float(target.covariance[-1, -1])) / target.front)
-
-    def values_text(self, values: Values) -> str:
-        return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
-
-
-class SampledProfile(Profile):
-    """`Profile`, of which the heights at given rows alone are known."""
-
-    def __init__(self, scene: Scene, spacing: float, rows: NDArray[np.float64], times: Values | None = None) -> None:
-        """rows: [m], ascending, shape [R]; beyond their ends they go on to the walls, as far apart as the last two."""
-        super().__init__(scene, spacing, times)
-        self.fine, self.stations = self.stations, to_the_wall(rows, scene.domain.size[0])
-        units = np.eye(len(self.fine))
-        self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
-
-    def heights(self, positions: NDArray[np.floating]) -> Values:
-        """The profile [m] at the rows, shape [R]; positions [m], shape [N, D]."""
-        return np.asarray(self.sampling @ self.at(positions, self.fine))
-
-    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        heights = self.smooth_heights(positions, volumes, self.fine)
-        return self._quantiles(torch.from_numpy(self.sampling) @ heights)
+        return self._quantiles(torch.from_numpy(self.sampling) @ (heights * ends))
 
     def _quantiles(self, heights: Tensor) -> Tensor:
         stations = torch.from_numpy(self.stations)
@@ -220,8 +150,16 @@ class SampledProfile(Profile):
         # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
         return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
 
-    def profile_of(self, run: Trajectory) -> MeasuredProfile:
-        return MeasuredProfile(x=self.stations, height=self.heights(self.seen(run)))
+    def front(self, values: Values) -> float:
+        return float(values[-1])
+
+    def profile_of(self, run: Trajectory) -> MeasuredProfile | None:
+        if not self.sampled:
+            return None
+        seen = run.positions[-1]
+        if self.times is not None:
+            seen = at_times(lambda positions: positions, run.positions, run.time, self.times)[0]
+        return MeasuredProfile(x=self.stations, height=self.heights(seen))
 
     def errors(
         self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
@@ -231,39 +169,23 @@ class SampledProfile(Profile):
         Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of
         `cell` [m] comes on top. Rows that scatter more than that have more noise than was stated.
         """
-        assert profile is not None, "a simulated profile is one at its stations"
+        if profile is None:
+            return super().errors(values, None, share=share, noise=noise, cell=cell)
         stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
         roughness = profile.roughness(stated)
-        deviation = roughness * stated
-        rng = np.random.default_rng(0)
-        draws = np.maximum(profile.height + deviation * rng.standard_normal((DRAWS, len(profile.x))), 0.0)
-        numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in draws]
-        deviations = np.stack(numbers) - np.mean(numbers, axis=0)
-        return Errors(
-            covariance=np.asarray(deviations.T @ deviations / (DRAWS - 1.0)),
-            roughness=roughness,
-            profile=(self.stations, profile.at(self.stations)),
-            deviation=np.interp(self.stations, profile.x, deviation, left=0.0, right=0.0),
-        )
+        draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
+        heights = np.maximum(profile.height + roughness * stated * draws, 0.0)
+        numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in heights]
+        off = np.stack(numbers) - np.mean(numbers, axis=0)
+        covariance = np.asarray(off.T @ off / (DRAWS - 1.0))
+        return Errors(deviation=np.sqrt(np.diag(covariance)), covariance=covariance, roughness=roughness)
 
-    def residuals(
-        self, target: Target, found: Sequence[Trajectory], ensemble: Sequence[Trajectory]
-    ) -> tuple[Values, Values, Matrix]:
-        """Of a measured profile those of the heights at its rows [m]; its area is scaled to the model's."""
-        if target.profile is None or target.deviation is None:
-            return super().residuals(target, found, ensemble)
-        rows, measured = target.profile
-        shown, spread = (np.stack([self.heights(self.seen(run)) for run in runs]) for runs in (found, ensemble))
-        mean = shown.mean(axis=0)
-        covered = (target.deviation > 0.0) | (mean > 0.0)
-        residual = (mean - np.trapezoid(mean, rows) / np.trapezoid(measured, rows) * measured)[covered]
-        # Where the model alone has a deposit, the error is that of the thinnest row that was measured.
-        noise = np.maximum(target.deviation[covered], float(target.deviation[target.deviation > 0.0].min()))
-        return residual, noise, spread[:, covered]
+    def text(self, values: Values) -> str:
+        return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
 
 
-class SurfaceProfile(SampledProfile):
-    """`SampledProfile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
+class SurfaceProfile(Profile):
+    """`Profile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
 
     At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
     of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the

@@ -1,25 +1,21 @@
 """The toe of a deposit: the centroid of the furthest 10 % of the particles."""
 
-import math
 from typing import Self
 
 import numpy as np
 import scipy.optimize
 import torch
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
-from inverse.observations.observation import DepositObservation, Values
-from inverse.observations.target import Target
-from inverse.settings import LoopSettings, ObservationSettings
+from inverse.observations.observation import Observation, Values
+from inverse.settings import ObservationSettings
 
 
-class Toe(DepositObservation):
+class Toe(Observation):
     """The centroid of the furthest 10 % of the particles, D numbers; the misfit is the paper's |c - c_target|^2.
 
     Smoothly, a particle at x belongs to them by 1 / (1 + exp((t - x) / width)), with the t at which the volume of all
@@ -30,8 +26,6 @@ class Toe(DepositObservation):
     kind = "toe"
     label = "the toe, the centroid of the furthest 10 % of the particles"
     sources = ("values",)
-    source = "values"
-    distance_unit = (1e3, "mm")
 
     def __init__(self, scene: Scene) -> None:
         self.width = 0.5 * scene.domain.cell
@@ -41,14 +35,15 @@ class Toe(DepositObservation):
     def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
         return cls(scene)
 
+    @property
+    def count(self) -> int:
+        return self.components
+
     def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
-        values = super().stated(settings, scene)
-        if values is None:
-            return None
-        size = np.array(scene.domain.size)
-        if len(values) != len(size) or np.any((values < 0.0) | (values > size)):
-            expected = f"{scene.dimension} coordinates [m] in the domain {size.tolist()}"
-            raise InputError(f"expected {expected}, got {values.tolist()}", key="values")
+        values, size = super().stated(settings, scene), np.array(scene.domain.size)
+        if values is not None and np.any((values < 0.0) | (values > size)):
+            message = f"expected coordinates [m] in the domain {size.tolist()}, got {values.tolist()}"
+            raise InputError(message, key="values")
         return values
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -70,31 +65,3 @@ class Toe(DepositObservation):
         threshold = found + (share @ belongs - measures.TOE_FRACTION) / slope
         weight = share * torch.sigmoid((x - threshold) / self.width)
         return (weight / weight.sum()) @ points
-
-    def front(self, values: Values) -> float:
-        return float(values[0])
-
-    def tolerance(self, loop: LoopSettings, cell: float, target: Target, scatter: float) -> float:
-        asked = max(loop.toe_within * cell, 2.0 * scatter)
-        return math.hypot(asked, 2.0 * target.noise * math.sqrt(self.components))
-
-    def values_text(self, values: Values) -> str:
-        return f"toe at ({', '.join(f'{value:.3f}' for value in values)}) m"
-
-    def caption(self, deposit: NDArray[np.floating]) -> str:
-        return self.values_text(self.exact(deposit))
-
-    def mark(self, axis: Axes, deposit: NDArray[np.floating], colour: str, target: Values | None) -> None:
-        across = 1 if deposit.shape[1] == 2 else 2
-        own = self.exact(deposit)
-        axis.plot(own[0], own[across], "o", color=colour, markeredgecolor="white", markersize=8, zorder=5)
-        if target is not None:
-            axis.plot(target[0], target[across], "+", color="#222222", markersize=13, markeredgewidth=2, zorder=6)
-
-    def legend(self) -> list[Line2D]:
-        own = {"marker": "o", "color": "#777777", "markeredgecolor": "white", "markersize": 8}
-        target = {"marker": "+", "color": "#222222", "markeredgewidth": 2.0, "markersize": 12}
-        return [
-            Line2D([], [], linestyle="", label="toe of this deposit", **own),  # type: ignore[arg-type]
-            Line2D([], [], linestyle="", label="target toe", **target),  # type: ignore[arg-type]
-        ]

@@ -30,7 +30,7 @@ from inverse.parameters.kind import UP, Kind, Parts, Vector
 from inverse.parameters.masses import Height, InitialStress, Thickness, Velocity
 from inverse.parameters.material import Cohesion, Friction, Residual, Young
 
-__all__ = ["Kind", "Vector", "kind", "with_parameters"]
+__all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL: dict[str, Callable[[int | None], Kind]] = {
     "friction_deg": Friction,
@@ -70,6 +70,22 @@ def kind(name: str) -> Kind:
         known = ", ".join(each.replace("[]", "[0]") for each in (*_SHARED, *_INDEXED))
         raise InputError(f"expected one of {known}, got {name!r}")
     return _INDEXED[form](int(index[1]))
+
+
+def known_names(scene: Scene) -> list[str]:
+    """The parameters that `scene` has, of each kind the first."""
+    names = []
+    for form in (*_SHARED, *_INDEXED):
+        group = getattr(scene, form.split("[")[0]) if "[]" in form else (None,)
+        for index in range(len(group)):
+            name = form.replace("[]", f"[{index}]")
+            try:
+                kind(name).check(scene)
+            except InputError:
+                continue
+            names.append(name)
+            break
+    return names
 
 
 def with_parameters(scene: Scene, names: Sequence[str], values: Sequence[float] | Vector) -> Scene:

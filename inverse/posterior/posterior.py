@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import f, qmc
 
-from inverse.observations import Target
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear
 from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.regime import Regime, of_target
 from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
+from inverse.target import Target
 
 Matrix = NDArray[np.float64]
 Row = NDArray[np.float64]

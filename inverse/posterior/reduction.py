@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from inverse.observations import Target
 from inverse.posterior.settings import CONSTANTS
+from inverse.target import Target
 
 Matrix = NDArray[np.float64]
 Row = NDArray[np.float64]
@@ -52,10 +52,7 @@ class Reduction:
 
 def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) -> Reduction:
     """By runs at points [n, U] that show `numbers` [n, M]; scatter: expected deviation of each number per flow [M]."""
-    noise = np.full(len(scatter), target.noise)
-    if target.covariance is not None:
-        noise = np.sqrt(np.diag(target.covariance))
-    weights = 1.0 / np.maximum(np.hypot(noise, scatter), 1e-12)
+    weights = 1.0 / np.maximum(np.hypot(target.deviation, scatter), 1e-12)
     mean = numbers.mean(axis=0)
     weighted = (numbers - mean) * weights
     functions = points - points.mean(axis=0)
@@ -66,12 +63,15 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     components = weighted @ basis
     components[:, : first.shape[1]] = cross_fitted(weighted, points, first)[:, : basis.shape[1]]
     scaled = basis * weights[:, None]
-    own = target.covariance
-    covariance = (scaled.T * noise**2) @ scaled if own is None else scaled.T @ own @ scaled
     # Between errors of single numbers and one of all together, of M^(1/2) times the effect.
     expected = np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25
     return Reduction(
-        mean=mean, weights=weights, basis=basis, components=components, expected_scatter=expected, noise=covariance
+        mean=mean,
+        weights=weights,
+        basis=basis,
+        components=components,
+        expected_scatter=expected,
+        noise=target.errors_of(scaled),
     )
 
 

@@ -1,19 +1,14 @@
 """`python -m validation.loop PROBLEM --out DIR`: an inversion that the MPM has confirmed, with its uncertainty."""
 
-import dataclasses
 import sys
-from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from datasets.command_line import WorkFailed, run
-from inverse.problem import read_problem
-from inverse.result import Verdict
 from inverse.settings import Surrogate
-from mpm import simulate_many
-from mpm.cluster import connected
-from validation.loop import report
-from validation.loop.result import Result
-from validation.loop.solve import solve
+
+if TYPE_CHECKING:
+    from inverse.result import Result
 
 
 def main(
@@ -24,8 +19,6 @@ def main(
     model: Path | None = None,
     surrogate: Surrogate | None = None,
     scheduler: str | None = None,
-    vtk: bool = False,
-    movie: bool = False,
 ) -> None:
     """Find all parameters that PROBLEM allows, checked by the MPM.
 
@@ -46,24 +39,30 @@ def main(
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
         instead: the runs of a wave side by side.
-    vtk
-        Write the final MPM run for ParaView as well.
-    movie
-        Write a movie of the final MPM run as well.
     """
+    # Imported here: torch takes seconds to load, and help has no use for it.
+    import dataclasses
+    from contextlib import nullcontext
+
+    from inverse.problem import read_problem
+    from mpm import simulate_many
+    from mpm.cluster import connected
+    from validation.loop.solve import solve
+
     asked = read_problem(problem)
     if surrogate is not None:
         asked = dataclasses.replace(asked, surrogate=surrogate)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         result = solve(asked, out, model=model, simulate=simulate)
-    if vtk or movie:
-        report.append_final_run(result, out, vtk=vtk, movie=movie)
     print_outcome(result, out)
 
 
-def print_outcome(result: Result, out: Path) -> None:
+def print_outcome(result: "Result", out: Path) -> None:
     """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
-    print(report.summary(result))
+    from inverse.found import Verdict
+    from inverse.report import summary
+
+    print(summary(result))
     if result.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 

@@ -11,30 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from inverse.observations import Target, Values
+from inverse.found import MpmRun, Purpose
+from inverse.observations import Values
 from inverse.posterior.emulator import Matrix, fewest_runs, linear
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
-from inverse.result import Purpose
-from validation.loop.check import Check, Task
+from inverse.target import Target
 from validation.loop.surrogate import Surrogate
-from validation.runs import SHARE
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wave:
-    """What was known after some of the runs: a line of the report."""
-
-    runs: int
-    """So many, in all."""
-    mean: Values
-    """Of the posterior, in fractions of the ranges, shape [U]."""
-    deviation: Values
-    """Standard deviation of it, shape [U]."""
-    emulator_share: float
-    """`Posterior.emulator_share`."""
-    with_surrogate: bool
-    """Whether a surrogate is in the emulator's trend."""
+from validation.loop.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +27,13 @@ class Search:
 
     task: Task
     surrogate: Surrogate | None = None
-    runs: tuple[Check, ...] = ()
-    waves: tuple[Wave, ...] = ()
+    runs: tuple[MpmRun, ...] = ()
+    waves: tuple[dict[str, Any], ...] = ()
+    """What was known after some of the runs, as `result.json` has it."""
     found: Posterior | None = None
     factor: float = 1.0
     """Of the discrepancy."""
-    coarse: tuple[Check, ...] = ()
+    coarse: tuple[MpmRun, ...] = ()
     """Runs at an answer on cells twice as large, which are no part of the emulator."""
     discretisation: Values | None = None
     """What these change of the numbers there, shape [M]."""
@@ -58,13 +43,13 @@ class Search:
         """Runs of the budget that are left; of one in seconds by the price of those so far, and checks in any case."""
         budget, seconds = self.task.budget, self.task.problem.loop.mpm_seconds
         if seconds is not None and self.waves:
-            budget = min(budget, max(int(seconds / self.price), self.waves[0].runs + self.task.checks))
+            budget = min(budget, max(int(seconds / self.price), self.waves[0]["mpm_runs"] + self.task.checks))
         return max(0, budget - len(self.runs))
 
     @property
     def price(self) -> float:
         """Wall time of a run, with others side by side [s]; the median, as the first ones compiled the kernels."""
-        return float(np.median([each.trajectory.summary[SHARE] for each in self.runs]))
+        return float(np.median([each.seconds for each in self.runs]))
 
     @property
     def posterior(self) -> Posterior:
@@ -103,13 +88,14 @@ class Search:
             discretisation=state.discretisation,
             trends=trends,
         )
-        wave = Wave(
-            runs=len(state.runs),
-            mean=found.samples.mean,
-            deviation=np.sqrt(np.diag(found.samples.covariance)),
-            emulator_share=found.emulator_share,
-            with_surrogate=found.emulator.trend is not linear,
-        )
+        box, problem = state.task.bounds, state.task.problem
+        wave = {
+            "mpm_runs": len(state.runs),
+            "mean": problem.named(box.lower + box.range * found.samples.mean),
+            "deviation": problem.named(box.range * np.sqrt(np.diag(found.samples.covariance))),
+            "emulator_share": found.emulator_share,
+            "with_surrogate": found.emulator.trend is not linear,
+        }
         return dataclasses.replace(state, found=found, waves=(*state.waves, wave))
 
     def region(self, points: Matrix) -> Region | None:

@@ -1,24 +1,32 @@
 """The loop: runs of the MPM narrow the posterior over the whole box, confirm its answers, and give the verdict."""
 
+import math
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
+from datasets import measures
 from datasets.lock import locked
 from inverse.forward.interface import Simulate
-from inverse.observations.reading import read_target
+from inverse.found import Verdict
+from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem, read_problem
+from inverse.result import Result
+from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
-from validation.loop.check import TWIN, Task
-from validation.loop.result import Result, record
-from validation.loop.search import first, searched
-from validation.loop.verdict import concluded
+from validation.loop.search import Search, first, searched
+from validation.loop.task import Task
+from validation.loop.verdict import Outcome, concluded
 from validation.runs import RunStore
 
-RUNS = "mpm"
-"""Folder of the MPM runs beside the result."""
+RUNS, TWIN = "mpm", "target-"
+"""Folder of the MPM runs beside the result; what the file of a twin's own run begins with."""
+SUGGESTED = 6
+"""Measurements that are suggested."""
 
 
 def solve(
@@ -41,19 +49,24 @@ def solve(
     in place of the MPM. Raises InputError for a problem that cannot be solved as it stands, WorkFailed where a run of
     the MPM blows up or another process writes into `out`.
     """
+    asked = read_problem(problem) if isinstance(problem, str) else problem
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
-            return _solve(problem, Path(folder), model, simulate)
+            return _solve(asked, Path(folder), model, simulate)
     with locked(Path(out)):
-        result = _solve(problem, Path(out), model, simulate)
+        result = _solve(asked, Path(out), model, simulate)
         result.save(out)
     return result
 
 
-def _solve(problem: Problem | str, out: Path, model: Path | None, simulate: Simulate) -> Result:
-    asked = read_problem(problem) if isinstance(problem, str) else problem
+def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate) -> Result:
+    if asked.fields:
+        # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
+        from inverse.inversion import invert
+
+        return invert(asked)
     folder = out / RUNS
-    recorded = ALL if asked.observations else LAST
+    recorded = LAST if len(asked.observations) == 1 and asked.observations[0].times is None else ALL
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     return run(Task(problem=asked, target=target, folder=folder, simulate=simulate), model=model)
 
@@ -66,21 +79,55 @@ def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surroga
     if predictions is not None:
         print(f"the surrogate is in the emulator's trend: {reason}", file=sys.stderr)
     outcome = concluded(searched(state, predictions))
-    store = RunStore(task.folder, task.simulate)
-    records = [
-        record(task.problem, each, f"{task.folder.name}/{store.file(each.trajectory, task.recorded).name}")
-        for each in (*outcome.state.runs, *outcome.state.coarse)
-    ]
+    state, answer = outcome.state, outcome.answers[0]
+    runs = (*state.runs, *state.coarse)
+    mpm_seconds = sum(each.seconds for each in runs)
     return Result(
         problem=task.problem,
         target=task.target,
         verdict=outcome.verdict,
-        answer=outcome.answers[0].parameters,
-        certainty=task.problem.named(outcome.answers[0].half_widths),
-        front_error_pct=100.0 * outcome.answers[0].front_error,
-        outcome=outcome,
-        surrogate=reason,
-        mpm_runs=records,
-        mpm_seconds=sum(each.seconds for each in records),
-        total_seconds=time.perf_counter() - began,
+        answers=outcome.answers,
+        forward="MPM",
+        predicted=answer.observation,
+        deposit=answer.checks[0].trajectory.positions[-1],
+        iterations=state.waves,
+        mpm_runs=runs,
+        posterior=state.posterior,
+        further=tuple(further(outcome)),
+        notes=(note(state),),
+        surrogate={"asked": predictions is not None, "reason": reason},
+        seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
+        command="python -m validation.loop",
     )
+
+
+def note(state: Search) -> str:
+    """What the posterior is made of, in sentences."""
+    found = state.posterior
+    return (
+        f"An emulator of {int(found.near.sum())} of the {len(state.runs)} MPM runs, each with its own jitter seed, "
+        "gives the posterior over the whole box (uniform prior between the bounds). What the emulator does not know is "
+        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, which are at 95 %. Two "
+        f"independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
+    )
+
+
+def further(outcome: Outcome) -> list[Information]:
+    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+    if outcome.verdict is not Verdict.AMBIGUOUS:
+        return []
+    state, scene = outcome.state, outcome.state.task.problem.scene
+    near = state.posterior.near
+    deposits = [run.trajectory.positions[-1] for run, each in zip(state.runs, near, strict=True) if each]
+    extent = max(measures.front(deposit) for deposit in deposits)
+    shown = [measurements(scene, deposit, extent) for deposit in deposits]
+    # That of the target is known.
+    known = {"the front"} if math.isfinite(state.task.target.front) else set()
+    found = information(
+        state.points[near],
+        {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known},
+        state.posterior.samples,
+        cell=scene.domain.cell,
+        rng=state.task.generator(len(state.runs)),
+    )
+    return found[:SUGGESTED]

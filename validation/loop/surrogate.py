@@ -20,14 +20,14 @@ from datasets.errors import InputError
 from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
-from inverse.forward.gns import GnsSource
+from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Forward
-from inverse.observations import Target
 from inverse.posterior.emulator import Emulator, Matrix, fitted, linear
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.settings import Surrogate as Requested
-from validation.loop.check import Task
+from inverse.target import Target
+from validation.loop.task import Task
 
 Load = Callable[[Problem, Target, Path | None], tuple[Forward | None, str]]
 """Problem, target, weights -> the surrogate, or None and why there is none."""
@@ -127,4 +127,4 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
         return None, f"{weights.name} was not trained on such a flow: {'; '.join(outside)}"
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsSource(simulator, problem, observation).start(None), ""
+    return GnsForward(simulator, problem, observation), ""

@@ -1,7 +1,6 @@
 """From the posterior to its answers, each checked by runs of the MPM there, and the verdict on them."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,74 +8,20 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
+from inverse.found import IDENTIFIABLE, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
-from inverse.parameters import Vector
 from inverse.posterior.answers import Part, half_widths, parts
 from inverse.posterior.settings import CONSTANTS
-from inverse.problem import Problem
-from inverse.result import IDENTIFIABLE, Purpose, Verdict
-from validation.loop.check import Check, Task
-from validation.loop.discrepancy import Discrepancy, discrepancy
 from validation.loop.search import Search
+from validation.loop.task import Task
 
 CLOSE = 0.25
 """Of a half-width: checks this close to an answer are checks of it."""
 EXCLUDED = 1e-3
 """Probability of the nearest fit of all, below which no parameters between the bounds give the target."""
-AT_BOUND = 0.02
-"""Distance from a bound, as a fraction of the range."""
 BETTER = 2.0
 """Standard deviations of the scatter by which a design has to improve on the start."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """Parameters that the observation allows, with the runs of the MPM there."""
-
-    parameters: Vector
-    """Shape [U]."""
-    half_widths: Vector
-    """At 95 %, shape [U]."""
-    weight: float
-    """Share of the posterior."""
-    checks: tuple[Check, ...]
-
-    @property
-    def observation(self) -> Values:
-        """Mean of the checks, shape [M]."""
-        return np.asarray(np.mean([each.observation for each in self.checks], axis=0))
-
-    @property
-    def front_error(self) -> float:
-        """Mean relative error of the front, with its sign; nan where the target has none."""
-        return float(np.mean([each.front_error for each in self.checks]))
-
-    def scatter(self, task: Task) -> float:
-        """Distance of two of the checks, root mean square (`Observation.distance`)."""
-        pairs = [
-            task.observation.distance(one.observation, other.observation)
-            for number, one in enumerate(self.checks)
-            for other in self.checks[:number]
-        ]
-        return math.sqrt(float(np.mean(np.square(pairs)))) if pairs else 0.0
-
-    @property
-    def front_scatter(self) -> float:
-        """Relative difference of the fronts of two of the checks, root mean square [-]."""
-        fronts = np.array([each.front for each in self.checks])
-        return float(math.sqrt(2.0) * fronts.std(ddof=1) / fronts.mean()) if len(fronts) > 1 else 0.0
-
-    def confirms(self, task: Task) -> bool:
-        """Whether the mean of the checks is within the tolerance, given their scatter."""
-        return task.observation.is_within(
-            task.problem.loop,
-            task.problem.scene.domain.cell,
-            task.target,
-            self.observation,
-            front_error=self.front_error,
-            scatter=self.scatter(task),
-            front_scatter=self.front_scatter,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +32,6 @@ class Outcome:
     answers: tuple[Answer, ...]
     """Those that the MPM confirms first, then by weight."""
     verdict: Verdict
-    discrepancy: Discrepancy | None = None
-    """Of the first answer; absent where no numbers are left over for it."""
 
 
 def concluded(state: Search) -> Outcome:
@@ -100,12 +43,11 @@ def concluded(state: Search) -> Outcome:
     if coarse := on_coarse_cells(state.task, found[0]):
         change = np.mean([each.observation for each in coarse], axis=0) - found[0].observation
         state, found = checked(state.inferred(coarse=coarse, discretisation=change))
-    around = [each for each, near in zip(state.runs, state.posterior.near, strict=True) if near]
-    fit = discrepancy(state.task, found[0].checks, around)
-    if fit is not None and fit.factor > 1.0 and not excluded:
-        state = state.inferred(factor=fit.factor)
+    factor = 1.0 if found[0].fit is None else found[0].fit.factor
+    if factor > 1.0 and not excluded:
+        state = state.inferred(factor=factor)
         found = answers_of(state, separate(state))
-    return Outcome(state=state, answers=found, verdict=judge(state.task, found, excluded=excluded), discrepancy=fit)
+    return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 
 def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
@@ -115,7 +57,7 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
         locations = [each.point for each in found if not is_checked(state, each)]
         if not locations:
             answers = answers_of(state, found)
-            if answers[0].confirms(state.task):
+            if answers[0].confirmed:
                 break
             # Where the mean of few runs is not near enough, that of more may be.
             locations = [state.task.unit(answers[0].parameters)]
@@ -132,14 +74,14 @@ def separate(state: Search) -> list[Part]:
     return parts(found.samples, found.likelihood, state.task.generator(len(state.runs)))
 
 
-def distances(state: Search, runs: Sequence[Check], part: Part) -> Values:
+def distances(state: Search, runs: Sequence[MpmRun], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
     locations = state.task.unit(np.stack([each.parameters for each in runs]))
     off = (locations - part.point) / np.maximum(part.half_widths, 1e-6)
     return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
 
-def checks_of(state: Search, part: Part) -> list[Check]:
+def checks_of(state: Search, part: Part) -> list[MpmRun]:
     """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
     own = [each for each in state.runs if each.purpose is Purpose.CHECK]
     if not own:
@@ -169,11 +111,30 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
         own = checks_of(state, part) or [state.runs[int(np.argmin(distances(state, state.runs, part)))]]
         location = own[0].parameters
         widths = part.half_widths_about(task.unit(location)) * task.bounds.range
-        answers.append(Answer(parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own)))
-    return tuple(sorted(answers, key=lambda each: not each.confirms(task)))
+        answers.append(
+            Answer(
+                parameters=location,
+                half_widths=widths,
+                weight=part.weight,
+                checks=tuple(own),
+                fit=fitted(state, own),
+            )
+        )
+    return tuple(sorted(answers, key=lambda each: not each.confirmed))
 
 
-def on_coarse_cells(task: Task, answer: Answer) -> tuple[Check, ...]:
+def fitted(state: Search, checks: Sequence[MpmRun]) -> Fit:
+    """The checks at an answer beside the target; the scatter is that of runs repeated near it, else anywhere."""
+    task, near = state.task, state.posterior.near
+    numbers, unknowns = state.numbers, len(task.problem.parameters)
+    scatter = Scatter.of_runs(state.points[near], numbers[near], task.scatter)
+    if scatter.freedom == 0:
+        scatter = Scatter.of_runs(state.points, numbers, task.scatter)
+    shown = np.stack([each.observation for each in checks])
+    return fit(task.target, shown, scatter, cells=state.discretisation, parameters=unknowns)
+
+
+def on_coarse_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     """Runs at an answer on cells twice as large, for a target that is no flow on the cells of the scene.
 
     What they change is, to first order, the error of the cells used (Roache, Perspective: a method for uniform
@@ -200,36 +161,6 @@ def is_excluded(state: Search) -> bool:
     return float(chi2.sf(square, len(residual))) < EXCLUDED
 
 
-def judge(task: Task, answers: Sequence[Answer], *, excluded: bool) -> Verdict:
-    """The verdict on the answers, in their order."""
-    if not answers[0].confirms(task):
-        return Verdict.UNREACHABLE if excluded and is_out_of_bounds(task, answers[0]) else Verdict.UNCONFIRMED
-    if len(answers) > 1 or unidentified(task.problem, answers[0].parameters, answers[0].half_widths):
-        return Verdict.AMBIGUOUS
-    return Verdict.CONFIRMED
-
-
-def is_out_of_bounds(task: Task, answer: Answer) -> bool:
-    """Whether an answer that does not fit lies at a bound."""
-    location = task.unit(answer.parameters)
-    return bool(np.any((location < AT_BOUND) | (location > 1.0 - AT_BOUND)))
-
-
-def unidentified(problem: Problem, values: Vector, widths: Vector) -> list[str]:
-    """The parameters whose interval is most of the prior's; values, half-widths: shape [U].
-
-    The interval is cut off at the bounds. Of a parameter that is positive, half as much will do where the half-width is
-    above the value itself.
-    """
-    names = []
-    for each, value, width in zip(problem.parameters, values, widths, strict=True):
-        length = (min(value + width, each.upper) - max(value - width, each.lower)) / each.range
-        relative = each.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
-        if relative or length > CONSTANTS.most_of_the_prior:
-            names.append(each.name)
-    return names
-
-
 def of_design(state: Search) -> Outcome:
     """The design of the smallest number expected, and how far parameters may move before the scatter shows it."""
     task, samples = state.task, state.posterior.samples
@@ -240,12 +171,8 @@ def of_design(state: Search) -> Outcome:
     state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)
     state = state.ran(np.repeat(start, count, axis=0), Purpose.START)
     checks, begun = state.runs[before : before + count], state.runs[before + count :]
-    answer = Answer(
-        parameters=checks[0].parameters,
-        half_widths=half_widths(samples.points, samples.weights, design[0]) * task.bounds.range,
-        weight=1.0,
-        checks=checks,
-    )
+    widths = half_widths(samples.points, samples.weights, design[0]) * task.bounds.range
+    answer = Answer(parameters=checks[0].parameters, half_widths=widths, checks=checks)
     gain = float(np.mean([each.observation[0] for each in begun]) - answer.observation[0])
     # By all runs: few checks show little of it.
     scatter = float(np.sqrt(state.posterior.emulator.scatter[0, 0]) / state.posterior.reduction.weights[0])

@@ -1,14 +1,15 @@
 """An unknown field: nodes over the body, a transform that keeps it between its bounds, a prior.
 
-    f = T(u + m),    u Gaussian of mean 0 (`inverse.fields.prior`)
+    f = T(u + m),    u Gaussian of mean 0 (`inverse.parameters.prior`)
     T(z) = lower + (upper - lower) / (1 + exp(-z))    with bounds, else T(z) = z
 
 m and the deviation of u are such that the stated mean is the median of f, and the band of 95 % about it 1.96 times the
 stated deviation to either side on average. Everywhere the standard deviation of a field stands for this width.
 """
 
+import dataclasses
 import math
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +19,12 @@ from scipy.special import expit, logit
 from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES, Field, Grid
 from datasets.particles import initial_particles
-from datasets.records import Record
 from datasets.scene import Scene
-from inverse.fields.prior import Prior
-from mpm.adjoint.gradient import Gradient
+from inverse.parameters.parameter import Parameter
+from inverse.parameters.prior import Prior
+
+if TYPE_CHECKING:
+    from mpm.adjoint.gradient import Gradient
 
 Floats = NDArray[np.float64]
 
@@ -37,61 +40,36 @@ UNITS = {FRICTION: "deg"} | dict.fromkeys(VELOCITIES, "m/s")
 LABELS = {FRICTION: "friction"} | {name: f"velocity along {name[-1]}" for name in VELOCITIES}
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldSettings(Record):
-    """An unknown field with its prior: one of `[[fields]]` of a problem."""
-
-    quantity: str
-    """What varies: a kind of `datasets.field.Field`."""
-    spacing: tuple[float, ...]
-    """Distance between nodes along each axis [m], at most; they cover the body from edge to edge.
-
-    Along an axis for which it is longer than the body the field does not vary."""
-    mean: float
-    """Of the prior, everywhere [deg or m/s]."""
-    deviation: float
-    """Standard deviation of the prior at every node [deg or m/s]."""
-    length: float | tuple[float, ...]
-    """Correlation length [m], or one along each axis: at this distance the correlation is 0.14 in 2D."""
-    lower: float | None = None
-    """The field is larger everywhere."""
-    upper: float | None = None
-    """The field is smaller everywhere."""
-    mass: int | None = None
-    """Index of the mass that has the field; all masses where absent."""
-
-
-class Unknown:
+class UnknownField:
     """One unknown field over the masses of a scene; K values at nodes, W numbers of the prior. Raises InputError."""
 
-    def __init__(self, settings: FieldSettings, scene: Scene) -> None:
-        check(settings, scene)
+    def __init__(self, settings: Parameter, scene: Scene) -> None:
+        spacing, lengths, mean, deviation = checked(settings, scene)
         self.settings = settings
         masses = scene.masses if settings.mass is None else (scene.masses[settings.mass],)
         lower = np.min([mass.lower for mass in masses], axis=0)
         upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
         cells = [
             0 if step > length * (1.0 + 1e-6) else math.ceil(length / step - 1e-6)
-            for length, step in zip(upper - lower, settings.spacing, strict=True)
+            for length, step in zip(upper - lower, spacing, strict=True)
         ]
         self.grid = Grid(
             tuple((lower + np.where(np.array(cells) == 0, 0.5 * (upper - lower), 0.0)).tolist()),
             tuple(
                 float(length / count) if count else step
-                for length, count, step in zip(upper - lower, cells, settings.spacing, strict=True)
+                for length, count, step in zip(upper - lower, cells, spacing, strict=True)
             ),
             tuple(count + 1 for count in cells),
         )
-        lengths = lengths_of(settings, scene.dimension)
         for length, step, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
             if count > 1 and length < NODES_PER_LENGTH * step * (1.0 - 1e-9):
                 message = f"expected at least {NODES_PER_LENGTH:g} times the spacing of {step:.3g} m, got {length:g}"
                 raise InputError(message, key="length")
-        low, high, mean, deviation = settings.lower, settings.upper, settings.mean, settings.deviation
-        self.offset = mean
+        self.offset, low, high = mean, settings.lower, settings.upper
         if low is not None and high is not None:
             self.offset = float(logit((mean - low) / (high - low)))
-            deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - deviation, 1e-9, WIDEST)
+            stated = deviation
+            deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
         self.prior = Prior(self.grid, deviation, lengths)
         self.inside: NDArray[np.bool_] = self.support(scene) > 0.0
         """Which nodes some particle lies beside, shape [K]."""
@@ -99,8 +77,7 @@ class Unknown:
     @property
     def name(self) -> str:
         """In files and reports."""
-        settings = self.settings
-        return settings.quantity if settings.mass is None else f"masses[{settings.mass}].{settings.quantity}"
+        return self.settings.name
 
     @property
     def unit(self) -> str:
@@ -147,7 +124,7 @@ class Unknown:
             mass=settings.mass,
         )
 
-    def at_nodes(self, gradient: Gradient, latent: Floats) -> Floats:
+    def at_nodes(self, gradient: "Gradient", latent: Floats) -> Floats:
         """dJ/du [K] from the gradient with respect to what a run begins with."""
         particles, field = gradient.particles, self.field(latent)
         each = gradient.material(FRICTION) if field.quantity == FRICTION else gradient.velocities[:, field.axis]
@@ -155,27 +132,45 @@ class Unknown:
             each = np.where(particles.mass == field.mass, each, 0.0)
         return np.asarray((self.grid.weights(particles.positions).T @ each) * self.slope(latent))
 
+    def check_bounds(self, scene: Scene) -> None:
+        """Raise InputError where `scene` cannot have the field at one of its bounds."""
+        settings = self.settings
+        for value, key in ((settings.lower, "lower"), (settings.upper, "upper")):
+            if value is None or settings.mean is None:
+                continue
+            # The bound itself is never reached.
+            near = (value + 1e-6 * (settings.mean - value),) * self.grid.count
+            others = tuple(each for each in scene.fields if each.quantity != settings.quantity)
+            try:
+                uniform = dataclasses.replace(self.field(np.zeros(self.grid.count)), values=near)
+                dataclasses.replace(scene, fields=(*others, uniform))
+            except InputError as error:
+                message = f"expected a bound at which the scene can be simulated, but {error}"
+                raise InputError(message, key=f"unknowns.{self.name}.{key}") from None
 
-def lengths_of(settings: FieldSettings, dimension: int) -> tuple[float, ...]:
-    """Correlation length along each axis [m]."""
-    return settings.length if isinstance(settings.length, tuple) else (settings.length,) * dimension
 
-
-def check(settings: FieldSettings, scene: Scene) -> None:
-    """Raise InputError for a prior that no field over the masses of `scene` can have."""
+def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
+    """Spacing, correlation lengths, mean and deviation. Raises InputError for a prior that no field can have."""
 
     def require(ok: bool, key: str, expected: str, got: object) -> None:
         if not ok:
             raise InputError(f"expected {expected}, got {got}", key=key)
 
-    kinds = (FRICTION, *VELOCITIES[: scene.dimension])
-    require(settings.quantity in kinds, "quantity", f"one of {', '.join(kinds)}", repr(settings.quantity))
-    require(len(settings.spacing) == scene.dimension, "spacing", f"{scene.dimension} lengths in m", settings.spacing)
-    require(min(settings.spacing) > 0.0, "spacing", "positive lengths in m", settings.spacing)
-    lengths = lengths_of(settings, scene.dimension)
-    require(len(lengths) == scene.dimension, "length", f"one or {scene.dimension} lengths in m", settings.length)
-    require(min(lengths) > 0.0, "length", "positive lengths in m", settings.length)
-    require(settings.deviation > 0.0, "deviation", "a positive standard deviation", settings.deviation)
+    spacing, length, mean, deviation = settings.spacing, settings.length, settings.mean, settings.deviation
+    assert spacing is not None, "a number has no nodes"
+    assert length is not None, "`inverse.checks` asks for it"
+    assert mean is not None, "`inverse.checks` asks for it"
+    assert deviation is not None, "`inverse.checks` asks for it"
+    kinds, masses = (FRICTION, *VELOCITIES[: scene.dimension]), range(len(scene.masses))
+    plain = settings.name in (settings.quantity, f"masses[{settings.mass}].{settings.quantity}")
+    known = f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, for a field"
+    require(plain and settings.quantity in kinds, "name", known, repr(settings.name))
+    require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
+    lengths = length if isinstance(length, tuple) else (length,) * scene.dimension
+    for key, values in (("spacing", spacing), ("length", lengths)):
+        positive = len(values) == scene.dimension and min(values) > 0.0
+        require(positive, key, f"{scene.dimension} positive lengths in m", list(values))
+    require(deviation > 0.0, "deviation", "a positive standard deviation", deviation)
     low, high = settings.lower, settings.upper
     require((low is None) == (high is None), "upper" if high is None else "lower", "both bounds or none", "one")
     if settings.quantity == FRICTION:
@@ -183,7 +178,6 @@ def check(settings: FieldSettings, scene: Scene) -> None:
     if low is not None and high is not None:
         most = MOST * (high - low) / (2.0 * BAND)
         message = f"less than {most:.3g}, or the band of 95 % would be all between the bounds"
-        require(settings.deviation < most, "deviation", message, settings.deviation)
-        require(low < settings.mean < high, "mean", f"a value between the bounds {low:g} and {high:g}", settings.mean)
-    masses = range(len(scene.masses))
-    require(settings.mass is None or settings.mass in masses, "mass", f"one of 0 to {masses[-1]}", settings.mass)
+        require(deviation < most, "deviation", message, deviation)
+        require(low < mean < high, "mean", f"a value between the bounds {low:g} and {high:g}", mean)
+    return spacing, lengths, mean, deviation

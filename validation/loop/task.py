@@ -1,4 +1,4 @@
-"""Runs of the MPM at chosen parameters, compared with the target; and what a loop is given."""
+"""What a loop is given, and runs of the MPM at chosen parameters, compared with the target."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,37 +10,16 @@ import numpy as np
 from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.bounds import Bounds
 from inverse.forward.interface import Simulate
-from inverse.observations import Observation, Target, Values
+from inverse.found import MpmRun, Purpose
+from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.posterior.emulator import Matrix
 from inverse.posterior.settings import CONSTANTS
-from inverse.problem import Problem
-from inverse.result import Purpose
+from inverse.problem import Bounds, Problem
+from inverse.target import Target
 from mpm import ALL, LAST, Recording, simulate_many
-from validation.runs import RunStore
-
-TWIN = "target-"
-"""What the file of a twin's own run begins with."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """A run of the MPM, with a jitter seed of its own."""
-
-    purpose: Purpose
-    parameters: Vector
-    """Shape [U]."""
-    trajectory: Trajectory
-    observation: Values
-    """Exact, shape [M]."""
-    front: float
-    """[m]."""
-    front_error: float
-    """Relative, with its sign; nan where the target has no front."""
-    misfit: float
-    """From the target [unit^2]."""
+from validation.runs import SHARE, RunStore
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +40,7 @@ class Task:
     @cached_property
     def bounds(self) -> Bounds:
         """The box of the parameters."""
-        return Bounds.from_problem(self.problem)
+        return self.problem.box
 
     @cached_property
     def scatter(self) -> Values:
@@ -74,6 +53,11 @@ class Task:
         return self.problem.loop.budget(len(self.problem.parameters))
 
     @property
+    def checks(self) -> int:
+        """Runs of the budget that are left for an answer; of a design as many at its start."""
+        return CONSTANTS.checks * (2 if self.problem.target.minimise else 1)
+
+    @property
     def recorded(self) -> Recording:
         """What an observation requires of a run: the last frame, unless it is one over time."""
         return ALL if self.observation.over_time else LAST
@@ -82,10 +66,6 @@ class Task:
         """Parameters [..., U] in fractions of their ranges."""
         return np.asarray((parameters - self.bounds.lower) / self.bounds.range)
 
-    def values(self, points: Matrix) -> Matrix:
-        """Parameters at points [..., U] of the unit box."""
-        return np.asarray(self.bounds.lower + points * self.bounds.range)
-
     def at(self, points: Matrix) -> list[Vector]:
         """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
         digits = 6 - np.ceil(np.log10(self.bounds.range)).astype(int)
@@ -93,29 +73,32 @@ class Task:
             self.bounds.clip(
                 np.array([round(float(each), int(count)) for each, count in zip(row, digits, strict=True)])
             )
-            for row in self.values(points)
+            for row in self.bounds.lower + points * self.bounds.range
         ]
 
-    def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[Check, ...]:
+    def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
         locations = self.at(points)
         scenes = [self.problem.scene_at(each, self.seed(first + index)) for index, each in enumerate(locations)]
         return self.compared(locations, scenes, purpose)
 
-    def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[Check, ...]:
+    def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
         """Runs of `scenes`, which have the parameters `locations`, compared with the target."""
-        flows = RunStore(self.folder, self.simulate, label=f"{purpose}-")(scenes, record=self.recorded)
-        return tuple(self.compare(location, flow, purpose) for location, flow in zip(locations, flows, strict=True))
+        store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
+        flows = store(scenes, record=self.recorded)
+        files = [f"{self.folder.name}/{store.file(each, self.recorded).name}" for each in flows]
+        together = zip(locations, flows, files, strict=True)
+        return tuple(self.compare(location, flow, purpose, file) for location, flow, file in together)
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""
         return int(np.random.SeedSequence([self.problem.scene.seed, number]).generate_state(1)[0])
 
-    def compare(self, parameters: Vector, trajectory: Trajectory, purpose: Purpose) -> Check:
+    def compare(self, parameters: Vector, trajectory: Trajectory, purpose: Purpose, file: str) -> MpmRun:
         """A run at `parameters`, compared with the target."""
         deposit = trajectory.positions[-1]
         observation = self.observation.observe(trajectory)
-        return Check(
+        return MpmRun(
             purpose=purpose,
             parameters=parameters,
             trajectory=trajectory,
@@ -123,13 +106,10 @@ class Task:
             front=measures.front(deposit),
             front_error=self.target.front_error(deposit),
             misfit=self.target.misfit(observation),
+            seconds=float(trajectory.summary[SHARE]),
+            file=file,
         )
 
     def generator(self, number: int) -> np.random.Generator:
         """Random numbers of a step, the same after a restart."""
         return np.random.default_rng([self.problem.optimiser.seed, number])
-
-    @property
-    def checks(self) -> int:
-        """Runs of the budget that are left for an answer; of a design as many at its start."""
-        return CONSTANTS.checks * (2 if self.problem.target.minimise else 1)

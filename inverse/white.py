@@ -1,9 +1,11 @@
-"""The MPM as a function of white noise: w -> fields (`inverse.fields.prior`) -> runs -> observed numbers, and back.
+"""The MPM as a function of white noise: w -> fields and numbers -> runs -> observed numbers, and back.
 
-Numbers are those of the solver itself, by the exact observation operator. Their derivatives are the adjoint's, through
-the smooth one: each combination of the numbers costs one reverse pass, for any number of nodes, and all combinations
-share one replay of the run. Both are averaged over jitter seeds: of a single run part of the derivative is what single
-particles do.
+    field: u = S A w (`inverse.parameters.prior`),    number: lower + (upper - lower) Phi(w)
+
+Phi is the normal distribution: a number is uniform between its bounds. Observed numbers are those of the solver
+itself, by the exact observation operator. Their derivatives are the adjoint's, through the smooth one: each
+combination of the numbers costs one reverse pass, for any number of unknowns, and all combinations share one replay of
+the run. Both are averaged over jitter seeds: of a single run part of the derivative is what single particles do.
 """
 
 from collections.abc import Sequence
@@ -12,16 +14,20 @@ from itertools import pairwise
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import ndtr
 from tqdm import tqdm
 
 from datasets.particles import initial_volumes
 from datasets.processes import processors
-from inverse.fields.problem import FieldProblem
+from datasets.scene import Scene
+from inverse.forward.adjoint import derivatives
 from inverse.observations import Observation, Rollout
-from inverse.observations.sampling import brackets
+from inverse.observations.joint import Joint
+from inverse.observations.observation import brackets
+from inverse.problem import Problem
 from mpm import simulate_many
 from mpm.adjoint.checks import check
-from mpm.adjoint.gradient import pull_back_all
+from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.batch import particles_of
 from mpm.arrays.features import features_of
@@ -32,39 +38,46 @@ MEMORY_MIB = 512.0
 """For the checkpoints of the runs that are reversed side by side [MiB]."""
 
 
-class Flow:
-    """Runs of a problem's scene; W white numbers for all unknown fields together, M observed numbers.
+class WhiteFlow:
+    """Runs of a problem's scene; W white numbers for all unknowns together, M observed numbers.
 
     Raises InputError for a scene that the adjoint does not know.
     """
 
-    def __init__(self, problem: FieldProblem, observation: Observation) -> None:
+    def __init__(self, problem: Problem, observation: Observation) -> None:
         self.problem, self.observation = problem, observation
         check(features_of([problem.scene], particles_of([problem.scene]), "f32"))
         self.runs = self.reverses = 0
         """MPM runs and reverse passes so far."""
-        self.bar = tqdm(desc="fields", unit="run", leave=False, disable=None)
-        ends = np.cumsum([0, *(each.prior.size for each in problem.unknowns)])
-        self.parts = [slice(int(first), int(end)) for first, end in pairwise(ends)]
-        """Which white numbers are those of each field."""
+        self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
+        ends = np.cumsum([0, *(each.prior.size for each in problem.fields), len(problem.numbers)])
+        *self.parts, self.own = [slice(int(first), int(end)) for first, end in pairwise(ends)]
+        """Which white numbers are those of each field; of all numbers."""
+        self.size = int(ends[-1])
         scene = problem.scene
-        times = [np.array([scene.duration]), *times_of(observation)]
-        before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, np.concatenate(times))
+        parts = [part.observation for part in observation.parts] if isinstance(observation, Joint) else [observation]
+        times = np.concatenate([[scene.duration], *(part.times for part in parts if part.times is not None)])
+        before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
         self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
         """Frames that the observation looks at, and the last."""
 
-    @property
-    def size(self) -> int:
-        """W."""
-        return int(self.parts[-1].stop)
-
     def latents(self, white: Floats) -> list[Floats]:
         """u [K] of each field."""
-        return [each.prior.field(white[part]) for each, part in zip(self.problem.unknowns, self.parts, strict=True)]
+        return [each.prior.field(white[part]) for each, part in zip(self.problem.fields, self.parts, strict=True)]
+
+    def values(self, white: Floats) -> Floats:
+        """The numbers, shape [U]."""
+        box = self.problem.box
+        return np.asarray(box.lower + box.range * ndtr(white[self.own]))
+
+    def scene_at(self, white: Floats, seed: int) -> Scene:
+        """The scene at white numbers [W] with a jitter seed."""
+        latents = zip(self.problem.fields, self.latents(white), strict=True)
+        return self.problem.scene_at(self.values(white), seed, [each.field(latent) for each, latent in latents])
 
     def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
         """The observed numbers [points, M] of runs at white numbers [W], each with its jitter seed."""
-        scenes = [self.problem.scene_at(self.latents(each), seed) for each, seed in zip(points, seeds, strict=True)]
+        scenes = [self.scene_at(each, seed) for each, seed in zip(points, seeds, strict=True)]
         together, found = 2 * processors(), []
         for first in range(0, len(scenes), together):
             runs = simulate_many(scenes[first : first + together])
@@ -82,10 +95,9 @@ class Flow:
 
         Mean over jitter seeds, as many side by side as there are cores.
         """
-        latents = self.latents(white)
         found = np.zeros((len(combinations), self.size))
         for first in range(0, len(seeds), processors()):
-            scenes = [self.problem.scene_at(latents, seed) for seed in seeds[first : first + processors()]]
+            scenes = [self.scene_at(white, seed) for seed in seeds[first : first + processors()]]
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
             adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
             still = [np.zeros_like(each[0]) for each in adjoints]
@@ -95,11 +107,21 @@ class Flow:
             ]
             for row, gradients in enumerate(pull_back_all(tape, together)):
                 for gradient in gradients:
-                    for unknown, latent, part in zip(self.problem.unknowns, latents, self.parts, strict=True):
-                        found[row, part] += unknown.prior.white(unknown.at_nodes(gradient, latent)) / len(seeds)
+                    found[row] += self.pulled_back(gradient, white) / len(seeds)
             self.runs += len(scenes)
             self.reverses += len(scenes) * len(combinations)
             self.bar.update(len(scenes) * (1 + len(combinations)))
+        return found
+
+    def pulled_back(self, gradient: Gradient, white: Floats) -> Floats:
+        """Derivatives with respect to the white numbers [W] from those with respect to what a run begins with."""
+        found = np.zeros(self.size)
+        for unknown, latent, part in zip(self.problem.fields, self.latents(white), self.parts, strict=True):
+            found[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
+        if self.problem.numbers:
+            density = np.exp(-0.5 * white[self.own] ** 2) / np.sqrt(2.0 * np.pi)
+            slopes = derivatives(gradient, self.problem.kinds, self.values(white))
+            found[self.own] = slopes * self.problem.box.range * density
         return found
 
     def adjoints(self, tape: Tape, index: int, combinations: Floats) -> Floats:
@@ -116,9 +138,3 @@ class Flow:
             for each in combinations
         ]
         return np.stack(rows)
-
-
-def times_of(observation: Observation) -> list[Floats]:
-    """When an observation, or each of those that it joins, looks at the flow [s]."""
-    parts = [part.observation for part in getattr(observation, "parts", ())] or [observation]
-    return [part.times for part in parts if part.times is not None]

@@ -25,7 +25,6 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
-from scipy.special import gamma, kv
 
 from datasets.field import Grid
 
@@ -92,25 +91,10 @@ class Prior:
         found = self.root_mass[:, None] * self.factor.solve(full)
         return np.asarray(found.reshape(-1, *adjoint.shape[1:]))
 
-    @property
-    def precision(self) -> Any:
-        """K M^-1 K, of all W nodes before they are scaled; sparse."""
-        inverse = sparse.diags_array(1.0 / self.root_mass**2)
-        return self.operator @ inverse @ self.operator
-
 
 def smoothness(dimension: int) -> float:
     """nu of the Matern covariance."""
     return 2.0 - 0.5 * dimension
-
-
-def matern(offsets: Floats, lengths: Sequence[float]) -> Floats:
-    """Correlation of two places that differ by `offsets` [m], shape [..., D]; shape [...]."""
-    nu = smoothness(offsets.shape[-1])
-    scaled = np.linalg.norm(offsets * math.sqrt(8.0 * nu) / np.array(lengths), axis=-1)
-    apart = np.where(scaled > 0.0, scaled, 1.0)
-    found = 2.0 ** (1.0 - nu) / gamma(nu) * apart**nu * kv(nu, apart)
-    return np.asarray(np.where(scaled > 0.0, found, 1.0))
 
 
 def lumped_mass(count: int, step: float) -> Any:

@@ -1,0 +1,166 @@
+"""A field as an inversion found it: values at its nodes, their widths, what the observation tells of each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.field import Field
+from datasets.files import replacing
+from inverse.parameters.field import BAND, UnknownField
+
+Floats = NDArray[np.float64]
+
+IDENTIFIED = 0.5
+"""Share of the prior's variance beyond whose removal the observation identifies a value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundField:
+    """A field at its K nodes, in its unit; statistics are over the nodes beside the body alone."""
+
+    unknown: UnknownField
+    latent: Floats
+    """u of `inverse.parameters.field`, the most probable one, shape [K]."""
+    width: Floats
+    """Standard deviation of u that is left, shape [K]."""
+    draws: Floats
+    """Samples of the field, shape [draws, K]."""
+    truth: Floats | None
+    """Where known, shape [K]."""
+
+    @property
+    def name(self) -> str:
+        """As the problem calls it."""
+        return self.unknown.name
+
+    @property
+    def stem(self) -> str:
+        """Of its files."""
+        return self.name.replace(".", "-")
+
+    @property
+    def field(self) -> Field:
+        """As a scene has it."""
+        return self.unknown.field(self.latent)
+
+    @property
+    def mean(self) -> Floats:
+        """The most probable field, shape [K]."""
+        return self.unknown.values(self.latent)
+
+    @property
+    def lower(self) -> Floats:
+        """Lower end of the band of 95 % at each node, shape [K]."""
+        return self.unknown.values(self.latent - BAND * self.width)
+
+    @property
+    def upper(self) -> Floats:
+        """Upper end, shape [K]."""
+        return self.unknown.values(self.latent + BAND * self.width)
+
+    @property
+    def deviation(self) -> Floats:
+        """Width of that band over that of one standard deviation, shape [K]."""
+        return self.unknown.deviation(self.latent, self.width)
+
+    @property
+    def prior_deviation(self) -> Floats:
+        """The same of the prior, shape [K]."""
+        return self.unknown.deviation(np.zeros_like(self.latent), self.unknown.prior.deviation)
+
+    @property
+    def removed(self) -> Floats:
+        """Share of the prior's variance that the observation removed, shape [K]."""
+        return np.asarray(1.0 - (self.width / self.unknown.prior.deviation) ** 2)
+
+    @property
+    def identified(self) -> NDArray[np.bool_]:
+        """Which nodes beside the body the observation identifies, shape [K]."""
+        return (self.removed > IDENTIFIED) & self.unknown.inside
+
+    def average(self, values: Floats) -> float:
+        """Mean of values [K] beside the body."""
+        return float(values[self.unknown.inside].mean())
+
+    def identified_box(self) -> list[tuple[float, float]] | None:
+        """Between which coordinates the identified nodes lie along each axis [m]; None where there are none."""
+        if not self.identified.any():
+            return None
+        here = self.unknown.grid.positions[self.identified]
+        return [(float(low), float(high)) for low, high in zip(here.min(axis=0), here.max(axis=0), strict=True)]
+
+    def error(self, where: NDArray[np.bool_], values: Floats | float | None = None) -> float | None:
+        """Root mean square error of the found field, or of other `values`, at nodes `where` [K]; None if unknown."""
+        if self.truth is None or not where.any():
+            return None
+        found = self.mean if values is None else np.broadcast_to(values, self.truth.shape)
+        return float(np.sqrt(np.mean((found - self.truth)[where] ** 2)))
+
+    def covered(self, where: NDArray[np.bool_]) -> float | None:
+        """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""
+        if self.truth is None or not where.any():
+            return None
+        return float(np.mean((self.lower <= self.truth)[where] & (self.truth <= self.upper)[where]))
+
+    def as_json(self) -> dict[str, Any]:
+        """As `result.json` has it."""
+        inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
+        return {
+            "name": self.name,
+            "unit": self.unknown.unit,
+            "nodes": list(self.unknown.grid.nodes),
+            "values": int(inside.sum()),
+            "identified": float(identified[inside].mean()),
+            "identified_between": self.identified_box(),
+            "variance_removed": float(self.removed[inside].mean()),
+            "deviation": {
+                "prior": float(self.prior_deviation[inside].mean()),
+                "posterior": float(self.deviation[inside].mean()),
+                "identified": float(self.deviation[identified].mean()) if identified.any() else None,
+            },
+            "error": {
+                "prior": self.error(inside, mean),
+                "posterior": self.error(inside),
+                "prior_identified": self.error(identified, mean),
+                "identified": self.error(identified),
+            },
+            "truth_in_band": {"all": self.covered(inside), "identified": self.covered(identified)},
+        }
+
+    def arrays(self) -> dict[str, Floats]:
+        """Its values on the nodes by name, shape [K] each."""
+        names = ("mean", "lower", "upper", "deviation", "prior_deviation", "removed")
+        found = {name: getattr(self, name) for name in names} | {"inside": self.unknown.inside}
+        return found if self.truth is None else found | {"truth": self.truth}
+
+
+def arrays_of(fields: Sequence[FoundField]) -> dict[str, Floats]:
+    """The arrays of `field.npz`; those of field k begin with `k_`."""
+    found: dict[str, Floats] = {}
+    for index, each in enumerate(fields):
+        grid = each.unknown.grid
+        own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays()
+        found |= {f"{index}_{name}": values for name, values in own.items()}
+    return found
+
+
+def write_vti(found: FoundField, path: Path) -> None:
+    """A field and its widths on their nodes, for ParaView."""
+    # Imported here: VTK takes half a second to load.
+    import pyvista
+
+    grid, flat = found.unknown.grid, 3 - len(found.unknown.grid.nodes)
+    image = pyvista.ImageData(
+        dimensions=(*grid.nodes, *[1] * flat),
+        spacing=(*grid.spacing, *[1.0] * flat),
+        origin=(*grid.origin, *[0.0] * flat),
+    )
+    for name, values in found.arrays().items():
+        # VTK counts x fastest.
+        image.point_data[name] = np.asarray(values, np.float32).reshape(grid.nodes).ravel(order="F")
+    with replacing(path) as part:
+        image.save(part)

@@ -1,0 +1,187 @@
+"""How far an observation may be from the MPM at the right parameters: what noise, scatter and cells explain.
+
+    s_i^2 = n_i^2 + (1 + 1/k) c_i^2 + d_i^2,    S^2 = 1/M sum_i r_i^2 / s_i^2
+
+| symbol | variable | meaning |
+|---|---|---|
+| r | `residual` | the mean of k runs of the MPM less the observation, M numbers |
+| n | `noise` | standard deviation by errors of the measurement (`Target.deviation`) |
+| c | `scatter` | that of one flow, over the jitter seeds: the observation is one, the mean of k runs scatters by 1/k |
+| d | `cells` | what the cells of the MPM change, where the observation is no flow on the same |
+| S | `ratio` | 1 on average at the right parameters |
+
+The MPM lies within the predictive interval where chance exceeds S at least once in a hundred times. Errors of the
+numbers are dependent: S^2 has the mean 1 all the same, but a wider distribution, that of F with
+
+    h = M^2 / |R|_F^2,    nu = nu_c (1 + (N + D) / C)^2
+
+degrees of freedom, R the correlation of r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c those with which the
+scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
+
+Where U parameters were fitted to more numbers and S is above what chance explains once in twenty times, half-widths
+are multiplied by S (M / (M - U))^(1/2): Birge's ratio (R. T. Birge, The calculation of errors by the method of least
+squares, Phys. Rev. 40 (1932) 207-227), as the Particle Data Group scales errors. Whatever the model lacks is treated
+as noise that was stated too small, by one factor for all numbers.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f
+
+from inverse.target import Target
+
+Floats = NDArray[np.float64]
+
+CONFIDENCE = 0.99
+"""Share of right answers that lie within the predictive interval."""
+RARE = 0.05
+"""A misfit that chance exceeds less often than this widens half-widths."""
+PRIOR_FREEDOM = 2.0
+"""Degrees of freedom with which the expected scatter counts beside that of repeated runs."""
+FLOOR = 1.0e-6
+"""Part of the largest variance of a number that every number has: rounding, where one does not vary at all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scatter:
+    """The scatter of flows that differ in their jitter seed alone."""
+
+    deviations: Floats
+    """Of runs from the mean of those at the same parameters, shape [n, M]."""
+    freedom: int
+    """nu_c: runs less the means."""
+    expected: Floats
+    """Standard deviation of each number before any run has shown it, shape [M]."""
+
+    @classmethod
+    def of_runs(cls, points: Floats, numbers: Floats, expected: Floats) -> "Scatter":
+        """By runs at points [n, U] that show `numbers` [n, M]: those that share their point with others."""
+        _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+        means = np.stack([numbers[label == each].mean(axis=0) for each in range(len(count))])
+        repeated = (count > 1)[label]
+        return cls(deviations=(numbers - means[label])[repeated], freedom=int((count - 1).sum()), expected=expected)
+
+    @property
+    def variance(self) -> Floats:
+        """c^2, shape [M]; what was expected counts with `PRIOR_FREEDOM`, scaled to what runs show of all numbers."""
+        if self.freedom == 0:
+            return np.asarray(self.expected**2)
+        square = (self.deviations**2).sum(axis=0)
+        level = float(np.mean(square / np.maximum(self.expected, 1e-300) ** 2)) / self.freedom
+        prior = np.maximum(level, FLOOR) * self.expected**2
+        return np.asarray((square + PRIOR_FREEDOM * prior) / (self.freedom + PRIOR_FREEDOM))
+
+    @property
+    def freedom_of_variance(self) -> float:
+        """nu_c with what the prior adds."""
+        return self.freedom + PRIOR_FREEDOM if self.freedom else 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """The MPM at an answer beside the observation."""
+
+    residual: float
+    """Root mean square of r, in the unit of the numbers."""
+    noise: float
+    """The same of n."""
+    scatter: float
+    """Of c."""
+    cells: float
+    """Of d."""
+    ratio: float
+    """S."""
+    freedom: tuple[float, float]
+    """h and nu."""
+    numbers: int
+    """M."""
+    parameters: int
+    """U."""
+
+    @property
+    def allowed(self) -> float:
+        """Half of the predictive interval: the largest root mean square of residuals such as these within it."""
+        limit = math.sqrt(float(f.ppf(CONFIDENCE, *self.freedom)))
+        return self.residual * limit / self.ratio if self.ratio > 0.0 else limit * math.hypot(self.noise, self.cells)
+
+    @property
+    def inside(self) -> bool:
+        """Whether the MPM lies within the predictive interval."""
+        return self.ratio**2 <= float(f.ppf(CONFIDENCE, *self.freedom))
+
+    @property
+    def excess(self) -> float | None:
+        """Birge's ratio; None where no numbers are left over for it."""
+        free = self.numbers - self.parameters
+        return self.ratio * math.sqrt(self.numbers / free) if free > 0 else None
+
+    @property
+    def probability(self) -> float:
+        """Of so large an excess or more by chance."""
+        first = max(1.0, self.freedom[0] - self.parameters)
+        return float(f.sf((self.excess or 0.0) ** 2, first, self.freedom[1]))
+
+    @property
+    def factor(self) -> float:
+        """By which half-widths are multiplied, 1 at least."""
+        excess = self.excess or 1.0
+        return excess if excess > 1.0 and self.probability < RARE else 1.0
+
+
+def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None = None, parameters: int = 0) -> Fit:
+    """Of runs at one answer that show numbers [k, M]; cells: d [M]; parameters: how many were fitted."""
+    share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
+    own = target.deviation**2 + (0.0 if cells is None else cells**2)
+    variance = share * scatter.variance
+    total = np.maximum(own + variance, 1e-300)
+    # |R|_F^2 of R = (N + D + F^T F) / total without the matrix of a whole deposit.
+    size, free = len(residual), max(1, scatter.freedom)
+    flows = scatter.deviations * math.sqrt(share / free) / np.sqrt(total)
+    rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
+    square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * rest @ (flows**2).sum(axis=0))
+    if target.covariance is None:
+        square += float(rest @ rest)
+    else:
+        known = target.covariance / np.sqrt(np.outer(total, total))
+        square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
+    first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
+    second = scatter.freedom_of_variance * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
+    return Fit(
+        residual=rms(residual),
+        noise=rms(target.deviation),
+        scatter=rms(np.sqrt(scatter.variance)),
+        cells=0.0 if cells is None else rms(cells),
+        ratio=math.sqrt(float(np.mean(residual**2 / total))),
+        freedom=(first, min(second, 1e9)),
+        numbers=size,
+        parameters=parameters,
+    )
+
+
+def rms(values: Floats) -> float:
+    """Root mean square of values [M]."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def shrunk(sample: Floats) -> Floats:
+    """Covariance [M, M] of numbers that scatter, of few flows [n, M], shrunk towards its diagonal.
+
+    C = D^(1/2) [(1 - q) c + q I] D^(1/2), c the sample correlation and q the share that minimises the expected error
+    of a Gaussian sample towards the identity (oracle approximating shrinkage: Chen, Wiesel, Eldar & Hero, IEEE Trans.
+    Signal Process. 58 (2010) 5016-5029, eq. 23).
+    """
+    count, size = sample.shape
+    variance = sample.var(axis=0, ddof=1)
+    variance = np.maximum(variance, FLOOR * max(float(variance.max()), 1e-12))
+    centred = (sample - sample.mean(axis=0)) / np.sqrt(variance)
+    correlation = centred.T @ centred / (count - 1)
+    square, trace = float((correlation**2).sum()), float(np.trace(correlation))
+    top = (1.0 - 2.0 / size) * square + trace**2
+    bottom = (count + 1.0 - 2.0 / size) * (square - trace**2 / size)
+    share = 1.0 if bottom <= 0.0 else min(1.0, top / bottom)
+    correlation = (1.0 - share) * correlation + share * np.eye(size)
+    np.fill_diagonal(correlation, 1.0)
+    return np.asarray(correlation * np.sqrt(np.outer(variance, variance)))

@@ -1,0 +1,376 @@
+"""`report.md`: conclusion, what was found, comparison with the target, uncertainty, how it was found, cost."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tabulate import tabulate
+
+from datasets.files import write_text
+from inverse import deposits, pictures
+from inverse.fields import IDENTIFIED, FoundField
+from inverse.found import Answer, Combination, Found, Purpose, Verdict, peak_memory_mib, unidentified
+from inverse.noise import CONFIDENCE
+from inverse.observations import Values
+from inverse.observations.joint import Joint
+
+NAMED = 4
+"""With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
+MAIN = 0.3
+"""A parameter with less than this share of the greatest weight is not named as part of a combination."""
+SUGGESTED = 3
+"""Measurements that the conclusion names."""
+
+
+def write(found: Found, folder: Path, command: str) -> None:
+    """Write `report.md` and its pictures into `folder`; command: what made it."""
+    parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
+    parts += [f"`{command}`", question(found), *parameters_table(found)]
+    deposits.draw_deposits(folder / "deposit.png", found)
+    if len(found.problem.numbers) > 2:
+        pictures.draw_unknowns(folder / "unknowns.png", found)
+        parts.append("![unknowns](unknowns.png)")
+    if len(found.answers) > 1:
+        parts += ["## Every separate answer", every_answer(found)]
+    for each in found.fields:
+        pictures.draw_field(folder / f"{each.stem}.png", each)
+        parts += [f"## {each.name}", identified(each), field_table(each), f"![{each.name}]({each.stem}.png)"]
+    parts += ["## Comparison with the target", comparison(found), "![deposits](deposit.png)"]
+    if isinstance(found.target.observation, Joint):
+        pictures.draw_residuals(folder / "residuals.png", found)
+        parts += [each_observation(found, found.target.observation), "![residuals](residuals.png)"]
+    if found.posterior is not None:
+        pictures.draw_predictive(folder / "predictive.png", found)
+        parts.append("![deposits that the posterior predicts, and their difference from the target](predictive.png)")
+    if notes := uncertainty(found):
+        parts += ["## Uncertainty", *notes]
+    if found.posterior is not None:
+        pictures.draw_posterior(folder / "posterior.png", found)
+        parts.append("![prior and posterior](posterior.png)")
+    if found.further:
+        gains = [[each.name, f"{each.gain:.2f}"] for each in found.further]
+        parts += [
+            "## What a further measurement would decide",
+            "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
+            table(["measurement", "information [nat]"], gains),
+        ]
+    parts += ["## How it was found", search_table(found)]
+    if found.problem.numbers and not found.fields:
+        pictures.draw_course(folder / "course.png", found)
+        parts.append("![the numbers on the way](course.png)")
+    parts += ["## Cost", cost(found)]
+    write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
+
+
+def conclusion(found: Found) -> list[str]:
+    """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
+    runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
+    price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
+    fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
+    sentences = [verdict(found), numbers(found), *fields, equifinality(found), quality(found), price]
+    return [each for each in sentences if each]
+
+
+def verdict(found: Found) -> str:
+    """The verdict, with the distance from the target and the predictive interval."""
+    first, runs = found.answers[0], len(found.answers[0].checks)
+    if runs == 0:
+        return f"**Unconfirmed**: the {found.forward} alone answers, `python -m validation.loop` has the MPM's word."
+    which = "the MPM run nearest to the answer" if runs == 1 else f"the mean of {runs} MPM runs at the answer"
+    if found.problem.target.minimise:
+        begun = [each.observation for each in found.mpm_runs if each.purpose is Purpose.START]
+        now, before = (found.target.observation.text(each) for each in (first.observation, np.mean(begun, axis=0)))
+        better = "The MPM confirms the design" if found.verdict is Verdict.CONFIRMED else "The MPM does not confirm it"
+        return f"**{better}**: {now} in {which}, {before} at the start."
+    count = len(found.answers)
+    words = {
+        Verdict.CONFIRMED: "The MPM confirms",
+        Verdict.AMBIGUOUS: f"Ambiguous: {count} separate answers"
+        if count > 1
+        else "Ambiguous: the MPM confirms a whole range of parameters",
+        Verdict.UNCONFIRMED: "The MPM does not confirm",
+        Verdict.UNREACHABLE: "No parameters within the bounds give the target, not even in the MPM",
+    }[found.verdict]
+    return f"**{words}**: {which} is {distance(found, first)}."
+
+
+def distance(found: Found, answer: Answer) -> str:
+    """Distance of the MPM at an answer from the target, beside the predictive interval."""
+    fit, text = answer.fit, found.target.observation.root_text
+    assert fit is not None, "a design has no target"
+    sources = {"noise": fit.noise, "scatter of flows": fit.scatter, "cells": fit.cells}
+    given = ", ".join(f"{name} {text(value)}" for name, value in sources.items() if value > 0.0)
+    many = f" (root mean square of {fit.numbers} numbers)" if fit.numbers > 1 else ""
+    where = "within" if fit.inside else "outside of"
+    return (
+        f"{text(fit.residual)} off the target{many}, {where} the {100.0 * CONFIDENCE:g} % predictive interval of "
+        f"± {text(fit.allowed)} ({given})"
+    )
+
+
+def numbers(found: Found) -> str:
+    """The numbers with their half-widths, of every answer."""
+    every = found.problem.numbers
+    if not every:
+        return ""
+    widths = found.answers[0].half_widths
+    if len(every) > NAMED and widths is not None:
+        order = np.argsort(widths / found.problem.box.range)
+        low, high = (f"{every[at].kind.text(widths[at])} (`{every[at].name}`)" for at in (order[0], order[-1]))
+        return f"{len(every)} parameters, with 95 % half-widths from {low} to {high}."
+    texts = []
+    for answer in found.answers:
+        share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
+        texts.append(
+            ", ".join(f"`{n}` = {text}" for n, text in zip(found.problem.names, cells(found, answer), strict=True))
+        )
+        texts[-1] += share
+    if widths is None:
+        return f"{texts[0]}."
+    meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
+    return f"{'; or '.join(texts)} ({meaning})."
+
+
+def cells(found: Found, answer: Answer) -> list[str]:
+    """Each number of an answer with its unit and half-width."""
+    widths = [None] * len(answer.parameters) if answer.half_widths is None else answer.half_widths.tolist()
+    return [
+        each.kind.text(value) + ("" if width is None else f" ± {each.kind.text(width)}")
+        for each, value, width in zip(found.problem.numbers, answer.parameters.tolist(), widths, strict=True)
+    ]
+
+
+def equifinality(found: Found) -> str:
+    """What the observation does not constrain, and which measurement would."""
+    if found.posterior is None or found.problem.target.minimise:
+        return ""
+    parts = []
+    if names := unidentified(found.problem, found.answers[0]):
+        known = [
+            f"{mix(each)} to ± {100.0 * each.half_width:.2g} % of the range"
+            for each in found.combinations
+            if each.identifiable
+        ]
+        listed = ", ".join(f"`{name}`" for name in names)
+        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known) or 'nothing'}")
+    if found.further:
+        best = ", ".join(each.name for each in found.further[:SUGGESTED])
+        parts.append(f"most would be decided by {best}")
+    return sentence(parts)
+
+
+def quality(found: Found) -> str:
+    """Errors against the truth, where it is known, and whether the model fits."""
+    parts, truth = [], found.target.truth
+    if truth:
+        every, unknowns = found.problem.numbers, found.unknowns
+        worst = max(every, key=lambda each: abs(unknowns[each.name] - truth[each.name]) / each.range)
+        error = worst.kind.text(unknowns[worst.name] - truth[worst.name])
+        which = "" if len(every) == 1 else f" (`{worst.name}`)"
+        known = found.answers[0].half_widths is not None
+        inside = f", {len(found.inside)} of {len(truth)} within the half-width" if known else ""
+        parts.append(f"error against the truth: {error}{which}{inside}")
+    fit = found.answers[0].fit
+    if fit is not None and fit.factor > 1.0:
+        parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain")
+    return sentence(parts)
+
+
+def sentence(parts: Sequence[str]) -> str:
+    """Parts as a sentence; empty without any."""
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def question(found: Found) -> str:
+    """What was asked, in a sentence."""
+    alike: dict[str, list[str]] = {}
+    for each in found.problem.numbers:
+        low, high = each.bounds
+        alike.setdefault(f"[{low:g}, {high:g}] {each.kind.unit}", []).append(f"`{each.name}`")
+    parts = [f"{', '.join(names)} in {bounds}" for bounds, names in alike.items()]
+    for field in found.fields:
+        settings, unit = field.unknown.settings, field.unknown.unit
+        nodes = " x ".join(map(str, field.unknown.grid.nodes))
+        prior = f"{settings.mean:g} ± {settings.deviation:g} {unit}"
+        parts.append(f"`{field.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m")
+    counted = Counter(each.name or each.kind for each in found.problem.observations)
+    what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
+    if len(found.problem.observations) == 1:
+        what = found.target.observation.label
+    return f"Unknown: {'; '.join(parts)}. Observed: {what}."
+
+
+def parameters_table(found: Found) -> list[str]:
+    """The numbers in a table: start, found with its half-width, truth and error where they are known."""
+    truth, widths, rows = found.target.truth, found.answers[0].half_widths, []
+    uncertainty = "may move by" if found.problem.target.minimise else "certain to (95 %)"
+    for index, each in enumerate(found.problem.numbers):
+        kind, value = each.kind, float(found.answer[index])
+        row = {"unknown": f"`{each.name}`", "start": kind.text(each.start), "found": f"**{kind.text(value)}**"}
+        if widths is not None:
+            row[uncertainty] = f"± {kind.text(float(widths[index]))}"
+        if truth:
+            row |= {"truth": kind.text(truth[each.name]), "error": kind.text(value - truth[each.name])}
+        if truth and widths is not None:
+            row["truth inside"] = "yes" if each.name in found.inside else "**no**"
+        rows.append(row)
+    return [table(list(rows[0]), [list(row.values()) for row in rows])] if rows else []
+
+
+def every_answer(found: Found) -> str:
+    """A line for each."""
+    head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
+    rows = [[*cells(found, each), f"{100.0 * each.weight:.0f} %", distance(found, each)] for each in found.answers]
+    return table(head, rows)
+
+
+def comparison(found: Found) -> str:
+    """What is shown at the answer beside the target."""
+    observation, runs = found.target.observation, len(found.answers[0].checks)
+    which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
+    rows = [] if found.problem.target.minimise else [["target", observation.text(found.target.values), "-"]]
+    rows.append([f"**{which}**", observation.text(found.predicted), f"{found.as_json()['loss'].popitem()[1]:.2e}"])
+    return table(["", "observed", "loss"], rows)
+
+
+def each_observation(found: Found, joint: Joint) -> str:
+    """Of several observations: each as measured and at the answer."""
+    measured, shown, rows = joint.raw(found.target.values), joint.raw(found.predicted), []
+    for part in joint.parts:
+        own, unit = part.numbers, part.observation.unit or "-"
+        residual = (shown - measured)[own] / joint.scale[own]
+        noise = (found.target.deviation * joint.scale)[own]
+        texts = [f"{brief(each)} {unit}" for each in (measured[own], shown[own], noise)]
+        rows.append([part.name, *texts, f"{float(np.sqrt(np.mean(residual**2))):.2g}"])
+    head = [
+        "observation",
+        "measured",
+        f"{found.forward}, at the answer",
+        "noise",
+        "residual [standard deviations, rms]",
+    ]
+    return table(head, rows)
+
+
+def brief(values: Values) -> str:
+    """Numbers in a cell of a table: all of a few, else the ends."""
+    if len(values) <= 3:
+        return ", ".join(f"{value:.4g}" for value in values)
+    return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
+
+
+def identified(field: FoundField) -> str:
+    """Which part of a field the observation tells, in a sentence."""
+    inside, box = field.unknown.inside, field.identified_box()
+    if box is None:
+        return f"The observation removes less than {100.0 * IDENTIFIED:.0f} % of the prior's variance of every value."
+    share = float(field.identified[inside].mean())
+    between = ", ".join(f"{name} from {low:.3g} to {high:.3g} m" for name, (low, high) in zip("xyz", box, strict=False))
+    return (
+        f"The observation removes more than {100.0 * IDENTIFIED:.0f} % of the prior's variance of "
+        f"{100.0 * share:.0f} % of the values, all of them at {between}; of the others the prior says more than "
+        "the observation."
+    )
+
+
+def field_table(field: FoundField) -> str:
+    """Widths and, of a twin, errors: of all values and of those that are identified."""
+    unit, inside, rows = field.unknown.unit, field.unknown.inside, []
+    head = ["", "values", f"deviation, prior [{unit}]", f"posterior [{unit}]"]
+    for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
+        if not where.any():
+            continue
+        numbers = [field.prior_deviation[where].mean(), field.deviation[where].mean()]
+        if field.truth is not None:
+            numbers += [field.error(where, field.unknown.settings.mean), field.error(where)]
+        row = [name, str(int(where.sum())), *(f"{value:.3g}" for value in numbers)]
+        rows.append(row if field.truth is None else [*row, f"{100.0 * (field.covered(where) or 0.0):.0f} %"])
+    if field.truth is not None:
+        head += [f"error of the prior's mean [{unit}]", f"of the found field [{unit}]", "truth within 95 %"]
+    return table(head, rows)
+
+
+def uncertainty(found: Found) -> list[str]:
+    """What the half-widths are made of."""
+    parts = list(found.notes)
+    if found.problem.target.minimise:
+        parts.append(
+            "A design has no truth. Each parameter may move by its half-width, the others with it, before the MPM "
+            "distinguishes what passes from its scatter."
+        )
+    if found.target.roughness > 1.0:
+        parts.append(
+            f"The measured heights scatter about their neighbours by {found.target.roughness:.2g} times the stated "
+            "noise: so much noise is counted."
+        )
+    fit = found.answers[0].fit
+    if fit is not None and fit.excess is not None:
+        text = (
+            f"The residuals of {fit.numbers} numbers are {fit.excess:.2g} times what noise, scatter and cells explain"
+        )
+        text = f"{text} (p = {fit.probability:.2g})" if fit.factor == 1.0 else f"**{text}** (p = {fit.probability:.1g})"
+        parts.append(f"{text}: {'the half-widths stay' if fit.factor == 1.0 else 'errors are counted so much larger'}.")
+    if len(found.combinations) > 1:
+        lines = [
+            f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "
+            f"to ± {100.0 * each.half_width:.2g} % of the range."
+            for each in found.combinations
+        ]
+        parts.append("\n".join(lines))
+    return parts
+
+
+def mix(combination: Combination) -> str:
+    """A combination in words: which parameters go up, and which go down with them."""
+    greatest = max(abs(weight) for weight in combination.weights.values())
+    heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
+    up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
+    down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
+    if not down:
+        return " and ".join(up) + (" up or down together" if len(up) > 1 else "")
+    return f"{' and '.join(up)} up while {' and '.join(down)} down"
+
+
+def search_table(found: Found) -> str:
+    """Every iteration; the MPM runs at answers."""
+    rows = []
+    for record in found.iterations:
+        row: dict[str, Any] = {}
+        for key, value in record.items():
+            if isinstance(value, dict) and key in ("unknowns", "mean", "deviation") and len(value) <= NAMED:
+                row |= {f"{'' if key == 'unknowns' else key + ', '}`{name}`": number for name, number in value.items()}
+            elif isinstance(value, bool | int | float):
+                row[key.replace("_", " ")] = value
+        rows.append(row)
+    text = tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
+    if found.surrogate:
+        text = f"Surrogate: {found.surrogate['reason']}.\n\n{text}"
+    return text
+
+
+def cost(found: Found) -> str:
+    """Runs, seconds and memory."""
+    runs = {
+        f"MPM runs, {purpose}": sum(each.purpose is purpose for each in found.mpm_runs)
+        for purpose in Purpose
+        if found.mpm_runs
+    }
+    counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
+    seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
+    row = {key: str(value) for key, value in (runs | counts | seconds).items()}
+    row["peak memory"] = f"{peak_memory_mib():.0f} MiB"
+    return table(list(row), [list(row.values())])
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown of cells that are text already."""
+    return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
+
+
+def summary(found: Found) -> str:
+    """The outcome for the terminal: the conclusion of the report."""
+    lines = [each.replace("**", "").replace("`", "") for each in conclusion(found)]
+    return "\n".join([f"{found.problem.name}: {found.verdict}", *(f"  {line}" for line in lines)])

@@ -1,1 +1,0 @@
-"""What an inversion leaves to read: tables, pictures, curves."""

@@ -1,0 +1,175 @@
+"""The target of an inversion: from a problem's observations to one operator, its numbers and their errors."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from datasets import measures
+from datasets.errors import InputError
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import KINDS
+from inverse.observations.joint import Joint, Part
+from inverse.observations.observation import Context, Errors, Matrix, Measurement, Observation, Values
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings, noise_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What the inversion is given (`observation`, `values` and their errors), and what reports alone use (the rest)."""
+
+    observation: Observation
+    """The operator with which the values were measured."""
+    values: Values
+    """The observed numbers, shape [M]."""
+    deviation: Values
+    """Standard deviation of each of the values by errors of the measurement, shape [M]."""
+    covariance: Matrix | None = None
+    """The same of values whose errors depend on each other, shape [M, M]."""
+    front: float = math.nan
+    """Front of the deposit [m], with which that of an MPM run is compared; nan where it is not known."""
+    cell: float | None = None
+    """Of the grid that the observed flow was simulated on [m]; None of a measured one."""
+    deposit: NDArray[np.floating] | None = None
+    """Where known: positions of the deposit [m], shape [N, D]."""
+    profile: tuple[Values, Values] | None = None
+    """Where it was measured: stations and heights of the deposit [m], both of shape [S]."""
+    roughness: float = 1.0
+    """By how much the heights of a measured profile scatter more than their stated noise; it is part of `deviation`."""
+    truth: dict[str, float] | None = None
+    """Where known: the true numbers."""
+
+    def misfit(self, values: Values) -> float:
+        """Misfit of `values` [M]; see `Observation.misfit`."""
+        return self.observation.misfit(values, self.values)
+
+    def front_error(self, deposit: NDArray[np.floating]) -> float:
+        """Relative error of the front of `deposit`, positions [m], shape [N, D]; nan where the target has none."""
+        return (measures.front(deposit) - self.front) / self.front
+
+    def errors_of(self, combinations: Matrix) -> Matrix:
+        """Covariance [r, r] of `combinations` [M, r] of the values by errors of the measurement."""
+        if self.covariance is not None:
+            return np.asarray(combinations.T @ self.covariance @ combinations)
+        return np.asarray((combinations.T * self.deviation**2) @ combinations)
+
+
+def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Target:
+    """The target of `problem`; the flow of a twin is made with `simulate`. Raises InputError, with its key or file.
+
+    On the numbers of a twin its stated noise is drawn.
+    """
+    measurements = read_each(problem)
+    run, truth = None, None
+    if problem.target.twin:
+        scene = problem.twin_scene
+        run, truth = simulate(scene), {each.name: each.kind.read(scene) for each in problem.numbers}
+    elif problem.target.trajectory is not None:
+        run = read_run(problem, measurements)
+    target = dataclasses.replace(assembled(problem, measurements, run), truth=truth or None)
+    if not problem.target.twin or not target.deviation.any():
+        return target
+    rng = np.random.default_rng(problem.target.seed)
+    if target.covariance is None:
+        drawn = target.deviation * rng.standard_normal(len(target.values))
+    else:
+        variances, axes = np.linalg.eigh(target.covariance)
+        drawn = axes @ (np.sqrt(np.maximum(variances, 0.0)) * rng.standard_normal(len(variances)))
+    return dataclasses.replace(target, values=target.values + drawn)
+
+
+def read_each(problem: Problem) -> list[Measurement]:
+    """Every observation of `problem` with its numbers. Raises InputError, which names the key or the file."""
+    context, found = Context(scene=problem.scene, folder=problem.folder, released=problem.released), []
+    for index, settings in enumerate(problem.observations):
+        try:
+            found.append(KINDS[settings.kind].read(settings, context))
+        except InputError as error:
+            if settings.csv is not None and error.key in ("", "times"):
+                raise error if error.where else error.at(str(problem.folder / settings.csv)) from None
+            key = f"observations[{index}].{error.key}".removesuffix(".")
+            raise error if error.where else InputError(error.message, key=key) from None
+    return found
+
+
+def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajectory:
+    """The observed trajectory of a file. Raises InputError, which names it."""
+    path = problem.folder / str(problem.target.trajectory)
+    run = Trajectory.load(path)
+    try:
+        if run.scene.dimension != problem.scene.dimension:
+            expected = f"a {problem.scene.dimension}D trajectory as the scene's"
+            raise InputError(f"expected {expected}, got {run.scene.dimension}D")
+        for each in measurements:
+            each.observation.check_run(run, problem.scene)
+    except InputError as error:
+        raise error.at(str(path)) from None
+    return run
+
+
+def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajectory | None) -> Target:
+    """The target of measurements; run: the flow that was observed, where it is known."""
+    cell = problem.scene.domain.cell
+    values: list[Values] = []
+    errors: list[Errors] = []
+    parts: list[Part] = []
+    for settings, each in zip(problem.observations, measurements, strict=True):
+        own, profile = each.values, each.profile
+        if own is None and run is not None:
+            own, profile = each.observation.observe(run), each.observation.profile_of(run)
+        # A design has none, and is to be as small as possible.
+        own = np.zeros(1) if own is None else own
+        share, noise = noise_of(settings.noise)
+        errors.append(each.observation.errors(own, profile, share=share, noise=noise, cell=cell))
+        first = sum(len(before) for before in values)
+        name = settings.name or name_of(settings, problem.observations[: len(parts)])
+        parts.append(Part(name=name, observation=each.observation, numbers=slice(first, first + len(own))))
+        values.append(own)
+    deposit = None if run is None else run.positions[-1]
+    profile = measurements[0].profile
+    front = math.nan if problem.target.minimise else parts[0].observation.front(values[0])
+    target = Target(
+        observation=parts[0].observation,
+        values=values[0],
+        deviation=errors[0].deviation,
+        covariance=errors[0].covariance,
+        front=front if deposit is None else measures.front(deposit),
+        cell=None if run is None else run.scene.domain.cell,
+        deposit=deposit,
+        profile=None if profile is None or len(parts) > 1 else (profile.x, profile.height),
+        roughness=max(each.roughness for each in errors),
+    )
+    return target if len(parts) == 1 else joined(target, values, errors, parts, cell)
+
+
+def joined(
+    first: Target, values: Sequence[Values], errors: Sequence[Errors], parts: Sequence[Part], cell: float
+) -> Target:
+    """The target of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
+    noise = np.concatenate([each.deviation for each in errors])
+    prior = [part.observation.prior_scatter(own, cell) for part, own in zip(parts, values, strict=True)]
+    scale = np.hypot(noise, np.concatenate(prior))
+    if not np.all(scale > 0.0):
+        name = next(part.name for part in parts if not np.all(scale[part.numbers] > 0.0))
+        raise InputError(f"expected a noise above 0 for {name}, whose numbers are all 0", key="observations")
+    blocks = [np.diag(each.deviation**2) if each.covariance is None else each.covariance for each in errors]
+    return dataclasses.replace(
+        first,
+        observation=Joint(parts, scale, np.concatenate(prior)),
+        values=np.concatenate(values) / scale,
+        deviation=noise / scale,
+        covariance=block_diag(*blocks) / np.outer(scale, scale),
+        front=math.nan if first.deposit is None else first.front,
+    )
+
+
+def name_of(settings: ObservationSettings, others: Sequence[ObservationSettings]) -> str:
+    """The name of an observation that has none: its kind, counted where others have the same."""
+    same = sum(other.kind == settings.kind for other in others)
+    return settings.kind if same == 0 else f"{settings.kind} {same + 1}"
