@@ -37,12 +37,13 @@ def main(
     memory_gib
         Activations that the backward pass may find ready, instead of computing them again [GiB].
     """
-    # Imported here: torch takes seconds to load, and help has no use for it.
-    from inverse.inversion import invert
+    # Imported here: torch takes seconds to load, and help has no use for it, nor a wrong problem for the solver.
     from inverse.problem import read_problem
-    from inverse.report import summary
 
     asked = read_problem(problem)
+    from inverse.inversion import invert
+    from inverse.report import summary
+
     result = invert(asked, forward=forward, gradient=gradient, model=model, memory_gib=memory_gib, out=out)
     print(summary(result))
 

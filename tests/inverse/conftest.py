@@ -13,8 +13,9 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse.parameters import kind
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, TargetSettings
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
 ROUGH: dict[str, Any] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
@@ -109,7 +110,7 @@ def problem_of(flow: int | str, *names: str, observed: str = "deposit") -> Probl
         folder=Path(),
         scene=scene,
         parameters=tuple(parameters),
-        observation=ObservationSettings(kind=observed, line=line, spacing=0.02),
+        observations=(ObservationSettings(kind=observed, line=line, spacing=0.02),),
         target=TargetSettings(twin=True),
     )
 

@@ -9,7 +9,7 @@ import pytest
 from datasets.command_line import run
 from datasets.library import read_scene
 from gns import checkpoint
-from inverse import ObservationSettings, Parameter, Problem, TargetSettings, invert, read_problem
+from inverse import ObservationSettings, Parameter, Problem, invert, read_problem
 from inverse.__main__ import main
 
 SCENE = """
@@ -38,15 +38,12 @@ name = "baffles[0].height"
 initial = 0.02
 lower = 0.01
 upper = 0.05
-learning_rate = 0.001
-[observation]
+[[observations]]
 KIND
-[target]
 TARGET
 [optimiser]
 method = "METHOD"
 max_iterations = 3
-max_trials = 4
 """
 PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
 TOE = ('kind = "toe"', "values = [0.12, 0.01]")
@@ -55,10 +52,9 @@ TOE = ('kind = "toe"', "values = [0.12, 0.01]")
 @pytest.mark.parametrize(
     ("gradient", "method", "observed", "records"),
     [
-        ("ad", "adam", PASSED, 3),
+        ("ad", "lbfgs-b", PASSED, 3),
         ("fd", "gauss-newton", TOE, 3),
         ("ad", "secants", TOE, 9 + 3),
-        ("none", "lbfgs-b", PASSED, 4),
     ],
 )
 def test_an_inversion(
@@ -79,7 +75,7 @@ def test_an_inversion(
     result = json.loads((out / "result.json").read_text())
     assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
     assert 1 <= len(result["iterations"]) <= records
-    assert (result["iterations"][0]["gradient"] is None) == (gradient == "none" or method == "secants")
+    assert (result["iterations"][0]["gradient"] is None) == (method == "secants")
     assert result["loss"]["surrogate"] <= result["loss"]["initial"]
     assert result["seconds"]["mpm"] < 0.1
     assert "m/s" in (out / "report.md").read_text()
@@ -89,9 +85,9 @@ def test_an_inversion(
 def test_the_mpm_by_its_adjoint_and_by_differences(tmp_path: Path) -> None:
     """Of the velocity of a slide: the first gradients agree, and the adjoint's search gets nearer to the target."""
     (tmp_path / "scene.toml").write_text(SCENE.split("[[baffles]]")[0])
-    unknowns, rest = PROBLEM.split("[observation]")
+    unknowns, rest = PROBLEM.split("[[observations]]")
     head = unknowns.split("[[unknowns]]")
-    text = "[[unknowns]]".join(head[:2]) + "step = 0.05\n[observation]" + rest
+    text = "[[unknowns]]".join(head[:2]) + "step = 0.05\n[[observations]]" + rest
     text = text.replace("KIND", 'kind = "front"').replace("TARGET", "value = 0.13").replace("METHOD", "lbfgs-b")
     (tmp_path / "problem.toml").write_text(text)
     results = []
@@ -103,7 +99,7 @@ def test_the_mpm_by_its_adjoint_and_by_differences(tmp_path: Path) -> None:
     ours, theirs = (each["iterations"][0]["gradient"]["masses[0].velocity_x"] for each in results)
     # The adjoint is of the smooth front, differences are of the exact one.
     assert ours == pytest.approx(theirs, rel=0.3)
-    assert results[0]["loss"]["surrogate"] < 0.2 * results[0]["loss"]["initial"]
+    assert results[0]["loss"]["mpm"] < 0.2 * results[0]["loss"]["initial"]
 
 
 def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
@@ -118,10 +114,9 @@ def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
         scene=read_scene(str(tmp_path / "scene.toml")),
         parameters=(
             Parameter(name="masses[0].velocity_x", initial=0.5, lower=0.0, upper=1.5),
-            Parameter(name="baffles[0].height", initial=0.02, lower=0.01, upper=0.05, learning_rate=0.001),
+            Parameter(name="baffles[0].height", initial=0.02, lower=0.01, upper=0.05),
         ),
-        observation=ObservationSettings(kind="toe"),
-        target=TargetSettings(values=(0.12, 0.01)),
+        observations=(ObservationSettings(kind="toe", values=(0.12, 0.01)),),
         optimiser=read.optimiser,
     )
     results = [invert(each, model=tmp_path / "tiny.safetensors") for each in (read, built)]

@@ -9,13 +9,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inverse.bounds import Bounds
 from inverse.jacobian import automatic, by_differences, central
-from inverse.optimise import best, explore, minimise
-from inverse.problem import Problem, read_problem
+from inverse.optimise import minimise
+from inverse.problem import Bounds, Problem, read_problem
+from inverse.secants import lowest
 from inverse.settings import Method, OptimiserSettings
 
-BOUNDS = Bounds(lower=np.array([12.0]), upper=np.array([52.0]))
+BOUNDS = Bounds(np.array([12.0]), np.array([52.0]))
 SCALE = torch.tensor([1.0, 0.7, 0.3], dtype=torch.float64)
 
 
@@ -67,7 +67,7 @@ def test_differences_cost_two_predictions_per_parameter(problem: Problem) -> Non
 def test_lbfgsb_finds_the_truth_in_few_gradients(truth: float, start: float) -> None:
     settings = OptimiserSettings(stop_below=1.0e-10)
     records = minimise(automatic(Formula(), at(truth)), np.array([start]), BOUNDS, settings)
-    assert best(records).parameters[0] == pytest.approx(truth, abs=0.02)
+    assert lowest(records).parameters[0] == pytest.approx(truth, abs=0.02)
     assert len(records) <= 10
     assert all(12.0 <= record.parameters[0] <= 52.0 for record in records)
 
@@ -83,35 +83,21 @@ def test_lbfgsb_leaves_a_ridge_for_the_middle_of_the_box() -> None:
     settings = OptimiserSettings(stop_below=1e-10)
     records = minimise(evaluate, np.array([30.001]), BOUNDS, settings)
     assert records[1].parameters[0] == BOUNDS.middle[0]
-    assert best(records).parameters[0] == pytest.approx(40.0, abs=0.05)
+    assert lowest(records).parameters[0] == pytest.approx(40.0, abs=0.05)
     # Downhill it stays where it is.
     assert minimise(evaluate, np.array([30.5]), BOUNDS, settings)[1].parameters[0] != BOUNDS.middle[0]
 
 
-def test_the_papers_gradient_descent_stops_by_its_own_rule() -> None:
-    settings = OptimiserSettings(
-        method=Method.GRADIENT_DESCENT, learning_rate=500.0, stop_below=5.0e-4, max_iterations=60
-    )
-    evaluate = automatic(Formula(), at(42.0))
-    records = minimise(evaluate, np.array([30.0]), BOUNDS, settings)
-    assert records[-1].loss < 5.0e-4 <= records[-2].loss
-    # The first step by hand.
-    first = evaluate(np.array([30.0]))
-    np.testing.assert_allclose(records[1].parameters, 30.0 - 500.0 * first.gradient)
-
-
 @pytest.mark.parametrize("method", [each for each in Method if each is not Method.SECANTS])
 def test_an_optimum_beyond_the_bounds_ends_on_the_bound(method: Method) -> None:
-    settings = OptimiserSettings(method=method, stop_below=1.0e-10, max_iterations=40, learning_rate=5000.0)
+    settings = OptimiserSettings(method=method, stop_below=1.0e-10, max_iterations=40)
     records = minimise(automatic(Formula(), at(8.0), with_jacobian=True), np.array([30.0]), BOUNDS, settings)
-    assert best(records).parameters[0] == pytest.approx(12.0, abs=0.02)
+    assert lowest(records).parameters[0] == pytest.approx(12.0, abs=0.02)
 
 
 def test_the_budget_is_kept() -> None:
-    settings = OptimiserSettings(
-        method=Method.GRADIENT_DESCENT, max_iterations=4, stop_below=1.0e-12, learning_rate=100.0
-    )
-    assert len(minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings)) == 4
+    settings = OptimiserSettings(max_iterations=3, stop_below=1.0e-12)
+    assert len(minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings)) == 3
 
 
 def test_a_forward_gone_to_nan_ends_the_search_and_is_not_its_answer() -> None:
@@ -119,34 +105,10 @@ def test_a_forward_gone_to_nan_ends_the_search_and_is_not_its_answer() -> None:
 
     def breaks(point: NDArray[np.float64]):  # type: ignore[no-untyped-def]
         record = evaluate(point)
-        return dataclasses.replace(record, loss=float("nan")) if point[0] > 33.0 else record
+        return dataclasses.replace(record, residual=np.nan * record.residual) if point[0] > 33.0 else record
 
     records = minimise(breaks, np.array([30.0]), BOUNDS, OptimiserSettings())
-    assert best(records).parameters[0] == 30.0
-
-
-def test_adam_is_torchs_in_the_unit_of_the_parameter() -> None:
-    settings = OptimiserSettings(method=Method.ADAM, learning_rate=0.5, max_iterations=12, stop_below=1e-12)
-    records = minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings)
-    angle = torch.tensor([30.0], dtype=torch.float64, requires_grad=True)
-    adam = torch.optim.Adam([angle], lr=0.5)
-    path = []
-    for _ in range(12):
-        path.append(angle.item())
-        adam.zero_grad()
-        ((Formula().predict(angle) - torch.from_numpy(at(42.0))) ** 2).mean().backward()
-        adam.step()
-    assert path[1] == pytest.approx(30.5)
-    np.testing.assert_allclose([record.parameters[0] for record in records], path, rtol=1e-12)
-
-
-def test_a_parameter_may_have_a_rate_of_its_own() -> None:
-    settings = OptimiserSettings(method=Method.ADAM, learning_rate=0.5, max_iterations=2, stop_below=1e-12)
-    records = minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings, rates=[2.0])
-    assert records[1].parameters[0] == pytest.approx(32.0)
-    unstated = dataclasses.replace(settings, learning_rate=None)
-    records = minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, unstated)
-    assert records[1].parameters[0] == pytest.approx(30.0 + 0.02 * 40.0)
+    assert lowest(records).parameters[0] == 30.0
 
 
 @pytest.mark.parametrize("truth", [12.5, 21.0, 51.0])
@@ -155,9 +117,9 @@ def test_gauss_newton_finds_the_truth_in_few_jacobians(problem: Problem, truth: 
     settings = OptimiserSettings(method=Method.GAUSS_NEWTON, stop_below=1.0e-10)
     evaluate = automatic(Formula(), at(truth), with_jacobian=True)
     if differences:
-        evaluate = central(Formula(), at(truth), problem.steps, with_jacobian=True)
+        evaluate = central(Formula(), at(truth), problem.steps)
     records = minimise(evaluate, np.array([30.0]), BOUNDS, settings)
-    assert best(records).parameters[0] == pytest.approx(truth, abs=0.02)
+    assert lowest(records).parameters[0] == pytest.approx(truth, abs=0.02)
     assert len(records) <= 10
 
 
@@ -171,21 +133,3 @@ def test_components_weigh_the_loss_and_its_gradient(problem: Problem) -> None:
     ):
         assert three.loss == pytest.approx(3.0 * one.loss)
         np.testing.assert_allclose(three.slope, 3.0 * one.slope, rtol=1e-9)
-
-
-def test_a_search_without_gradients_keeps_every_prediction_and_its_budget(problem: Problem) -> None:
-    settings = OptimiserSettings(max_trials=25, stop_below=1e-12, seed=3)
-    asked = dataclasses.replace(problem, optimiser=settings)
-    forward = Formula()
-    records = explore(forward, at(24.0), asked, at_once=2)
-    assert forward.predictions == len(records) == 25
-    assert records[0].parameters[0] == problem.parameters[0].initial
-    assert all(record.gradient is None and 12.0 <= record.parameters[0] <= 52.0 for record in records)
-    assert best(records).parameters[0] == pytest.approx(24.0, abs=3.0)
-    again = explore(Formula(), at(24.0), asked, at_once=2)
-    np.testing.assert_array_equal([each.parameters for each in again], [each.parameters for each in records])
-
-
-def test_a_search_without_gradients_stops_when_it_is_there(problem: Problem) -> None:
-    asked = dataclasses.replace(problem, optimiser=OptimiserSettings(stop_below=1e-3))
-    assert explore(Formula(), at(30.0), asked)[-1].loss < 1e-3

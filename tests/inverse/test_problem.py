@@ -13,10 +13,10 @@ from datasets.trajectory import Trajectory
 from inverse.__main__ import main
 from inverse.observations import build
 from inverse.observations.profile import SHARES, Profile
-from inverse.observations.reading import read_target
 from inverse.parameters import kind
 from inverse.problem import PROBLEMS, Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
+from inverse.target import read_target
 
 GOOD = """
 scene = "column-tall-42"
@@ -25,10 +25,10 @@ name = "friction_deg"
 initial = 30.0
 lower = 12.0
 upper = 52.0
-[observation]
+[[observations]]
 kind = "front"
-[target]
 value = 0.55
+[target]
 """
 
 
@@ -42,10 +42,10 @@ def written(folder: Path, text: str) -> str:
 def test_a_shipped_problem_reads(path: Path) -> None:
     problem = read_problem(path.stem)
     assert problem.name == path.stem
-    assert problem.twin_scene.seed != problem.scene.seed
+    assert not problem.target.twin or problem.twin_scene.seed != problem.scene.seed
     if path.stem.startswith("friction-"):
         kind = "profile" if path.stem.endswith("profile") else "front"
-        assert problem.observation.kind == kind
+        assert problem.observations[0].kind == kind
 
 
 def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
@@ -58,14 +58,26 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose([kind(name).read(baffles.scene) for name in baffles.names], baffles.initial)
     true = [kind(name).read(baffles.twin_scene) for name in baffles.names]
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
-    rates = (velocities.optimiser.learning_rate, baffles.optimiser.learning_rate)
-    assert rates == (0.1, 0.01)
 
 
-def test_keys_of_older_files_are_read(tmp_path: Path) -> None:
-    with pytest.warns(FutureWarning, match=r"optimiser\.start is no longer used"):
-        old = read_problem(written(tmp_path, GOOD + '[optimiser]\nmax_iterations = 7\nstart = "frames"\n'))
-    assert old.optimiser.max_iterations == 7
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        (GOOD.replace("[[observations]]", "[observation]"), "observation"),
+        (GOOD.replace("[[unknowns]]", "[[fields]]"), "fields"),
+    ],
+)
+def test_the_former_notation_gets_one_clear_line(text: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"{key}: expected \[\[(observations|unknowns)\]\]"):
+        read_problem(written(tmp_path, text))
+
+
+def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="friction_deg") as caught:
+        read_problem(written(tmp_path, GOOD.replace('"friction_deg"', '"phi"')))
+    assert "masses[0].height" in caught.value.message
+    assert "baffles" not in caught.value.message
+    assert "solids" not in caught.value.message
 
 
 def test_the_eight_friction_problems_ship() -> None:
@@ -76,16 +88,16 @@ def test_the_eight_friction_problems_ship() -> None:
     ("old", "new", "key"),
     [
         ('kind = "front"', 'knid = "front"', "knid"),
-        ('kind = "front"', 'kind = "fornt"', "observation.kind"),
-        ('kind = "front"', 'kind = "front"\nspacing = 0.0', "observation.spacing"),
-        ("value = 0.55", "", "target"),
-        ("value = 0.55", "value = 0.55\ntwin = true", "target"),
-        ("value = 0.55", "value = 1.55", "target.value"),
-        ("value = 0.55", "value = true", "target.value"),
-        ("value = 0.55", 'csv = "profile.csv"', "target.csv"),
-        ("value = 0.55", "twin = true\nseed = 0", "target.seed"),
-        ("value = 0.55", "twin = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
-        ("value = 0.55", "value = 0.55\nnoise = -1.0", "target.noise"),
+        ('kind = "front"', 'kind = "fornt"', "observations[0].kind"),
+        ('kind = "front"', 'kind = "front"\nspacing = 0.0', "observations[0].spacing"),
+        ("value = 0.55", "", "observations[0]"),
+        ("value = 0.55", "value = 0.55\ntwin = true", "observations[0].twin"),
+        ("value = 0.55", "value = 1.55", "observations[0].value"),
+        ("value = 0.55", "value = true", "observations[0].value"),
+        ("value = 0.55", 'csv = "profile.csv"', "profile.csv"),
+        ("value = 0.55\n[target]", "[target]\ntwin = true\nseed = 0", "target.seed"),
+        ("value = 0.55\n[target]", "[target]\ntwin = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
+        ("value = 0.55", "value = 0.55\nnoise = -1.0", "observations[0].noise"),
         ('"friction_deg"', '"frictoin_deg"', "unknowns[0].name"),
         ("initial = 30.0", "initial = 60.0", "unknowns[0].initial"),
         ("lower = 12.0", "lower = -1.0", "unknowns[0].lower"),
@@ -96,7 +108,6 @@ def test_the_eight_friction_problems_ship() -> None:
         ("[target]", "[optimiser]\nmax_iterations = 0\n[target]", "optimiser.max_iterations"),
         ("[target]", "[loop]\nmpm_runs = 0\n[target]", "loop.mpm_runs"),
         ("[target]", "[loop]\nmpm_seconds = 0.0\n[target]", "loop.mpm_seconds"),
-        ("[target]", "[loop]\nconfirm_within = -0.1\n[target]", "loop.confirm_within"),
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"masses[1].friction_deg"', "unknowns[0].name"),
         ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),
@@ -104,16 +115,15 @@ def test_the_eight_friction_problems_ship() -> None:
         ('"friction_deg"', '"masses.velocity_x"', "unknowns[0].name"),
         ('"friction_deg"', '"friction_deg[0]"', "unknowns[0].name"),
         ("upper = 52.0", "upper = 52.0\nstep = 0.0", "unknowns[0].step"),
-        ("value = 0.55", "values = [0.5, 0.1]", "target.values"),
-        ('kind = "front"', 'kind = "front"\nline = 0.5', "observation.line"),
-        ('kind = "front"', 'kind = "passed"', "observation.line"),
-        ('kind = "front"', 'kind = "passed"\nline = 1.0', "observation.line"),
-        ('kind = "front"', 'kind = "passed"\nline = 0.5\nwidth = 0.0', "observation.width"),
-        ('kind = "front"', 'kind = "toe"', "target.value"),
-        ('kind = "front"', 'kind = "deposit"', "target.value"),
-        ('kind = "front"', 'kind = "profile"', "target.value"),
+        ("value = 0.55", "values = [0.5, 0.1]", "observations[0].values"),
+        ('kind = "front"', 'kind = "front"\nline = 0.5', "observations[0].line"),
+        ('kind = "front"', 'kind = "passed"', "observations[0].line"),
+        ('kind = "front"', 'kind = "passed"\nline = 1.0', "observations[0].line"),
+        ('kind = "front"', 'kind = "passed"\nline = 0.5\nwidth = 0.0', "observations[0].width"),
+        ('kind = "front"', 'kind = "toe"', "observations[0].value"),
+        ('kind = "front"', 'kind = "deposit"', "observations[0].value"),
+        ('kind = "front"', 'kind = "profile"', "observations[0].value"),
         ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
-        ("[target]", "[optimiser]\nmax_trials = 0\n[target]", "optimiser.max_trials"),
     ],
 )
 def test_a_wrong_problem_is_one_line_and_status_2(
@@ -131,13 +141,12 @@ def test_a_wrong_problem_is_one_line_and_status_2(
 
 def test_a_toe_is_two_or_three_numbers_and_a_deposit_has_no_jacobian(tmp_path: Path) -> None:
     toe = GOOD.replace('"front"', '"toe"').replace("value = 0.55", "values = [0.5, 0.1, 0.2]")
-    with pytest.raises(InputError, match=r"target\.values: expected 2 coordinates"):
+    with pytest.raises(InputError, match=r"observations\[0\]\.values: expected 2 numbers"):
         read_problem(written(tmp_path, toe))
-    assert read_problem(written(tmp_path, toe.replace(", 0.2]", "]"))).target.values == (0.5, 0.1)
-    whole = GOOD.replace('"front"', '"deposit"').replace("value = 0.55", "twin = true")
-    newton = whole.replace("[target]", '[optimiser]\nmethod = "gauss-newton"\n[target]')
+    assert read_problem(written(tmp_path, toe.replace(", 0.2]", "]"))).observations[0].values == (0.5, 0.1)
+    whole = GOOD.replace('"front"\nvalue = 0.55\n[target]', '"deposit"\n[target]\ntwin = true')
     with pytest.raises(InputError, match=r"optimiser\.method"):
-        read_problem(written(tmp_path, newton))
+        read_problem(written(tmp_path, whole + '[optimiser]\nmethod = "gauss-newton"\n'))
 
 
 def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
@@ -154,9 +163,9 @@ def test_missing_weights_are_status_2(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "none.safetensors" in capfd.readouterr().err
 
 
-def small(kind: str, folder: Path, target: TargetSettings) -> Problem:
-    problem = read_problem("friction-tall-42")
-    return dataclasses.replace(problem, observation=ObservationSettings(kind=kind), folder=folder, target=target)
+def small(kind: str, folder: Path, target: TargetSettings | None = None, **measured: str) -> Problem:
+    problem, settings = read_problem("friction-tall-42"), ObservationSettings(kind=kind, **measured)  # type: ignore[arg-type]
+    return dataclasses.replace(problem, observations=(settings,), folder=folder, target=target or TargetSettings())
 
 
 def fall(scene: Scene) -> Trajectory:
@@ -187,7 +196,7 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     problem = small("profile", tmp_path, TargetSettings(trajectory="seen.npz"))
     seen = fall(problem.scene)
     seen.save(tmp_path / "seen.npz")
-    observation = build(problem.observation, problem.scene)
+    observation = build(problem.observations[0], problem.scene)
     assert isinstance(observation, Profile)
     target = read_target(problem, fall)
     assert target.truth is None
@@ -198,7 +207,7 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
 def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
     rows = "".join(f"{x:.2f},{0.4 - x:.2f}\n" for x in np.linspace(0.0, 0.4, 21))
     (tmp_path / "profile.csv").write_text("x,height\n" + rows)
-    problem = small("profile", tmp_path, TargetSettings(csv="profile.csv"))
+    problem = small("profile", tmp_path, csv="profile.csv")
     target = read_target(problem, fall)
     assert target.profile is not None
     np.testing.assert_allclose(target.profile[1][:3], [0.4, 0.38, 0.36])
@@ -222,7 +231,7 @@ def test_a_measured_profile_is_a_target(tmp_path: Path) -> None:
 )
 def test_a_wrong_csv_names_the_file(text: str, tmp_path: Path) -> None:
     (tmp_path / "profile.csv").write_text(text)
-    problem = small("profile", tmp_path, TargetSettings(csv="profile.csv"))
+    problem = small("profile", tmp_path, csv="profile.csv")
     with pytest.raises(InputError, match=r"profile\.csv"):
         read_target(problem, fall)
 

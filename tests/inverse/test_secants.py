@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from inverse.bounds import Bounds
-from inverse.jacobian import observed, without_gradient
-from inverse.optimise import best, minimise
-from inverse.secants import MORE, MOST, fitted, least_squares_step, lowest, residual, sample
+from inverse.forward.interface import Evaluation
+from inverse.jacobian import observed
+from inverse.optimise import minimise
+from inverse.problem import Bounds
+from inverse.secants import MORE, MOST, fitted, least_squares_step, lowest, sample
 from inverse.settings import Method, OptimiserSettings
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,7 @@ class Curved:
 
 
 def box(parameters: int) -> Bounds:
-    return Bounds(lower=np.full(parameters, -1.0), upper=np.full(parameters, 3.0))
+    return Bounds(np.full(parameters, -1.0), np.full(parameters, 3.0))
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 10])
@@ -39,8 +40,12 @@ def test_the_truth_is_found_in_few_runs(parameters: int) -> None:
     (target,) = forward.observe([truth])
     spread = sample(forward, target, np.zeros(parameters), bounds)
     assert len(spread) == parameters + MORE + 1
-    found = minimise(without_gradient(forward, target), np.zeros(parameters), bounds, SETTINGS, sample=spread)
-    np.testing.assert_allclose(best([*spread, *found]).parameters, truth, atol=0.01)
+
+    def evaluate(at: Floats) -> Evaluation:
+        return observed(forward, target, [at])[0]
+
+    found = minimise(evaluate, np.zeros(parameters), bounds, SETTINGS, sample=spread)
+    np.testing.assert_allclose(lowest([*spread, *found]).parameters, truth, atol=0.01)
     assert forward.runs == 1 + len(spread) + len(found) < 40
 
 
@@ -77,4 +82,3 @@ def test_a_run_that_failed_is_left_out() -> None:
     broken = observed(forward, np.full(60, np.nan), [np.full(2, 0.4)])
     assert np.isfinite(lowest([*broken, *found]).loss)
     np.testing.assert_array_equal(fitted([*found, *broken], found[0], box(2)), fitted(found, found[0], box(2)))
-    np.testing.assert_allclose(residual(found[1]), found[1].observation - target)

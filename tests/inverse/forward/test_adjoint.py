@@ -9,11 +9,12 @@ import torch
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.forward.adjoint import AdjointForward, Flow, ParticleRun, Run
-from inverse.jacobian import automatic, by_ad
+from inverse.jacobian import automatic
 from inverse.observations import build
 from inverse.observations.impulse import Impulse, PeakForce
 from inverse.parameters import with_parameters
-from inverse.problem import Parameter, Problem
+from inverse.parameters.parameter import Parameter
+from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import LAST, simulate, simulate_many
 
@@ -102,7 +103,7 @@ def problem() -> Problem:
         name="slide",
         scene=SCENE,
         parameters=parameters,
-        observation=ObservationSettings(kind="deposit"),
+        observations=(ObservationSettings(kind="deposit"),),
         target=TargetSettings(twin=True, truth=dict(zip(NAMES[:2], VALUES[:2].tolist(), strict=True))),
     )
 
@@ -125,8 +126,8 @@ def test_the_jacobian_of_a_few_numbers(problem: Problem) -> None:
     """Row by row by `torch`, from one run with checkpoints."""
     observation = build(ObservationSettings(kind="toe"), SCENE)
     forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
-    rows = by_ad(forward, VALUES[:2])
-    assert rows.shape[1] == 2
+    rows = automatic(forward, np.zeros(2), with_jacobian=True)(VALUES[:2]).jacobian
+    assert rows is not None
     step = 1e-6
     change = np.array([0.0, step])
     ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
@@ -137,9 +138,12 @@ def test_the_force_on_a_baffle(problem: Problem) -> None:
     """Its largest value and the impulse at two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.05)
     walled = dataclasses.replace(problem, scene=scene)
-    for observation in (Impulse(0, 0, np.array([0.021, 0.05])), PeakForce(0, 0, 0.01)):
+    impulse, force = ObservationSettings(kind="impulse"), ObservationSettings(kind="peak-force", window=0.01)
+    for observation in (Impulse(impulse, scene, np.array([0.021, 0.05])), PeakForce(force, scene)):
         forward = AdjointForward(walled, observation, simulate_many, precision="f64", threads=1)
-        rows = by_ad(forward, VALUES[:2])
+        count = len(observation.observe(simulate(scene, precision="f64", threads=1)))
+        rows = automatic(forward, np.zeros(count), with_jacobian=True)(VALUES[:2]).jacobian
+        assert rows is not None
         exact = observation.observe(simulate(scene, precision="f64", threads=1))
         np.testing.assert_allclose(forward.observe([VALUES[:2]])[0], exact, rtol=1e-6)
         for index, step in enumerate(STEPS[:2]):

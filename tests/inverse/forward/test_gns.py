@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
-from datasets.trajectory import Trajectory
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
-from inverse.forward.gns import GnsForward, GnsSource
+from inverse.forward.gns import GnsForward
 from inverse.jacobian import automatic, by_differences
 from inverse.observations import Rollout, build
-from inverse.observations.front import FrontOverTime
+from inverse.observations.front import Front
 from inverse.observations.gauges import Gauges
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
@@ -30,22 +28,23 @@ def problem() -> Problem:
         masses=(Mass(lower=(0.0, 0.0), size=(0.06, 0.08)),),
         duration=0.15,
     )
-    return dataclasses.replace(shipped, scene=scene, target=TargetSettings(value=0.1))
+    front = ObservationSettings(kind="front", value=0.1)
+    return dataclasses.replace(shipped, scene=scene, observations=(front,), target=TargetSettings())
 
 
-def source(problem: Problem, kind: str = "front", memory_gib: float = 1.0) -> GnsSource:
+def forward_of(problem: Problem, kind: str = "front", memory_gib: float = 1.0, seed: int | None = None) -> GnsForward:
     torch.manual_seed(0)
     settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
     scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
     observation = build(ObservationSettings(kind=kind), problem.scene)
-    return GnsSource(Simulator(settings, scales), problem, observation, memory_gib)
+    return GnsForward(Simulator(settings, scales), problem, observation, memory_gib, seed=seed)
 
 
 def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:
     """The same flow ten times as large: the same model's deposit, ten times as large."""
     large = dataclasses.replace(problem, scene=scaled(problem.scene, 10.0))
-    small = source(problem).start(None)
-    other = source(large).start(None)
+    small = forward_of(problem)
+    other = forward_of(large)
     assert (small.steps, len(small.indices)) == (other.steps, len(other.indices))
     assert small.initial.times[-1] == pytest.approx(problem.scene.duration)
     assert other.initial.times[-1] == pytest.approx(large.scene.duration)
@@ -70,34 +69,20 @@ def scaled(scene: Scene, factor: float) -> Scene:
     )
 
 
-def test_the_jitter_is_that_of_the_run_beside_it(problem: Problem) -> None:
-    angle, maker = np.array([30.0]), source(problem)
-    other = maker.start(at_rest(dataclasses.replace(problem.scene, seed=5)))
-    assert np.abs(other.deposit(angle)[:20] - maker.start(None).deposit(angle)[:20]).max() > 1e-4
-    again = maker.start(at_rest(problem.scene))
-    np.testing.assert_array_equal(again.deposit(angle), maker.start(None).deposit(angle))
-
-
-def at_rest(scene: Scene) -> Trajectory:
-    """A run of `scene` in which nothing moves."""
-    points = initial_particles(scene)
-    return Trajectory(
-        positions=points.positions[None].astype(np.float32),
-        time=np.zeros(1),
-        velocity0=points.velocities.astype(np.float32),
-        friction=points.friction,
-        scene=scene,
-    )
+def test_the_jitter_is_that_of_its_seed(problem: Problem) -> None:
+    angle, own = np.array([30.0]), forward_of(problem)
+    assert np.abs(forward_of(problem, seed=5).deposit(angle)[:20] - own.deposit(angle)[:20]).max() > 1e-4
+    np.testing.assert_array_equal(forward_of(problem, seed=problem.scene.seed).deposit(angle), own.deposit(angle))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.37, 1.0])
 def test_between_two_steps_particles_move_straight(problem: Problem, share: float) -> None:
     """Times are those of the scene, whatever the model's step."""
-    maker = source(problem)
-    steps = maker.start(None).initial.times
+    maker = forward_of(problem)
+    steps = maker.initial.times
     time = (1.0 - share) * steps[3] + share * steps[4]
-    gauges = Gauges(problem.scene, np.array([0.03, 0.06]), spacing=0.02, times=np.full(2, time))
-    for observation in (FrontOverTime(np.array([time, steps[1]])), gauges):
+    gauges = Gauges(ObservationSettings(kind="height"), problem.scene, np.array([0.03, 0.06]), np.full(2, time))
+    for observation in (Front(np.array([time, steps[1]])), gauges):
         forward = GnsForward(maker.simulator, problem, observation)
         seen = forward.predict(torch.tensor([30.0], dtype=torch.float64))
         initial = forward.entered(torch.tensor([30.0], dtype=torch.float64))
@@ -109,7 +94,7 @@ def test_between_two_steps_particles_move_straight(problem: Problem, share: floa
 
 @pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe"])
 def test_the_gradient_agrees_with_differences(problem: Problem, kind: str) -> None:
-    forward = source(problem, kind).start(None)
+    forward = forward_of(problem, kind)
     point = np.array([33.0])
     observed = forward.observe([point])[0]
     evaluation = automatic(forward, observed - 0.01 * np.arange(1, len(observed) + 1))(point)
@@ -124,7 +109,7 @@ def test_memory_changes_nothing_but_memory(problem: Problem) -> None:
     evaluations = []
     kept = []
     for memory_gib in (0.0, 0.0005, 1.0):
-        forward = source(problem, memory_gib=memory_gib).start(None)
+        forward = forward_of(problem, memory_gib=memory_gib)
         kept.append(forward.kept_steps)
         evaluations.append(automatic(forward, np.array([0.1]))(np.array([33.0])))
     assert kept[0] == 0 < kept[1] < kept[2] == forward.steps
@@ -135,8 +120,8 @@ def test_memory_changes_nothing_but_memory(problem: Problem) -> None:
 
 def test_the_scenes_own_angle_does_not_matter(problem: Problem) -> None:
     """The angle of the scene that holds the answer must not enter the prediction."""
-    honest = source(problem).start(None)
+    honest = forward_of(problem)
     another = dataclasses.replace(problem, scene=problem.scene.with_friction_deg(15.0))
-    other: GnsForward = source(another).start(None)
+    other = forward_of(another)
     np.testing.assert_array_equal(honest.observe([np.array([33.0])]), other.observe([np.array([33.0])]))
     assert honest.observe([np.array([33.0])]) != honest.observe([np.array([20.0])])

@@ -9,12 +9,11 @@ import torch
 
 from datasets.errors import InputError
 from datasets.scene import Solid
-from inverse.observations import Target
 from inverse.observations.measured_profile import closed
-from inverse.observations.profile import REPRESENTATION, Profile, SampledProfile, SurfaceProfile
-from inverse.observations.reading import read_each, read_target
+from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
 from inverse.problem import Problem, read_problem
 from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
+from inverse.target import Target, read_each, read_target
 
 X = np.linspace(0.0, 0.48, 25)
 HEIGHT = np.maximum(0.0, 0.4 * (1.0 - X / 0.42))
@@ -28,9 +27,9 @@ def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **set
     problem = read_problem("friction-tall-42")
     return dataclasses.replace(
         problem,
-        observation=ObservationSettings(kind="profile"),
+        observations=(ObservationSettings(kind="profile", csv="profile.csv", **settings),),  # type: ignore[arg-type]
         folder=folder,
-        target=TargetSettings(csv="profile.csv", **settings),  # type: ignore[arg-type]
+        target=TargetSettings(),
     )
 
 
@@ -72,9 +71,9 @@ def test_a_profile_is_the_same_target_however_it_is_written(
     [
         (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; unit says"),
         (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
-        (X, 1000.0 * HEIGHT, {}, r"times; target.unit, datum and heights say"),
+        (X, 1000.0 * HEIGHT, {}, r"times; unit, datum and heights say"),
         (X, 1.15 * HEIGHT, {}, r"1.21 times"),
-        (X, HEIGHT, {"datum": 0.1}, r"expected heights above the floor, got -0.1 m; target.datum"),
+        (X, HEIGHT, {"datum": 0.1}, r"expected heights above the floor, got -0.1 m; datum"),
         (X, HEIGHT, {"datum": 1.0}, r"expected a height above the floor, got none"),
         (X[6:], HEIGHT[6:], {}, r"wall at x = 0 m or the edge .* ends at x = 0.12 m"),
         (X[:12], HEIGHT[:12], {}, r"wall at x = 1 m or the edge .* ends at x = 0.22 m"),
@@ -104,7 +103,7 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
     """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
     problem = measured(tmp_path, noise="3%")
     observation = operator_of(problem)
-    assert isinstance(observation, SampledProfile)
+    assert observation.sampled
     target = target_of(problem)
     assert target.covariance is not None
     rng = np.random.default_rng(7)
@@ -115,9 +114,7 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
         seen.append(observation.of_heights(np.interp(observation.stations, X, heights, right=0.0)))
     drawn = np.cov(seen, rowvar=False)
     np.testing.assert_allclose(np.sqrt(np.diag(target.covariance)), np.sqrt(np.diag(drawn)), rtol=0.15)
-    # No combination of the numbers scatters by more than the stated one, and one by as much.
-    assert target.noise == pytest.approx(np.sqrt(np.linalg.eigvalsh(drawn)[-1]), rel=0.15)
-    assert 0.002 < target.noise < 0.02
+    np.testing.assert_allclose(target.deviation**2, np.diag(target.covariance))
 
 
 @pytest.mark.parametrize("rows", [9, 25])
@@ -149,21 +146,13 @@ def test_a_sampled_profile_is_seen_alike_by_the_surrogate(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("text", ['"3 percent"', '"0%"', '"100%"', '"%"', '"-3%"', '"nan%"'])
 def test_a_noise_that_is_no_percentage_names_the_key(text: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"target\.noise: expected a number or a percentage"):
+    with pytest.raises(InputError, match=r"observations\[0\]\.noise: expected a number or a percentage"):
         read_problem(str(with_target(tmp_path, f"value = 0.5\nnoise = {text}")))
 
 
 def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
     problem = read_problem(str(with_target(tmp_path, 'value = 0.5\nnoise = "3%"')))
-    assert target_of(problem).noise == pytest.approx(0.015)
-
-
-@pytest.mark.parametrize(
-    "target", ['twin = true\nnoise = "3%"', 'value = 0.5\nunit = "mm"', "value = 0.5\ndatum = 1.0"]
-)
-def test_what_only_a_measurement_has_is_refused_elsewhere(target: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"target\.(noise|unit|datum)"):
-        read_problem(str(with_target(tmp_path, target)))
+    assert target_of(problem).deviation == pytest.approx([0.015])
 
 
 def with_target(folder: Path, target: str) -> Path:
@@ -171,7 +160,7 @@ def with_target(folder: Path, target: str) -> Path:
     path = folder / "problem.toml"
     path.write_text(
         'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
-        f'[observation]\nkind = "front"\n[target]\n{target}\n'
+        f'[[observations]]\nkind = "front"\n{target}\n'
     )
     return path
 
@@ -189,7 +178,7 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
     exact = observation.exact(deposit)
     np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
-    assert np.abs(SampledProfile(observation.scene, 0.02, rows).exact(deposit) - exact).max() > 0.02
+    assert np.abs(Profile(observation.scene, 0.02, rows=rows).exact(deposit) - exact).max() > 0.02
 
 
 def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from datasets.material import Material
 from datasets.particles import initial_volumes
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Profile, Rollout, build
+from inverse.observations import Rollout, build
+from inverse.observations.profile import Profile
 from inverse.settings import ObservationSettings
 
 SCENE = Scene(

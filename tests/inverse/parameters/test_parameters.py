@@ -19,7 +19,7 @@ from inverse.forward.gns import GnsForward
 from inverse.observations import build
 from inverse.parameters import kind, with_parameters
 from inverse.parameters.baffles import swept
-from inverse.settings import Parameter
+from inverse.parameters.parameter import Parameter
 
 NAMES: dict[int | str, tuple[str, ...]] = {
     2: (
@@ -58,7 +58,7 @@ def test_the_initial_state_is_that_of_the_scene(
     names = NAMES[flow][::-1] if turned else NAMES[flow]
     problem = make_problem(flow, *names)
     simulator = make_simulator(problem.scene.dimension)
-    observation = build(problem.observation, problem.scene)
+    observation = build(problem.observations[0], problem.scene)
     values = np.array([kind(name).read(problem.scene) + MOVES[kind(name).unit] for name in names])
     scene = with_parameters(problem.scene, names, values)
     direct = GnsForward(simulator, dataclasses.replace(problem, scene=scene), observation).initial
@@ -75,7 +75,7 @@ def test_the_initial_state_is_that_of_the_scene(
 
 def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: Any) -> None:
     problem = make_problem(2, "friction_deg")
-    observation = build(problem.observation, problem.scene)
+    observation = build(problem.observations[0], problem.scene)
     forward = GnsForward(make_simulator(2), problem, observation)
     changed = forward.entered(torch.tensor([20.0], dtype=torch.float64)).conditions.friction
     own = forward.initial.of_mass(1)

@@ -9,20 +9,20 @@ from scipy.stats import multivariate_t
 
 from datasets.library import read_scene
 from datasets.particles import particle_count
-from inverse.observations import Target
 from inverse.observations.front import Front
 from inverse.posterior.information import information, measurements
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter, student
 from inverse.posterior.reduction import reduction
 from inverse.posterior.sampling import sample
+from inverse.target import Target
 
 Matrix = NDArray[np.float64]
 SLOPES = np.array([[3.0, 0.2, 0.0, -1.0], [0.0, 1.5, 0.4, 1.0]])
 SCATTER = 0.02
 
 
-def target_of(values: Matrix, **changes: float) -> Target:
-    return Target(observation=Front(), values=values, front=float("nan"), **changes)  # type: ignore[arg-type]
+def target_of(values: Matrix, **changes: Matrix) -> Target:
+    return Target(observation=Front(), values=values, **({"deviation": np.zeros(len(values))} | changes))  # type: ignore[arg-type]
 
 
 def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **changes: object) -> Posterior:
@@ -74,7 +74,9 @@ def test_noise_adds_to_the_scatter() -> None:
     rng = np.random.default_rng(1)
     points = rng.random((40, 1))
     numbers = 2.0 * points + 0.01 * rng.standard_normal((40, 1))
-    found = posterior(points, numbers, target_of(np.array([1.0]), noise=0.1), scatter=np.array([0.01]), rng=rng)
+    found = posterior(
+        points, numbers, target_of(np.array([1.0]), deviation=np.array([0.1])), scatter=np.array([0.01]), rng=rng
+    )
     assert np.sqrt(found.samples.covariance[0, 0]) == pytest.approx(0.05, rel=0.2)
     assert found.likelihood.freedom > 1000.0
 

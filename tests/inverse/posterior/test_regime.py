@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from inverse.observations import Front, Target
+from inverse.observations.front import Front
 from inverse.posterior.emulator import Matrix
 from inverse.posterior.posterior import Posterior, posterior
 from inverse.posterior.regime import Regime, of_target
+from inverse.target import Target
 
 SCATTER = 0.05
 EDGE = 0.6
@@ -23,7 +24,7 @@ def inferred(truth: tuple[float, float], seed: int = 0) -> Posterior:
     points = rng.random((40, 2))
     numbers = jumping(points) + SCATTER * rng.standard_normal((40, 2))
     values = jumping(np.array([truth]))[0] + SCATTER * rng.standard_normal(2)
-    target = Target(observation=Front(), values=values, front=float("nan"))
+    target = Target(observation=Front(), values=values, deviation=np.zeros(len(values)))
     return posterior(points, numbers, target, scatter=np.full(2, SCATTER), rng=rng)
 
 

@@ -15,20 +15,20 @@ from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import DepositObservation, Target, Values
-from inverse.observations.reading import read_target
+from inverse.observations import Observation, Values
 from inverse.parameters import Vector
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
+from inverse.result import Result
 from inverse.settings import (
     LoopSettings,
     ObservationSettings,
-    Parameter,
     TargetSettings,
 )
+from inverse.target import Target, read_target
 from mpm import ALL, Recording
-from validation.loop.check import Task
-from validation.loop.result import Result
 from validation.loop.solve import run
+from validation.loop.task import Task
 
 PARTICLES = 600
 # Quantiles of a wedge: the deposit thins out towards its front.
@@ -140,7 +140,7 @@ class Layers(FakeMpm):
 class FakeSurrogate:
     """A formula for x [m] of some of the particles."""
 
-    observation: DepositObservation
+    observation: Observation
     indices: NDArray[np.int64]
     """Of the particles that it follows."""
 
@@ -199,11 +199,11 @@ def wedge(
     mpm: FakeMpm | None = None,
     scatter: float = 0.0,
     steepness: float | None = None,
-    target: TargetSettings | None = None,
+    seed: int = 7,
     loop: LoopSettings | None = None,
-    **changes: Any,
+    **measured: Any,
 ) -> Case:
-    """The friction angle of a wedge, by `mpm` or one with `scatter` [m]; changes: of the problem.
+    """The friction angle of a wedge, by `mpm` or one with `scatter` [m]; measured: of the observation.
 
     steepness: of the surrogate's slope over the true one; there is no surrogate where absent.
     """
@@ -212,17 +212,16 @@ def wedge(
         material=Material(friction_deg=33.3),
         masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.2)),),
     )
-    settings: dict[str, Any] = {
-        "observation": ObservationSettings(kind=kind),
-        "target": target or TargetSettings(twin=True, seed=7, truth={"friction_deg": truth}),
-    }
+    twin = TargetSettings(twin=True, seed=seed, truth={"friction_deg": truth})
+    known = {"value", "csv"} & measured.keys()
     problem = Problem(
         name="wedge",
         folder=folder,
         scene=scene,
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
+        observations=(ObservationSettings(kind=kind, **measured),),
+        target=TargetSettings() if known else twin,
         loop=loop or LoopSettings(),
-        **(settings | changes),
     )
     mpm = mpm or FakeMpm(scatter=scatter)
     read = read_target(problem, mpm.run)
@@ -243,7 +242,7 @@ def layers(
     *,
     count: int = 2,
     kind: str = "deposit",
-    target: TargetSettings | None = None,
+    minimise: bool = False,
     scatter: float = 0.0,
     bend: float = 0.0,
     seed: int = 3,
@@ -259,8 +258,8 @@ def layers(
         folder=folder,
         scene=scene,
         parameters=tuple(Parameter(name=name, initial=0.0, lower=lower, upper=lower + WIDTH) for name in names),
-        observation=ObservationSettings(kind=kind, line=0.5 if kind == "passed" else None),
-        target=target or TargetSettings(twin=True, seed=seed, truth=truth),
+        observations=(ObservationSettings(kind=kind, line=0.5 if kind == "passed" else None),),
+        target=TargetSettings(minimise=True) if minimise else TargetSettings(twin=True, seed=seed, truth=truth),
     )
     mpm = Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend)
     read = read_target(problem, mpm.run)

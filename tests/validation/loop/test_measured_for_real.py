@@ -24,7 +24,7 @@ HEAD = (
     'scene = "column-tall-42"\nsurrogate = "none"\n'
     '[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
 )
-ONE = '[observation]\nkind = "profile"\n[target]\ncsv = "seen.csv"\nnoise = "3%"\n'
+ONE = '[[observations]]\nkind = "profile"\ncsv = "seen.csv"\nnoise = "3%"\n'
 BOTH = (
     '[[observations]]\nkind = "front"\nvalue = {front}\nnoise = "3%"\n'
     '[[observations]]\nkind = "profile"\ncsv = "seen.csv"\nnoise = "3%"\n'

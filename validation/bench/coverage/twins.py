@@ -17,14 +17,13 @@ import numpy as np
 
 from datasets.records import Record, from_mapping, read_json
 from inverse.forward.interface import Simulate
-from inverse.observations import Target
-from inverse.observations.reading import read_target
 from inverse.problem import Problem, read_problem
+from inverse.result import Result
 from inverse.settings import TargetSettings
+from inverse.target import Target, read_target
 from mpm import LAST, simulate_many
-from validation.loop.check import Task
-from validation.loop.result import Result
 from validation.loop.solve import run
+from validation.loop.task import Task
 
 FIRST_SEED = 100_000
 """Jitter seed of the first twin's target, then upwards; its inversion has others."""
@@ -113,7 +112,7 @@ def drawn(family: Family, number: int) -> tuple[Problem, Target]:
         observation=made.observation,
         values=values,
         front=made.observation.front(values),
-        noise=sigma,
+        deviation=np.full(len(values), sigma),
         cell=made.cell,
         truth=made.truth,
     )
@@ -122,21 +121,22 @@ def drawn(family: Family, number: int) -> tuple[Problem, Target]:
 
 def located(result: Result, seed: int) -> Twin:
     """Where the posterior of `result` has its truth."""
-    found, truth = result.outcome.state.posterior, result.target.truth
+    found, truth = result.posterior, result.target.truth
     assert truth is not None
     values = np.array([truth[name] for name in result.problem.names])
-    point = result.outcome.state.task.unit(values)
+    assert found is not None
+    point = (values - result.problem.box.lower) / result.problem.box.range
     samples = found.samples
     excluded = np.any((point < found.region.low) | (point > found.region.high))
     density = -np.inf if excluded else float(found.likelihood(point[None])[0])
-    off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.outcome.answers]
+    off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.answers]
     return Twin(
         seed=seed,
         denser=float(samples.weights[samples.log_likelihood > density].sum()),
         below=result.problem.named(samples.weights @ (samples.points < point)),
         inside=int(np.sum(min(off, key=np.max) <= 1.0)),
-        answers=len(result.outcome.answers),
+        answers=len(result.answers),
         verdict=result.verdict.value,
         runs=len(result.mpm_runs),
-        seconds=result.total_seconds,
+        seconds=result.seconds["total"],
     )

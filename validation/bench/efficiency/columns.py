@@ -21,8 +21,9 @@ from inverse.forward.gns import MEMORY_GIB, GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic
 from inverse.observations import build
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings
 from mpm.simulation import simulate_many
 from validation.bench.efficiency.records import (
     AD,
@@ -144,8 +145,7 @@ def friction_problem(scene: Scene) -> Problem:
         folder=Path(),
         scene=scene,
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-        observation=ObservationSettings(kind="front"),
-        target=TargetSettings(value=0.5),
+        observations=(ObservationSettings(kind="front", value=0.5),),
     )
 
 
@@ -155,7 +155,7 @@ def usage(task: Task, model: Path | None = None) -> Usage:
     scene = column(task.scale, task.scene)
     problem = friction_problem(scene)
     short = friction_problem(dataclasses.replace(column(1.0, task.scene), duration=WARM_UP_S))
-    observation = build(problem.observation, scene)
+    observation = build(problem.observations[0], scene)
     start, particles = problem.initial, particle_count(scene)
     if task.work is Work.MPM:
         mpm = MpmForward(problem, observation, simulate_many)

@@ -19,15 +19,16 @@ from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
-from inverse.forward.gns import GnsSource
+from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Differentiable, Forward
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic
 from inverse.observations import Values
-from inverse.observations.reading import read_target
 from inverse.parameters import Vector
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, OptimiserSettings, Parameter, TargetSettings
+from inverse.settings import ObservationSettings, OptimiserSettings, TargetSettings
+from inverse.target import read_target
 from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.records import (
     AD,
@@ -81,7 +82,7 @@ class Models:
         """GNS and MPM of one cut."""
         made = read_target(problem, simulate)
         observation, target = made.observation, made.values
-        gns = GnsSource(simulator, problem, observation).start(None)
+        gns = GnsForward(simulator, problem, observation)
         seeded = [problem, *(with_seed(problem, seed) for seed in OTHER_SEEDS)]
         return Models(
             gns=gns,
@@ -139,7 +140,7 @@ def blocks_problem(columns: int, layers: int, *, duration: float | None = None) 
             )
             for index, mass in enumerate(scene.masses)
         ),
-        observation=ObservationSettings(kind="deposit"),
+        observations=(ObservationSettings(kind="deposit"),),
         target=TargetSettings(twin=True),
     )
 

@@ -4,8 +4,9 @@ import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
-from inverse.settings import Method, OptimiserSettings, Parameter
+from inverse.settings import Method, OptimiserSettings
 from validation.bench.paper import Paper
 
 PAPER_STEP_DEG = 0.05
@@ -15,7 +16,6 @@ PAPER_PROBLEM = "friction-tall-42"
 """The problem on which the paper compares gradients."""
 MOST_BY_DIFFERENCES = 20
 """Unknowns beyond which no further search is made by differences or without gradients: none ends in time."""
-PAPER_DESCENT = OptimiserSettings(method=Method.GRADIENT_DESCENT, max_iterations=20, stop_below=5.0e-4)
 
 
 class ForwardModel(StrEnum):
@@ -33,7 +33,6 @@ class GradientBy(StrEnum):
     DIFFERENCES = "differences"
     SECANTS = "secants"
     """None; what changed from run to run stands for the Jacobian (`inverse.secants`)."""
-    NONE = "Optuna"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +58,7 @@ class SearchMethod:
     @property
     def optimiser(self) -> str:
         """What minimises."""
-        return str(self.settings.sampler if self.gradient is GradientBy.NONE else self.settings.method)
+        return str(self.settings.method)
 
 
 def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
@@ -74,11 +73,9 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
         problem = dataclasses.replace(problem, optimiser=settings)
     is_paper = problem.name == PAPER_PROBLEM
     seconds = paper.seconds_per_iteration if is_paper else {}
-    found = [_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns"))]
+    found = []
     few = len(problem.parameters) <= MOST_BY_DIFFERENCES
-    if is_paper:
-        descent = dataclasses.replace(problem, optimiser=PAPER_DESCENT)
-        found.append(_row(", the paper's descent", ForwardModel.GNS, GradientBy.AD, descent, seconds.get("ad_gns")))
+    found.append(_row("", ForwardModel.GNS, GradientBy.AD, problem, seconds.get("ad_gns")))
     wide = with_steps(problem, None)
     for model, key in ((ForwardModel.GNS, "fd_gns"), (ForwardModel.MPM, "fd_mpm")):
         if is_paper:
@@ -92,8 +89,7 @@ def methods(problem: Problem, paper: Paper) -> list[SearchMethod]:
     found.append(_row("", ForwardModel.MPM, GradientBy.ADJOINT, with_method(problem, Method.LBFGSB), None))
     if len(problem.parameters) > 1:
         found.append(_row("", ForwardModel.MPM, GradientBy.SECANTS, with_method(problem, Method.SECANTS), None))
-    models = list(ForwardModel) if few else [ForwardModel.MPM]
-    return found + [_row("", model, GradientBy.NONE, problem, None) for model in models]
+    return found
 
 
 def with_method(problem: Problem, method: Method) -> Problem:
@@ -114,7 +110,7 @@ def with_steps(problem: Problem, step: float | None) -> Problem:
 
     def with_step(each: Parameter) -> Parameter:
         h = STEPS[each.kind.unit] if step is None else step
-        return dataclasses.replace(each, step=h, lower=each.lower + h, upper=each.upper - h)
+        return dataclasses.replace(each, step=h, lower=each.bounds[0] + h, upper=each.bounds[1] - h)
 
     return dataclasses.replace(problem, parameters=tuple(map(with_step, problem.parameters)))
 

@@ -8,21 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from tqdm import tqdm
 
-from datasets.processes import processors
 from gns.simulator import Simulator
-from inverse.bounds import Bounds
 from inverse.forward.adjoint import AdjointForward
-from inverse.forward.gns import GnsSource
+from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import Evaluate, automatic, central, without_gradient
-from inverse.observations import Observation, Target, Values
-from inverse.observations.reading import read_target
-from inverse.optimise import explore, minimise
+from inverse.jacobian import Evaluate, automatic, central, observed
+from inverse.observations import Observation, Values
+from inverse.optimise import ITERATIONS, minimise
 from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.secants import sample
 from inverse.settings import Method
+from inverse.target import Target, read_target
 from mpm.simulation import simulate, simulate_many
 from validation.bench.efficiency.methods import ForwardModel, GradientBy, SearchMethod
 from validation.bench.efficiency.records import CheckedLoss, MethodResult
@@ -59,7 +57,7 @@ class Models:
         observation = target.observation
         short = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=WARM_UP_S))
         for each in (short, problem):
-            gns = GnsSource(simulator, each, observation).start(None)
+            gns = GnsForward(simulator, each, observation)
             gns_target = gns.select(target.values)
             adjoint = AdjointForward(each, observation, simulate_many)
             if each is short:
@@ -211,7 +209,7 @@ def search(
         backward=float(np.mean([iterate.backward_s for iterate in iterations or stopwatch.iterates])),
         paper=method.paper,
         iterations=count,
-        allowed=settings.max_trials if method.gradient is GradientBy.NONE else settings.max_iterations,
+        allowed=settings.max_iterations or ITERATIONS,
         ended=ended,
         mpm_runs=0 if gns else stopwatch.sample + count * runs_each,
         sample=stopwatch.sample,
@@ -231,32 +229,28 @@ def _minimise(method: SearchMethod, models: Models, stopwatch: Stopwatch) -> str
     components = models.components
     timed = TimedForward(inner=forward, stopwatch=stopwatch, target=target, observation=models.target.observation)
     try:
-        if method.gradient is GradientBy.NONE:
-            trials = dataclasses.replace(settings, max_trials=UNLIMITED)
-            unlimited = dataclasses.replace(problem, optimiser=trials)
-            explore(timed, target, unlimited, components=components, at_once=1 if gns else processors())
+        with_jacobian = settings.method is Method.GAUSS_NEWTON
+        before: list[Evaluation] = []
+        if method.gradient is GradientBy.SECANTS:
+            before = sample(timed, target, problem.initial, problem.box, components=components)
+            stopwatch.end_sample()
+        if method.gradient is GradientBy.AD:
+            evaluate = automatic(models.gns, target, components=components, with_jacobian=with_jacobian)
+        elif method.gradient is GradientBy.ADJOINT:
+            evaluate = automatic(models.adjoint, target, components=components)
+        elif method.gradient is GradientBy.SECANTS:
+
+            def evaluate(at: Vector) -> Evaluation:
+                return observed(forward, target, [at], components=components)[0]
+
         else:
-            with_jacobian = settings.method is Method.GAUSS_NEWTON
-            bounds = Bounds.from_problem(problem)
-            before: list[Evaluation] = []
-            if method.gradient is GradientBy.SECANTS:
-                before = sample(timed, target, problem.initial, bounds, components=components)
-                stopwatch.end_sample()
-            if method.gradient is GradientBy.AD:
-                evaluate = automatic(models.gns, target, components=components, with_jacobian=with_jacobian)
-            elif method.gradient is GradientBy.ADJOINT:
-                evaluate = automatic(models.adjoint, target, components=components)
-            elif method.gradient is GradientBy.SECANTS:
-                evaluate = without_gradient(forward, target, components=components)
-            else:
-                evaluate = central(forward, target, problem.steps, components=components, with_jacobian=with_jacobian)
-            rates = [each.learning_rate for each in problem.parameters]
-            minimise(stopwatch.timed(evaluate), problem.initial, bounds, settings, method.name, rates, before)
+            evaluate = central(forward, target, problem.steps, components=components)
+        minimise(stopwatch.timed(evaluate), problem.initial, problem.box, settings, method.name, before)
     except OutOfTime:
         return "out of time"
     if min(iterate.loss for iterate in stopwatch.iterates) < settings.stop_below:
         return "target met"
-    if method.gradient is not GradientBy.NONE and len(stopwatch.iterates) - stopwatch.sample >= settings.max_iterations:
+    if len(stopwatch.iterates) - stopwatch.sample >= (settings.max_iterations or ITERATIONS):
         return "all iterations"
     return "by itself"
 

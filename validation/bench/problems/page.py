@@ -1,5 +1,6 @@
 """`problems.md`: every inverse problem beside its criteria and the reference paper's numbers."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def row(outcome: Outcome, paper: Paper) -> dict[str, object]:
     """The line of a problem."""
     result, cell = outcome.result, outcome.problem.scene.domain.cell
     loss = result["loss"]["mpm"]
-    distance = "-" if loss is None else outcome.problem.observed.misfit_text(loss, cell)
+    distance = "-" if loss is None else f"{1e3 * math.sqrt(loss):.3g} mm ({math.sqrt(loss) / cell:.2g} cells)"
     star = "\\*" if outcome.origin and outcome.origin.resumed else ""
     return {
         "problem": name(outcome),

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.records import Record, from_mapping, read_toml
-from inverse.result import Verdict
+from inverse.found import Verdict
+from inverse.observations import KINDS
 from validation.bench.problems.outcome import Outcome
 
 
@@ -70,7 +71,7 @@ def compare(outcome: Outcome, criteria: Criteria) -> list[Comparison]:
     found += _at_most("loss", result["loss"]["mpm"], criteria.loss, "{:.2e}", "{:.0e} m^2")
     if outcome.errors and (most := criteria.unknown_error_pct) is not None:
         error = outcome.percent(outcome.errors)
-        known = not outcome.problem.observed.scalar or outcome.percent(outcome.half_widths) <= most
+        known = not KINDS[outcome.problem.observations[0].kind].scalar or outcome.percent(outcome.half_widths) <= most
         text = f"parameter <= {most:g} %" + ("" if known else " (half-width wider: does not apply)")
         found.append((text, f"{error:.2f} %", error <= most if known else None))
     if outcome.errors and criteria.inside:
