@@ -16,9 +16,10 @@ from torch import Tensor
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from inverse.observations import Target, build
+from inverse.observations import build
 from inverse.problem import Problem, read_problem
 from inverse.settings import Method
+from inverse.target import Target
 from validation.bench.efficiency import bench, columns, gradients, records
 from validation.bench.efficiency import page as efficiency_page
 from validation.bench.efficiency.columns import Size, Task, Usage, Work
