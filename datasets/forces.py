@@ -12,10 +12,9 @@ window w, with the force mirrored at both ends, which leaves that sum as it is:
 import csv
 import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,10 @@ from datasets.errors import InputError
 from datasets.files import make_folder, replacing, write_text
 from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 
-# matplotlib takes a while to import: only who draws pays for it.
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 Floats = NDArray[np.float64]
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")
-WALLS = "walls"
-"""Name of the floor and the walls of the box where these were recorded together."""
 ROUNDING = 1.0e-9
 """Relative difference up to which two times are the same."""
 MOST_PANELS = 6
@@ -44,8 +37,6 @@ FAINT = 0.005
 COLOURS = ("#1b6ca8", "#d95f02", "#4d9221")
 """Of the components along x, y and z."""
 INK = "#222222"
-PREFIXES = (("M", 1.0e6), ("k", 1.0e3), ("", 1.0))
-"""Of units, and how many of the unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,36 +110,25 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
 def impulses(trajectory: Trajectory) -> dict[str, Floats]:
     """Momentum that each solid took up to each kept frame [N s or N s/m], shape [T, D], by its name; those recorded.
 
-    What the summary holds of the box has a value at every `frame_dt` of the scene: a series for each of its sides, `y-`
-    the floor, or of older files one for floor and walls together.
+    What the summary holds of the sides of the box, `y-` the floor, has a value at every `frame_dt` of the scene.
     """
     scene, recorded = trajectory.scene, dict[str, Floats]()
     if trajectory.solid_impulse is not None:
         recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
-    walls: Any = trajectory.summary.get("side_impulse", trajectory.summary.get("wall_impulse"))
-    if walls is not None:
-        frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
-        named = walls if isinstance(walls, Mapping) else {WALLS: walls}
-        recorded |= {name: np.array(series, np.float64)[frames] for name, series in named.items()}
-    return recorded
+    frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
+    sides = trajectory.summary.get("side_impulse", {})
+    return recorded | {name: np.array(series, np.float64)[frames] for name, series in sides.items()}
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
     """The mean of `impulse` [T, S, D], linear between the times [T], over `window` [s] around each, ends mirrored."""
+    from scipy.interpolate import make_interp_spline
+
     end = time[-1]
     mirrored = np.concatenate([-time[:0:-1], time, 2.0 * end - time[-2::-1]])
     values = np.concatenate([-impulse[:0:-1], impulse, 2.0 * impulse[-1] - impulse[-2::-1]])
-    steps = np.diff(mirrored)[:, None, None]
-    integral = np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * steps * (values[1:] + values[:-1]), axis=0)])
-
-    def up_to(t: Floats) -> Floats:
-        """The integral of the linear pieces up to each t."""
-        piece = np.clip(np.searchsorted(mirrored, t, side="right") - 1, 0, len(steps) - 1)
-        part = (t - mirrored[piece])[:, None, None]
-        slope = (values[piece + 1] - values[piece]) / steps[piece]
-        return np.asarray(integral[piece] + part * (values[piece] + 0.5 * part * slope))
-
-    return (up_to(time + 0.5 * window) - up_to(time - 0.5 * window)) / window
+    integral = make_interp_spline(mirrored, values, k=1).antiderivative()
+    return np.asarray((integral(time + 0.5 * window) - integral(time - 0.5 * window)) / window)
 
 
 def write_table(path: Path, forces: Forces) -> None:
@@ -166,50 +146,34 @@ def write_table(path: Path, forces: Forces) -> None:
 def draw(path: Path, forces: Forces) -> None:
     """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
 
     peaks = forces.magnitude.max(axis=0)
-    order = np.argsort(-peaks, kind="stable")[:MOST_PANELS]
-    shown = [forces.names[index] for index in sorted(order) if peaks[index] >= FAINT * peaks.max()]
+    order = sorted(np.argsort(-peaks, kind="stable")[:MOST_PANELS].tolist())
+    shown = [index for index in order if peaks[index] >= FAINT * peaks.max()]
     figure = Figure(figsize=(9.0, 1.2 + 2.4 * len(shown)), layout="constrained")
     panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
-    for axis, name in zip(panels, shown, strict=True):
-        _draw_one(axis, forces, name)
+    spoken = EngFormatter(unit=forces.unit)
+    for axis, index in zip(panels, shown, strict=True):
+        for component, colour in zip(range(forces.force.shape[2]), COLOURS, strict=False):
+            series, label = forces.force[:, index, component], f"$F_{AXES[component]}$"
+            axis.stairs(series, forces.edges, color=colour, linewidth=1.1, baseline=None, label=label)
+        magnitude = forces.magnitude[:, index]
+        axis.stairs(magnitude, forces.edges, color=INK, linewidth=0.7, baseline=None, label="$|F|$")
+        value, time = forces.peak(forces.names[index])
+        axis.plot(time, value, marker="o", color=INK, markersize=4)
+        axis.set_title(f"{forces.names[index]}: peak {spoken(value)} at {time:.4g} s", loc="left", fontsize=10)
+        axis.yaxis.set_major_formatter(spoken)
+        axis.axhline(0.0, color="#999999", linewidth=0.6)
+        axis.margins(x=0.0, y=0.18)
+        axis.grid(alpha=0.25)
     panels[0].legend(loc="upper right", ncols=4, frameon=False, fontsize=9)
     panels[-1].set_xlabel("time [s]")
     if len(shown) < len(forces.names):
-        figure.suptitle(
-            f"the largest peaks: {len(shown)} of {len(forces.names)} solids and sides of the box", fontsize=10
-        )
+        title = f"the largest peaks: {len(shown)} of {len(forces.names)} solids and sides of the box"
+        figure.suptitle(title, fontsize=10)
     with replacing(path) as part:
         figure.savefig(part, dpi=110)
-
-
-def _draw_one(axis: "Axes", forces: Forces, name: str) -> None:
-    """The panel of one solid, in thousands or millions of the unit where the peak has as many."""
-    index = forces.names.index(name)
-    value, time = forces.peak(name)
-    prefix, scale = next(each for each in PREFIXES if value >= each[1] or each is PREFIXES[-1])
-    unit = prefix + forces.unit
-    for component, colour in zip(range(forces.force.shape[2]), COLOURS, strict=False):
-        series = forces.force[:, index, component] / scale
-        axis.stairs(series, forces.edges, color=colour, linewidth=1.1, baseline=None, label=f"$F_{AXES[component]}$")
-    series = forces.magnitude[:, index] / scale
-    axis.stairs(series, forces.edges, color=INK, linewidth=0.7, baseline=None, label="$|F|$")
-    axis.plot(time, value / scale, marker="o", color=INK, markersize=4)
-    late = time > 0.6 * forces.time[-1]
-    axis.annotate(
-        f"peak {value / scale:.4g} {unit} at {time:.4g} s",
-        (time, value / scale),
-        (-8 if late else 8, 3),
-        textcoords="offset points",
-        ha="right" if late else "left",
-        va="bottom",
-    )
-    axis.set_title(name, loc="left", fontsize=10)
-    axis.set_ylabel(f"force [{unit}]")
-    axis.axhline(0.0, color="#999999", linewidth=0.6)
-    axis.margins(x=0.0, y=0.18)
-    axis.grid(alpha=0.25)
 
 
 def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
