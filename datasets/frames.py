@@ -140,7 +140,7 @@ def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: s
     Never runs a pickle. Raises InputError.
     """
     if path.suffix == HDF5:
-        with open_hdf5(path) as file:
+        with open_hdf5(path) as file, reading(path, what):
             there = [name for name in optional if name in file]
             return {name: _decoded(file, name) for name in (*names, *there) or list(file)}
     with open_npz(path, f"a whole NPZ of plain arrays ({what})") as archive:

@@ -1,14 +1,12 @@
 """Fields: linear between nodes, constant beyond, in place of what a mass or its material has; bad ones are named."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from datasets.errors import InputError
 from datasets.field import Field, Grid
-from datasets.library import read_scene, write_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
@@ -67,13 +65,6 @@ def test_a_field_of_one_mass_leaves_the_others() -> None:
     assert set(particles.velocities[particles.mass == 0, 1]) == {0.0}
     np.testing.assert_allclose(particles.velocities[particles.mass == 1, 1], -1.0, rtol=1e-12)
     assert set(particles.velocities[particles.mass == 1, 0]) == {1.0}
-
-
-def test_a_scene_with_fields_is_written_and_read(tmp_path: Path) -> None:
-    scene = dataclasses.replace(SCENE, fields=(FRICTION,))
-    write_scene(scene, tmp_path / "scene.toml")
-    assert read_scene(tmp_path / "scene.toml") == scene
-    assert Scene.from_json(scene.to_json()) == scene
 
 
 @pytest.mark.parametrize(

@@ -26,13 +26,6 @@ def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:
         Material(friction_deg=0.0, cohesion=1.0, dilation_deg=1.0)
 
 
-def test_the_apex_limits_the_cutoff() -> None:
-    soil = Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=1.0e6)
-    assert soil.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(30.0)))
-    assert soil.tension_limit_at(np.array([0.0, 1.0])).tolist() == [soil.tension_limit] * 2
-    assert Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=0.0).tension_limit == 0.0
-
-
 def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
     assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == TENSION_SHARE * 1.0e3 == 3.0
     assert Material(friction_deg=0.0, cohesion=1.0e3).tension_limit == 3.0
@@ -100,12 +93,6 @@ def test_the_residual_material() -> None:
     assert Material(friction_deg=40.0, softening_length=0.1).residual.friction_deg == 40.0
 
 
-def test_depth_alone_makes_a_material_cohesive() -> None:
-    assert Material(friction_deg=30.0, strength_gradient=10.0).cohesive
-    assert Material(friction_deg=30.0, strength_gradient=10.0).cohesion_at(3.0) == 30.0
-    assert not Material(friction_deg=30.0).cohesive
-
-
 @pytest.mark.parametrize(
     ("wrong", "key"),
     [
@@ -130,10 +117,3 @@ def test_depth_alone_makes_a_material_cohesive() -> None:
 def test_what_cannot_be_is_named(wrong: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=rf"material\.{key}"):
         Material(friction_deg=30.0, cohesion=1000.0, **wrong)
-
-
-def test_a_file_may_say_all_of_it() -> None:
-    data = {"friction_deg": 30, "cohesion": 100.0, "residual_cohesion": 0.0, "softening_length": 0.2}
-    assert from_mapping(Material, data).residual.cohesion == 0.0
-    with pytest.raises(InputError, match="did you mean 'softening_length'"):
-        from_mapping(Material, {"friction_deg": 30.0, "softening_lenght": 0.1})

@@ -23,15 +23,6 @@ def test_points_lie_inside_their_masses(name: str) -> None:
     assert np.all(inside == 1)
 
 
-@pytest.mark.parametrize("size", [(0.04, 0.02), (0.043, 0.028), (0.1, 0.0024), (0.05, 1.0e-3), (1.0e-3, 1.0e-3)])
-def test_points_have_the_volume_of_the_mass(scene: Scene, size: tuple[float, float]) -> None:
-    scene = dataclasses.replace(scene, masses=(Mass(lower=(0.05, 0.0), size=size),))
-    points = initial_particles(scene)
-    assert points.volume.shape == (len(points.positions),)
-    assert points.volume.sum() == pytest.approx(math.prod(size), rel=1e-12)
-    assert points.common_volume == points.volume[0]
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
     stream = np.random.default_rng(3)
@@ -55,13 +46,6 @@ def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
             found = math.fsum(points.volume[mine] * points.density[mine])
             assert found == pytest.approx(math.prod(mass.size) * (1000.0 + 700.0 * number), rel=1e-12)
         np.testing.assert_array_equal(particle_volumes(scene, len(points.volume)), points.volume)
-
-
-def test_a_thin_layer_is_spaced_as_its_cell_asks(scene: Scene) -> None:
-    # 1 mm in cells of 10 mm: one row of points half a cell apart, not a handful that stands for the mass.
-    points = initial_particles(dataclasses.replace(scene, masses=(Mass(lower=(0.0, 0.0), size=(0.2, 1.0e-3)),)))
-    assert len(points.positions) == 40
-    assert np.diff(np.sort(points.positions[:, 0])).max() < 2 * 0.005
 
 
 def test_volumes_equal_to_rounding_are_one_number(scene: Scene) -> None:
@@ -114,31 +98,11 @@ def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
     np.testing.assert_allclose(together.friction[[0, -1]], np.tan(np.radians([30.0, 20.0])), rtol=1e-6)
 
 
-def test_masses_of_the_same_shape_are_jittered_differently(scene: Scene) -> None:
-    twin = dataclasses.replace(scene.masses[0], lower=(0.1, 0.0))
-    points = initial_particles(dataclasses.replace(scene, masses=(scene.masses[0], twin))).positions
-    first, second = np.split(points, 2)
-    assert np.abs(second - first - [0.05, 0.0]).max() > 1e-4
-
-
 def test_the_seed_decides_the_jitter(scene: Scene) -> None:
     again = initial_particles(scene).positions
     np.testing.assert_array_equal(initial_particles(scene).positions, again)
     other = initial_particles(dataclasses.replace(scene, seed=1)).positions
     assert 0.0 < np.abs(other - again).max() <= 0.8 * 0.005
-
-
-def test_without_jitter_points_form_a_lattice(scene: Scene) -> None:
-    points = initial_particles(dataclasses.replace(scene, jitter=0.0))
-    np.testing.assert_allclose(np.unique(points.positions[:, 1].round(9)), [0.0025, 0.0075, 0.0125, 0.0175])
-    assert points.velocities.shape == points.positions.shape == (32, 2)
-    np.testing.assert_array_equal(points.velocities[0], [0.1, -0.2])
-
-
-def test_the_count_is_known_beforehand() -> None:
-    for name in ("column-tall-42", "layers-10", "baffles-2"):
-        scene = read_scene(name)
-        assert particle_count(scene) == len(initial_particles(scene).positions)
 
 
 def test_a_mass_that_turns(scene: Scene) -> None:

@@ -100,17 +100,6 @@ def test_a_height_field(tmp_path: Path, name: str) -> None:
     assert Scene.from_json(found.to_json()) == found
 
 
-def test_a_part_of_a_large_raster(tmp_path: Path) -> None:
-    x, z = 0.05 + 0.1 * np.arange(200), 0.05 + 0.1 * np.arange(150)[::-1]
-    write_tiff(tmp_path / "dem.tif", 0.1 + 0.01 * x[None] + 0.02 * z[:, None])
-    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-5.0, -8.0]\n')
-    expected = 0.1 + 0.01 * 6.0 + 0.02 * 8.5
-    distance = ground(found, [(1.0, expected, 0.5)])
-    np.testing.assert_allclose(distance, 0.0, atol=1e-6)
-    assert found.solids[0].heights is not None
-    assert len(found.solids[0].heights) < 40
-
-
 def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Path) -> None:
     write_tiff(tmp_path / "dem.tif", np.full((10, 20), 0.2))
     write_tiff(tmp_path / "mu.tif", 0.3 + 0.05 * (0.05 + 0.1 * np.arange(20))[None] + np.zeros((10, 1)))
@@ -132,14 +121,6 @@ def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Pat
     particles = initial_particles(found).positions
     np.testing.assert_allclose(particles.min(axis=0), (1.05, 0.2, 0.55), atol=0.025)
     np.testing.assert_allclose(particles.max(axis=0), (1.35, 0.3, 0.75), atol=0.025)
-
-
-def test_a_layer_from_a_csv_in_2d(tmp_path: Path) -> None:
-    (tmp_path / "depth.csv").write_text("x,thickness\n20,0\n70,10\n120,0\n")
-    text = '[[masses]]\nkind = "layer"\nthickness = "depth.csv"\nunit = "cm"\nat = [0.1, 0.0]\n'
-    found = scene(tmp_path, PLANE + text)
-    assert mass_volumes(found)[0] == pytest.approx(0.05, rel=1e-9)
-    assert found.masses[0].lower[0] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.ply", "ball.msh", "ball.vtu"])
@@ -233,12 +214,6 @@ def test_files_that_are_refused(
     assert "\n" not in message
     assert name in message or "scene.toml" in message
     assert "s[0]" in message
-
-
-def test_an_array_of_objects_is_not_loaded(tmp_path: Path) -> None:
-    np.savez(tmp_path / "p.npz", positions=np.array([{}], dtype=object))
-    with pytest.raises(InputError, match="plain numbers"):
-        scene(tmp_path, PLANE + '[[masses]]\nkind = "particles"\nfile = "p.npz"\n')
 
 
 @pytest.mark.parametrize(

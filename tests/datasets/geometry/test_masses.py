@@ -15,7 +15,6 @@ from datasets.particles import (
     mass_volumes,
     particle_count,
     released_volume,
-    warn_if_unresolved,
 )
 from datasets.scene import Domain, Mass, Scene, Solid
 from tests.datasets.geometry.test_nearest import sphere
@@ -134,28 +133,6 @@ def test_particles_from_elsewhere() -> None:
     assert alike.common_volume == pytest.approx(0.025**2)
 
 
-def test_a_scene_of_all_kinds_survives_json() -> None:
-    for scene in (
-        scene_of(
-            Mass(kind="polygon", vertices=((1.2, 0.5), (1.6, 0.5), (1.2, 0.9))),
-            Mass(kind="layer", thickness=0.1, outline=((0.2,), (0.9,))),
-            solids=(SLOPE,),
-            open_sides=("x+",),
-        ),
-        scene_of(ball((1.0, 0.7, 0.5), 0.2), Mass(kind="layer", thickness=0.05), solids=(VALLEY,), dimension=3),
-    ):
-        again = Scene.from_json(scene.to_json())
-        assert again == scene
-        np.testing.assert_array_equal(initial_particles(again).positions, initial_particles(scene).positions)
-
-
-def test_a_box_among_other_masses_begins_as_it_does_alone() -> None:
-    box = Mass(lower=(1.2, 0.3), size=(0.3, 0.2))
-    alone = initial_particles(scene_of(box))
-    among = initial_particles(scene_of(box, Mass(kind="polygon", vertices=TRIANGLE)))
-    np.testing.assert_array_equal(among.positions[among.mass == 0], alone.positions)
-
-
 @pytest.mark.parametrize(
     ("mass", "key", "words"),
     [
@@ -268,11 +245,6 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     cell = Domain(size=(2.0, 1.0, 1.0), cell=0.05)
     deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3, domain=cell)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)
-
-
-def test_a_thin_layer_is_said_to_be_one() -> None:
-    with pytest.warns(UserWarning, match=r"masses\[0\]: 0.03 m thick in cells of 0.05 m"):
-        warn_if_unresolved(scene_of(Mass(kind="layer", thickness=0.03), solids=(SLOPE,)))
 
 
 def test_centroids() -> None:

@@ -55,22 +55,6 @@ def test_a_box(dimension: int, turned_deg: float) -> None:
     consistent(points, found)
 
 
-def test_a_polygon_with_reflex_corners() -> None:
-    star = [
-        (1.0 + r * math.cos(a), 0.5 + r * math.sin(a))
-        for k in range(10)
-        for r, a in [((0.4, 0.15)[k % 2], 0.2 * math.pi * k)]
-    ]
-    points = random_positions(3000, (0.5, 0.0), (1.5, 1.0))
-    polygon = shapely.Polygon(star)
-    expected = shapely.distance(shapely.points(points), polygon.exterior)
-    sign = np.where(shapely.contains_xy(polygon, *points.T), -1.0, 1.0)
-    for vertices in (star, star[::-1]):
-        found = nearest(surface(scene_of(Solid(kind="polygon", vertices=tuple(vertices)))), points)
-        np.testing.assert_allclose(found.distance, sign * expected, atol=1e-12)
-        consistent(points, found)
-
-
 def test_a_ground_line_with_a_kink_and_a_valley() -> None:
     points = random_positions(3000, (0.0, 0.0), (2.0, 1.0))
     valley = Solid(kind="terrain", points=((0.0, 0.6), (0.8, 0.1), (1.4, 0.3), (2.0, 0.3)))
@@ -100,17 +84,6 @@ def test_a_valley_on_a_height_field() -> None:
     expected = np.where(along >= 0.0, across, -line)
     np.testing.assert_allclose(found.distance, expected, atol=1e-12)
     consistent(points, found)
-
-
-def test_a_kink_leaves_no_crack_between_its_sides() -> None:
-    z = np.linspace(0.0, 1.0, 11)
-    rows = tuple(tuple(0.4 - 0.3 * np.abs(z - 0.5)) for _ in range(21))
-    solid = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=rows)
-    ridge = surface(scene_of(solid, size=(2.0, 1.0, 1.0), cell=0.05))
-    x = np.linspace(0.0, 2.0, 201)
-    for offset, expected in ((-1e-7, True), (1e-7, False)):
-        points = np.stack([x, np.full_like(x, 0.4 + offset), np.full_like(x, 0.5)], axis=1)
-        assert (inside(ridge, points) == expected).all()
 
 
 def sphere(centre: Floats, radius: float, level: int) -> tuple[Floats, NDArray[np.int64]]:

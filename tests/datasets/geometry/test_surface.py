@@ -30,10 +30,6 @@ def boxes(dimension: int) -> tuple[Solid, Solid]:
     return first, second
 
 
-def test_no_solids_no_surface() -> None:
-    assert surface_of(scene_of()) is None
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_touching_boxes_are_one(dimension: int) -> None:
     first, second = boxes(dimension)
@@ -126,13 +122,6 @@ def test_friction_is_linear_over_a_height_field_under_a_box() -> None:
     np.testing.assert_allclose(found.friction[found.solid == 1], 3.0)
 
 
-def test_no_slip_is_infinite_friction() -> None:
-    stuck = Solid(lower=(0.5, 0.0), size=(0.1, 0.1), contact="no-slip")
-    found = surface(scene_of(stuck, Solid(lower=(0.6, 0.0), size=(0.1, 0.1), friction=0.3)))
-    assert np.isinf(found.friction[found.solid == 0]).all()
-    assert (found.friction[found.solid == 1] == 0.3).all()
-
-
 def test_baffles_come_first_with_their_own_friction_or_the_scenes() -> None:
     scene = dataclasses.replace(
         scene_of(
@@ -146,11 +135,6 @@ def test_baffles_come_first_with_their_own_friction_or_the_scenes() -> None:
     )
     found = surface(scene)
     assert [set(found.friction[found.solid == number].ravel().tolist()) for number in range(3)] == [{0.4}, {0.8}, {0.0}]
-
-
-def test_it_is_made_once() -> None:
-    scene = scene_of(Solid(lower=(0.5, 0.0), size=(0.1, 0.1)))
-    assert surface_of(scene) is surface_of(dataclasses.replace(scene, duration=2.0))
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
