@@ -121,7 +121,7 @@ def named(provenance: Mapping[str, Any]) -> dict[str, list[Scene]]:
     Raises InputError where one is neither.
     """
     # Here, because it takes half a second.
-    from datasets.definitions import DEFINITIONS
+    from datasets.definitions import NAMES, read_definition
     from datasets.definitions.definition import Split
 
     found: dict[str, list[Scene]] = {}
@@ -129,8 +129,8 @@ def named(provenance: Mapping[str, Any]) -> dict[str, list[Scene]]:
         definition = re.fullmatch(r"([\w-]+): (\d+) trajectories", each)
         if definition is None:
             found |= stored([Path(each)])
-        elif definition[1] in DEFINITIONS:
-            entries = DEFINITIONS[definition[1]].entries(seed=0)
+        elif definition[1] in NAMES:
+            entries = read_definition(definition[1]).entries(seed=0)
             found[definition[1]] = [each.scene for each in entries if each.split is Split.TRAIN][: int(definition[2])]
         else:
             message = f"expected the folders of its data, {definition[1]} is no shipped definition"

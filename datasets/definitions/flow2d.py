@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.definitions.definition import Definition, Storage
-from datasets.definitions.variants import Rounds
+from datasets.definitions.definition import Storage
+from datasets.definitions.families import Stream, family, jitter_seed, log_uniform
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -33,9 +33,6 @@ ASPECT = (0.3, 8.0)
 SPEED = 2.5
 """Largest initial velocity of a thrown mass along x [m/s]: 1.5 times that of free fall through the body's length."""
 LAYERS = (2, 10)
-SIZE = 800
-
-Stream = np.random.Generator
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -127,7 +124,7 @@ def thrown(stream: Stream) -> Scene:
     masses = []
     left = float(stream.uniform(0.0, 0.3))
     for share in shares:
-        aspect = float(np.exp(stream.uniform(np.log(0.4), np.log(2.5))))
+        aspect = log_uniform(stream, 0.4, 2.5)
         size = (float(np.sqrt(share / aspect)), float(np.sqrt(share * aspect)))
         bottom = float(stream.uniform(0.0, 0.3)) * float(stream.random() < 0.6)
         velocity = (float(stream.uniform(-0.4, 1.0)) * SPEED, float(stream.uniform(-1.0, 0.7)))
@@ -188,7 +185,7 @@ def baffles(stream: Stream) -> Scene:
     obstacles = []
     for _ in range(int(stream.integers(1, 4))):
         x += float(stream.uniform(0.04, 0.35))
-        size = (float(stream.uniform(0.02, 0.12)), float(np.exp(stream.uniform(np.log(0.03), np.log(0.3)))))
+        size = (float(stream.uniform(0.02, 0.12)), log_uniform(stream, 0.03, 0.3))
         if x + size[0] > width - 0.02:
             break
         obstacles.append(Baffle(lower=(x, 0.0), size=size))
@@ -231,7 +228,7 @@ def released(stream: Stream, piles: list[tuple[float, float]]) -> Scene:
 
 def pile(stream: Stream, aspects: tuple[float, float] = ASPECT) -> tuple[float, float]:
     """Length and height [m] of a column of the area, of a random aspect."""
-    aspect = float(np.exp(stream.uniform(*np.log(aspects))))
+    aspect = log_uniform(stream, *aspects)
     return float(np.sqrt(AREA / aspect)), float(np.sqrt(AREA * aspect))
 
 
@@ -260,7 +257,7 @@ def box_length(stream: Stream, *, longer: bool = False) -> float:
 def sand(stream: Stream) -> Material:
     """Two of five dry, one of five with the paper's cohesion, the others with another one."""
     chance = stream.random()
-    cohesion = 0.0 if chance < 0.4 else 100.0 if chance < 0.6 else float(np.exp(stream.uniform(*np.log(COHESION))))
+    cohesion = 0.0 if chance < 0.4 else 100.0 if chance < 0.6 else log_uniform(stream, *COHESION)
     return Material(
         friction_deg=float(stream.uniform(*FRICTION_DEG)),
         density=DENSITY,
@@ -312,19 +309,11 @@ def scene(
     )
 
 
-def jitter_seed(stream: Stream) -> int:
-    """A seed for the initial jitter of one scene."""
-    return int(stream.integers(2**31))
-
-
-ROUNDS = Rounds(kinds=KINDS, variant=variant)
-
-FLOW2D = Definition(
-    name="flow2d",
-    size=SIZE,
+FLOW2D = family(
+    "flow2d",
+    kinds=KINDS,
+    variant=variant,
+    size=800,
     connectivity_radius=0.025,
-    split=ROUNDS.split,
-    draw=ROUNDS.draw,
-    stream=ROUNDS.stream,
     storage=Storage(cell=CELL, kept=1),
 )

@@ -13,7 +13,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from datasets.library import SCENES, read_scene
 from datasets.particles import released_volume
@@ -77,6 +76,8 @@ def neighbours(scene: Scene, other: Scene) -> bool:
 
 def matched(mine: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
     """Whether boxes [K, 2, D] can be paired with as many others such that all their corners are within `MARGIN`."""
+    from scipy.optimize import linear_sum_assignment
+
     near = np.asarray((np.abs(mine[:, None] - theirs) <= MARGIN).all(axis=(2, 3)))
     return bool(near[linear_sum_assignment(near, maximize=True)].all())
 

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.definitions import flow2d
-from datasets.definitions.definition import Definition, Storage
-from datasets.definitions.flow2d import jitter_seed
+from datasets.definitions.definition import Storage
+from datasets.definitions.families import Stream, family, jitter_seed, log_uniform
 from datasets.definitions.held_out import boxes
-from datasets.definitions.variants import Rounds
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -49,11 +48,8 @@ TURNED = 1 / 3
 """Share of the scenes with baffles whose baffles are turned."""
 GRID = 0.1
 """Distance between the elevations of a terrain [m]."""
-SIZE = 400
 TRIES = 200
 """Draws of a baffle that stands apart from the others."""
-
-Stream = np.random.Generator
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -298,11 +294,6 @@ def clearance(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> floa
     return float(max(a[0, axis] - b[1, axis], b[0, axis] - a[1, axis]))
 
 
-def log_uniform(stream: Stream, low: float, high: float) -> float:
-    """A number uniform in its logarithm."""
-    return float(np.exp(stream.uniform(math.log(low), math.log(high))))
-
-
 def sand(stream: Stream) -> Material:
     """As in `flow2d`: two of five dry, one of five with the paper's cohesion, the others with another one."""
     given = flow2d.sand(stream)
@@ -353,14 +344,11 @@ def scene(
     )
 
 
-ROUNDS = Rounds(kinds=KINDS, variant=variant)
-
-OBSTACLE3D = Definition(
-    name="obstacle3d",
-    size=SIZE,
+OBSTACLE3D = family(
+    "obstacle3d",
+    kinds=KINDS,
+    variant=variant,
+    size=400,
     connectivity_radius=0.055,
-    split=ROUNDS.split,
-    draw=ROUNDS.draw,
-    stream=ROUNDS.stream,
     storage=Storage(cell=KEPT_CELL, kept=KEPT),
 )

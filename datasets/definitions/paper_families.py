@@ -10,10 +10,8 @@ import dataclasses
 import numpy as np
 
 from datasets.definitions import flow2d, obstacle3d
-from datasets.definitions.definition import Definition, Storage
-from datasets.definitions.flow2d import Stream, jitter_seed
-from datasets.definitions.obstacle3d import log_uniform
-from datasets.definitions.variants import Rounds
+from datasets.definitions.definition import Storage
+from datasets.definitions.families import Stream, family, jitter_seed, log_uniform
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 
@@ -93,17 +91,17 @@ def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
 
 
 def slab(stream: Stream) -> Scene:
-    """A slab thrown at one to six baffles, with the paper's friction of floor, walls and baffles."""
+    """A slab thrown at one to six baffles."""
     return as_paper(stream, obstacle3d.slab(stream))
 
 
 def tower(stream: Stream) -> Scene:
-    """A block thrown at one to three baffles, likewise."""
+    """A block thrown at one to three baffles."""
     return as_paper(stream, obstacle3d.tower(stream))
 
 
 def row(stream: Stream) -> Scene:
-    """A slab thrown at one or two rows of baffles, likewise."""
+    """A slab thrown at one or two rows of baffles."""
     return as_paper(stream, obstacle3d.row(stream))
 
 
@@ -124,24 +122,19 @@ def as_paper(stream: Stream, drawn: Scene) -> Scene:
     )
 
 
-_2D = Rounds(kinds=(column, layers, column, layers, block), variant=flow2d.variant)
-_3D = Rounds(kinds=(slab, tower, slab, row), variant=obstacle3d.variant)
-
-COLUMNS2D = Definition(
-    name="columns2d",
+COLUMNS2D = family(
+    "columns2d",
+    kinds=(column, layers, column, layers, block),
+    variant=flow2d.variant,
     size=600,
     connectivity_radius=0.025,
-    split=_2D.split,
-    draw=_2D.draw,
-    stream=_2D.stream,
     storage=Storage(cell=CELL, kept=1),
 )
-BAFFLES3D = Definition(
-    name="baffles3d",
+BAFFLES3D = family(
+    "baffles3d",
+    kinds=(slab, tower, slab, row),
+    variant=obstacle3d.variant,
     size=600,
     connectivity_radius=0.055,
-    split=_3D.split,
-    draw=_3D.draw,
-    stream=_3D.stream,
     storage=Storage(cell=obstacle3d.KEPT_CELL, kept=obstacle3d.KEPT),
 )

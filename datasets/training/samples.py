@@ -42,8 +42,6 @@ class Flow:
     """Box, gravity and solids."""
     step: float
     """Time between two positions [s]."""
-    seed: int = 0
-    """Seed of the jitter: flows that share it, and the number of particles, start from the same ones."""
 
     @property
     def released(self) -> bool:
@@ -74,7 +72,6 @@ class Flow:
             volume=trajectory.volumes,
             surroundings=Surroundings.of_scene(scene, spacing),
             step=step,
-            seed=scene.seed,
         )
 
 
@@ -267,9 +264,6 @@ class Sample:
     """Initial volume of each particle [m^D], shape [n]."""
     surroundings: Surroundings
     """Box, gravity and solids."""
-    shares: Floats
-    """Coordinates of the middles of n equal parts of all of the flow's volume along each axis, in the coming steps [m],
-    shape [K, n, D]; of all its particles, not only of those that stay."""
 
 
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
@@ -280,29 +274,15 @@ def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: in
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     particles = thinned.indices
     first = max(0, now - history)
-    coming = flow.positions[now + 1 : now + 1 + steps]
     return Sample(
         frames=flow.positions[first : now + 1, particles],
         velocity0=flow.velocity0[particles],
-        targets=coming[:, particles],
-        shares=shares_of(coming, len(particles)),
+        targets=flow.positions[now + 1 : now + 1 + steps, particles],
         friction=flow.friction[particles],
         cohesion=flow.cohesion[particles],
         volume=thinned.volumes,
         surroundings=flow.surroundings,
     )
-
-
-def shares_of(positions: Floats, parts: int) -> Floats:
-    """Coordinates of the middles of equal parts of a cloud along each axis [m], shape [K, parts, D].
-
-    positions: [m], shape [K, N, D], of particles that stand for about the same volume.
-    """
-    ordered = np.sort(positions, axis=1)
-    rank = (np.arange(parts) + 0.5) / parts * positions.shape[1] - 0.5
-    below = np.clip(rank.astype(np.int64), 0, positions.shape[1] - 2)
-    share = (rank - below).astype(np.float32)[:, None]
-    return np.asarray((1.0 - share) * ordered[:, below] + share * ordered[:, below + 1])
 
 
 def mirrored(sample: Sample, axis: int, spacing: float) -> Sample:
@@ -313,7 +293,6 @@ def mirrored(sample: Sample, axis: int, spacing: float) -> Sample:
         frames=origin + flip * sample.frames,
         velocity0=flip * sample.velocity0,
         targets=origin + flip * sample.targets,
-        shares=np.sort(origin + flip * sample.shares, axis=1),
         surroundings=sample.surroundings.mirrored(axis, spacing),
     )
 
@@ -326,6 +305,5 @@ def exchanged(sample: Sample) -> Sample:
         frames=sample.frames[..., turn],
         velocity0=sample.velocity0[..., turn],
         targets=sample.targets[..., turn],
-        shares=sample.shares[..., turn],
         surroundings=sample.surroundings.exchanged(),
     )

@@ -78,23 +78,13 @@ def test_metadata_holds_the_largest_box_and_ranges(tmp_path: Path) -> None:
     assert content["default_connectivity_radius"] in (0.04, 0.05)
 
 
-def test_the_seed_and_the_index_decide(tmp_path: Path) -> None:
-    steps = definition(tmp_path)
-    assert steps.entries(seed=3, count=4) == steps.entries(seed=3, count=9)[:4]
-    assert steps.entries(seed=3, count=4) != steps.entries(seed=4, count=4)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
         ("{friction}", "{ uniform = [1.0] }", "scene.material.friction_deg.uniform: expected two numbers"),
-        ("{friction}", "{ uniform = [40, 20] }", "smaller number first"),
-        ("{friction}", "{ log_uniform = [0.0, 20.0] }", "positive"),
-        ("{friction}", "{ integer = [1.5, 20] }", "whole numbers"),
         ("{friction}", "{ choice = [] }", "a list of values"),
         ("{friction}", "{ variable = 'phi' }", "one of the variables []"),
         ("{friction}", "{ normal = [30, 2], step = 1 }", "no other key beside it than it, got step"),
-        ("{friction}", "{ uniform = [20, 30], step = -1 }", "a positive step"),
         (
             "{friction}",
             "30.0\ncohesoin = 1.0",
@@ -104,7 +94,6 @@ def test_the_seed_and_the_index_decide(tmp_path: Path) -> None:
         ("{lower}", "{ uniform = [0.35, 0.4] }", "scene.masses[0]: expected a box inside the domain"),
         ("size = [0.1, 0.1]", "size = [0.1, 0.1]\ncount = 1.5", "scene.masses[0].count: expected a whole number"),
         ("size = [0.1, 0.1]", "size = [0.1, 0.1]\ncount = 2", "scene.masses[1]: expected a box clear of masses[0]"),
-        ("[scene]", "count = 0\n[scene]", "count: expected at least 1"),
         ("[scene]", "cuont = 3\n[scene]", "cuont: expected a known key, did you mean 'count'"),
     ],
 )

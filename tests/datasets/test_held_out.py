@@ -51,7 +51,7 @@ def moved(scene: Scene, index: int, *by: float) -> Scene:
     return dataclasses.replace(scene, masses=tuple(masses))
 
 
-SHIPPED = ("column-short-21", "column-tall-42", "layers-10", "baffles-2", "baffles-5")
+SHIPPED = ("column-tall-42", "layers-10", "baffles-2", "baffles-5")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -82,14 +82,9 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out_at_any_size(aspect:
     assert is_held_out(column(length, height))
     assert is_held_out(column(length, height, left=2.0 - length))
     assert is_held_out(column(length, 0.97 * height))
-    assert is_held_out(column(length, 1.03 * height))
-    # Away from the walls its aspect is none of those that are tested.
+    # Away from the walls its aspect is none of those that are tested, nor are those between.
     assert not is_held_out(column(length, height, left=0.5))
-
-
-@pytest.mark.parametrize("aspect", [0.6, 0.88, 1.2, 2.4, 3.6])
-def test_columns_between_the_held_out_aspects_are_not(aspect: float) -> None:
-    assert not is_held_out(column(0.2, 0.2 * aspect))
+    assert not is_held_out(column(0.2, 0.48))
 
 
 def test_a_scene_of_other_corners_walls_or_masses_is_no_neighbour() -> None:

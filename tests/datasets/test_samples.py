@@ -19,7 +19,6 @@ from datasets.training.samples import (
     load_flows,
     mirrored,
     particle_cohesion,
-    shares_of,
 )
 from datasets.trajectory import Trajectory
 
@@ -53,17 +52,6 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
     assert sample.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_shares_are_those_of_all_particles(flow: Flow) -> None:
-    # Four parts of a row of 400 particles, from x = 0 to 1: their middles, whatever the order.
-    row = np.stack((np.linspace(0.0, 1.0, 400), np.full(400, 0.2)), axis=1).astype(np.float32)
-    shuffled = np.random.default_rng(0).permutation(row)[None]
-    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 0], [0.125, 0.375, 0.625, 0.875], atol=2e-3)
-    np.testing.assert_allclose(shares_of(shuffled, 4)[0, :, 1], 0.2, rtol=1e-6)
-    sample = cut(flow, now=2, steps=3, history=3, cell=1.0, kept=1, rng=np.random.default_rng(0))
-    assert sample.targets.shape == sample.shares.shape == (3, 1, 2)
-    np.testing.assert_allclose(sample.shares[:, 0], np.median(flow.positions[3:6], axis=1), atol=1e-7)
-
-
 def test_a_flow_on_a_slope_has_its_gravity(trajectory: Trajectory) -> None:
     tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=30.0))
     around = Flow.from_trajectory(tilted, 0.0025, "a").surroundings
@@ -78,7 +66,7 @@ def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(traject
     around = Flow.from_trajectory(over(ramp), 0.0025, "a", spacing=0.05).surroundings
     assert around.ground is not None
     np.testing.assert_allclose(around.ground, [[0.0, 0.0, 0.0, 0.025, 0.05], [0.5] * 5], atol=1e-7)
-    with pytest.raises(InputError, match=r"a: solids\[0\].kind: expected terrain"):
+    with pytest.raises(InputError, match=r"a: solids\[0\].kind: expected baffles and terrain"):
         Flow.from_trajectory(over(Solid(lower=(0.15, 0.0), size=(0.02, 0.05))), 0.0025, "a")
 
 
@@ -123,7 +111,6 @@ def stretch() -> Sample:
         frames=rng.random((3, 7, 3), np.float32),
         velocity0=rng.random((7, 3), np.float32),
         targets=rng.random((2, 7, 3), np.float32),
-        shares=np.sort(rng.random((2, 7, 3), np.float32), axis=1),
         friction=rng.random(7, np.float32),
         cohesion=rng.random(7, np.float32),
         volume=rng.random(7, np.float32),
@@ -176,15 +163,6 @@ def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sampl
     assert stretch.surroundings.ground is not None
     assert np.array_equal(once.surroundings.ground[0], stretch.surroundings.ground[0].T)
     assert same(exchanged(once), stretch)
-
-
-def test_baffles_go_where_the_points_go(stretch: Sample) -> None:
-    turned = exchanged(mirrored(stretch, 0, 0.1))
-    baffles = turned.surroundings.baffles
-    assert (baffles[:, 0] <= baffles[:, 1]).all()
-    # A baffle from x = 0.5 to 0.6 stands from 0.2 to 0.3 in the mirror, and then so in z.
-    np.testing.assert_allclose(baffles[0], [[0.1, 0.0, 0.2], [0.3, 0.3, 0.3]], atol=1e-6)
-    np.testing.assert_allclose(stretch.surroundings.baffles[0], [[0.5, 0.0, 0.1], [0.6, 0.3, 0.3]], atol=1e-6)
 
 
 def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from operator import add
 
 import numpy as np
 
-from datasets.definitions import DEFINITIONS
+from datasets.definitions import read_definition
 from datasets.definitions.definition import Split
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, Moments, motion_statistics
@@ -22,15 +22,6 @@ def test_moments_of_parts_are_those_of_the_whole() -> None:
     assert joint.count == 1000
     np.testing.assert_allclose(joint.mean, samples.mean(axis=0), rtol=1e-14)
     np.testing.assert_allclose(joint.std, samples.std(axis=0), rtol=1e-7)
-
-
-def test_moments_of_nothing() -> None:
-    empty = Moments.from_samples(np.zeros((0, 2)))
-    assert (empty + empty).count == 0
-    np.testing.assert_array_equal((empty + empty).std, [0.0, 0.0])
-    full = empty + Moments.from_samples(np.array([[1.0, 2.0], [3.0, 6.0]]))
-    np.testing.assert_array_equal(full.mean, [2.0, 4.0])
-    np.testing.assert_array_equal(full.std, [1.0, 2.0])
 
 
 def walk(seed: int, frames: int, points: int) -> np.ndarray:
@@ -71,7 +62,7 @@ def test_a_stop_counts_as_an_acceleration() -> None:
 
 
 def test_metadata_has_the_keys_of_geoelements_and_ours() -> None:
-    definition = DEFINITIONS["paper2d"]
+    definition = read_definition("paper2d")
     entries = definition.entries(seed=5, count=15)
     written = metadata(definition, entries, seed=5, statistics=motion_statistics(walk(0, 6, 40), FRAME_DT))
     read = json.loads(json.dumps(written))

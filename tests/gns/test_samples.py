@@ -219,7 +219,6 @@ def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], wa
         frames=corner.reshape(1, 1, -1),
         velocity0=corner.reshape(1, -1),
         targets=corner.reshape(1, 1, -1),
-        shares=corner.reshape(1, 1, -1),
         friction=one,
         cohesion=one,
         volume=one,
