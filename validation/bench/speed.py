@@ -116,7 +116,7 @@ def rate(case: Case, mode: Mode) -> float:
     scene = column(case.dimension, case.cells, case.frames)
     scenes = [replace(scene, seed=seed) for seed in range(case.scenes)]
     summaries = [flow.summary for flow in simulate_many(scenes, precision=precision, threads=threads)]
-    return sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6
+    return float(sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
 def enlarged(scale: float, duration: float) -> Scene:

@@ -196,8 +196,8 @@ def wall_stops(flow: Trajectory) -> float:
 @quantity("baffle impulse / M v", minimum=0.3, maximum=2.0)
 def baffle_stops(flow: Trajectory) -> float:
     """Largest momentum given to the baffles along x, over that of the thrown mass."""
-    assert flow.baffle_impulse is not None
-    return share_of_throw(flow, flow.baffle_impulse.sum(axis=1))
+    assert flow.solid_impulse is not None
+    return share_of_throw(flow, flow.solid_impulse.sum(axis=1))
 
 
 @quantity("beyond the baffle")
