@@ -10,8 +10,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import AT_REST, WITH_FIELDS, simulate, simulate_many
-from mpm.arrays.batch import Batch
+from mpm import AT_REST, WITH_FIELDS, simulate
 from mpm.arrays.layout import PADDING
 from mpm.initial.barriers import barriers, inside
 
@@ -97,22 +96,6 @@ def test_a_mass_settles_before_it_is_let_go() -> None:
 
 
 @pytest.mark.double
-def test_without_damping_it_would_swing_much_longer() -> None:
-    swings = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release=0.15)), precision="f64", threads=1)
-    settles = simulate(with_masses(SCENE, dataclasses.replace(COLUMN, release="settled")), precision="f64", threads=1)
-    at = slice(30, 50)
-    assert max(settles.summary["energy"]["kinetic"][at]) < 0.01 * max(swings.summary["energy"]["kinetic"][at])
-
-
-@pytest.mark.double
-def test_a_mass_in_equilibrium_settles_at_once() -> None:
-    flow = simulate(
-        with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release="settled")), precision="f64", threads=1
-    )
-    assert flow.summary["release_time"] == [2 * SCENE.frame_dt]
-
-
-@pytest.mark.double
 def test_masses_have_their_own_times() -> None:
     first = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, release=0.05)
     second = Mass(lower=(0.8, 0.0), size=(0.2, 0.2), k0=0.5, release=0.1)
@@ -152,20 +135,6 @@ def test_on_two_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
     both = simulate(scene, precision="f64", threads=2)
     np.testing.assert_allclose(both.positions, alone.positions, atol=1e-6)
     assert both.summary["release_time"] == alone.summary["release_time"]
-
-
-def test_beside_other_scenes_as_alone() -> None:
-    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=None))
-    held, free = simulate_many([SCENE, plain], threads=1)
-    np.testing.assert_array_equal(held.positions, simulate(SCENE, threads=1).positions)
-    np.testing.assert_array_equal(free.positions, simulate(plain, threads=1).positions)
-    assert "release_time" not in free.summary
-
-
-def test_other_scenes_have_no_barriers() -> None:
-    plain = with_masses(SCENE, dataclasses.replace(COLUMN, release=None, k0=0.5))
-    assert not Batch([plain], precision="f32").features.barriers
-    assert Batch([SCENE], precision="f32").features.barriers
 
 
 def test_barriers_hold_the_nodes_beyond_a_face_beside_the_mass() -> None:

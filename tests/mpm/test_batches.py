@@ -12,7 +12,6 @@ from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
-from mpm.output.outcome import explain
 from tests.mpm.scenes import COLUMN, SAND, box, room
 
 
@@ -81,15 +80,3 @@ def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("mpm.arrays.batch.initial_particles", with_a_broken_particle)
     with pytest.raises(WorkFailed, match=r"^the simulation blew up at t = 0 s; try a step_fraction below 0.4$"):
         simulate(box())
-
-
-@pytest.mark.parametrize(("speed", "helps"), [(400.0, "young"), (2000.0, "step_fraction"), (np.inf, "step_fraction")])
-def test_speeds_that_no_fall_explains_want_a_shorter_step(speed: float, helps: str) -> None:
-    scene = box(TOO_FAST)
-    particles = initial_particles(scene)
-    velocities = np.zeros_like(particles.velocities)
-    velocities[3, 1] = speed
-    said = explain(scene, particles, velocities, 4)
-    assert "t = 0.02 s" in said
-    assert helps in said
-    assert ("young" in said) != ("step_fraction" in said)

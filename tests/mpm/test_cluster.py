@@ -1,6 +1,5 @@
 """The workers of a Dask scheduler: the same results as here, also when one of them is killed."""
 
-import dataclasses
 import os
 import signal
 import time
@@ -13,10 +12,8 @@ import pytest
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory
-from mpm import LAST, ScenesFailed, simulate_many
+from mpm import LAST, simulate_many
 from mpm.cluster import Workers, connected
-from tests.mpm.scenes import COLUMN, box
 from tests.mpm.test_generate import TINY, contents, generate
 
 distributed = pytest.importorskip("distributed")
@@ -47,13 +44,6 @@ def test_trajectories_are_those_of_this_machine(cluster: Workers) -> None:
         for one, other in zip(cluster(SCENES, **record), simulate_many(SCENES, **record), strict=True):
             np.testing.assert_array_equal(one.positions, other.positions)
             assert one.scene == other.scene
-
-
-def test_a_scene_that_fails_is_named_and_the_others_are_there(cluster: Workers) -> None:
-    too_fast = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
-    with pytest.raises(ScenesFailed, match=r"^scene 1 of 2 failed: a particle moves at 500 m/s") as caught:
-        cluster([box(), box(too_fast)], record=LAST)
-    assert [type(outcome) for outcome in caught.value.outcomes] == [Trajectory, WorkFailed]
 
 
 def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:

@@ -70,29 +70,6 @@ def test_a_layer_rests_in_three_dimensions() -> None:
     assert_at_rest(simulate(layer(0.6, dimension=3, duration=0.6)), 5.6 * CELL, since=20)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("terrain", [False, True])
-@pytest.mark.parametrize("offset", np.arange(0.0, 1.0, 0.1).tolist())
-def test_a_layer_rests_for_five_seconds_at_any_offset(offset: float, terrain: bool) -> None:
-    flow = simulate(layer(offset, terrain=terrain, duration=5.0))
-    assert_at_rest(flow, 5 * CELL + offset * CELL, since=250)
-    assert flow.solid_impulse is not None
-    weight = SAND.density * GRAVITY * DEPTH * 0.4
-    force = (flow.solid_impulse[-1, 0, 1] - flow.solid_impulse[250, 0, 1]) / 2.5
-    assert force == pytest.approx(-weight, rel=0.005)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("offset", [0.0, 0.3, 0.75])
-def test_a_layer_rests_for_five_seconds_in_three_dimensions(offset: float) -> None:
-    assert_at_rest(simulate(layer(offset, dimension=3, duration=5.0)), 5 * CELL + offset * CELL, since=250)
-
-
-@pytest.mark.parametrize("changes", [{"relaxation_time": 0.0}, {"particles_per_axis": 3}, {"step_fraction": 0.4}])
-def test_a_layer_rests_with_other_transfers_particles_and_steps(changes: dict[str, object]) -> None:
-    assert_at_rest(simulate(layer(0.7, **changes)), 5.7 * CELL, since=40)
-
-
 @pytest.mark.double
 def test_a_bed_with_k0_rests_on_a_solid_from_the_first_frame_on() -> None:
     """Geostatic stress in equilibrium with the contact itself: nothing moves."""

@@ -7,7 +7,6 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.memory import spoken
 from datasets.scene import Scene
 from mpm import LAST, Recording, simulate
 from mpm.arrays.batch import Batch
@@ -61,8 +60,3 @@ def test_numbers_that_single_precision_cannot_hold() -> None:
     thin = dataclasses.replace(scene, gravity=1e-45)
     with pytest.raises(InputError, match="gravity y of -1e-45; --precision f64 holds more"):
         simulate(thin)
-
-
-def test_sizes_are_spoken() -> None:
-    assert [spoken(size) for size in (5, 2048, 3.5 * 2**20, 58 * 2**40)] == ["5 B", "2 KiB", "3.5 MiB", "58 TiB"]
-    assert spoken(2.0**60) == "1.02e+03 PiB"

@@ -20,11 +20,7 @@ from datasets.command_line import WorkFailed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import InputError
-from datasets.lock import locked
-from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
-from datasets.training.samples import particle_cohesion
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
@@ -130,38 +126,6 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
             np.testing.assert_array_equal(getattr(stored, key), getattr(expected, key))
 
 
-def test_what_is_stored_has_the_volume_of_all_and_the_cohesion_of_its_mass() -> None:
-    soils = [Material(friction_deg=angle, cohesion=cohesion) for angle, cohesion in ((30.0, 0.0), (20.0, 500.0))]
-    masses = (
-        Mass(lower=(0.1, 0.0), size=(0.203, 0.1), material=soils[0]),
-        Mass(lower=(0.1, 0.1), size=(0.1, 0.12), material=soils[1]),
-    )
-    scene = Scene(domain=Domain(size=(1.0, 0.5), cell=0.01), material=soils[0], masses=masses, duration=0.005)
-    start = initial_particles(scene)
-    positions = np.stack([start.positions, start.positions + 0.01, start.positions + 0.02]).astype(np.float32)
-    whole = Trajectory(
-        positions=positions,
-        time=np.array([0.0, 0.0025, 0.005]),
-        velocity0=start.velocities.astype(np.float32),
-        friction=start.friction,
-        scene=scene,
-    )
-    some = thinned(whole, STORAGE)
-    count = some.positions.shape[1]
-    assert some.volume is not None
-    assert some.mass is not None
-    # Of every cell that has any, 5 x 2 below and 2 x 3 above.
-    assert count == 16
-    assert some.volumes.sum() == pytest.approx(0.203 * 0.1 + 0.1 * 0.12, rel=1e-6)
-    lower = some.positions[0, :, 1] < 0.1
-    np.testing.assert_array_equal(some.mass, np.where(lower, 0, 1))
-    np.testing.assert_allclose(some.friction, np.tan(np.radians(np.where(lower, 30.0, 20.0))), rtol=1e-6)
-    np.testing.assert_array_equal(particle_cohesion(scene, count, some.mass), np.where(lower, 0.0, 500.0))
-    # The same particles in every frame, and always the same choice.
-    np.testing.assert_allclose(some.positions[2], some.positions[0] + 0.02, atol=1e-6)
-    np.testing.assert_array_equal(thinned(whole, STORAGE).positions, some.positions)
-
-
 def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
     """The workers of a cluster on this machine, processes of their own that share the folder."""
     distributed = pytest.importorskip("distributed")
@@ -221,14 +185,6 @@ def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, coun
     assert contents(dataset) == before
 
 
-def test_a_broken_file_is_refused(dataset: Path, tmp_path: Path) -> None:
-    broken = tmp_path / FILES[1]
-    broken.parent.mkdir()
-    broken.write_bytes((dataset / FILES[1]).read_bytes()[:1000])
-    with pytest.raises(InputError, match="whole NPZ"):
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-
-
 @pytest.mark.usefixtures("at_once")
 def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tmp_path: Path) -> None:
     # A file where a folder belongs: the second scene cannot be saved.
@@ -238,11 +194,6 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
     for name in FILES[:3]:
         assert (tmp_path / name).read_bytes() == (dataset / name).read_bytes()
     assert not (tmp_path / "metadata.json").exists()
-
-
-def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) -> None:
-    with locked(tmp_path), pytest.raises(WorkFailed, match="writes here since"):
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1)
 
 
 @pytest.mark.usefixtures("at_once")

@@ -11,8 +11,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from mpm import WITH_FIELDS, simulate
-from mpm.arrays.layout import PADDING
-from mpm.initial.stress import Equilibrium, initial_tractions, overburden
+from mpm.initial.stress import initial_tractions, overburden
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -69,31 +68,6 @@ def test_a_geostatic_bed_is_at_rest_from_the_first_frame(precision: str, most: f
 @pytest.mark.parametrize("precision", ["f64", "f32"])
 def test_in_3d_too(precision: str) -> None:
     assert fastest(BED_3D, precision) <= 1.0e-6
-
-
-@pytest.mark.double
-def test_in_3d_with_all_its_jitter_only_edges_of_the_surface_move() -> None:
-    # There is no admissible equilibrium where a cohesionless edge hangs on single particles: how much misses is said.
-    with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
-        flow = simulate(
-            dataclasses.replace(BED_3D, jitter=0.8, duration=0.1), precision="f64", threads=1, record=WITH_FIELDS
-        )
-    assert flow.velocities is not None
-    speed = np.linalg.norm(flow.velocities, axis=2)
-    assert speed.max() < 2.0e-3
-    assert np.sqrt(np.square(speed).mean(axis=1)).max() < 1.0e-4
-
-
-@pytest.mark.parametrize("scene", [BED_2D, BED_3D], ids=["2D", "3D"])
-def test_every_level_carries_what_lies_above(scene: Scene) -> None:
-    particles = initial_particles(scene)
-    chosen = np.arange(len(particles.positions))
-    problem = Equilibrium(scene, particles, particles.positions, chosen)
-    force = problem.unbalanced(tensor(stress_of(scene)), problem.contact.traction) - problem.gravity
-    level = problem.nodes[:, 1]
-    for number in range(PADDING + 1, level.max() + 1):
-        above = level >= number
-        assert force[above, 1].sum() == pytest.approx(-problem.gravity[above, 1].sum(), rel=1e-9)
 
 
 def test_rows_have_the_geostatic_stress() -> None:
@@ -161,13 +135,6 @@ def test_a_rough_floor_holds_an_elastic_slope() -> None:
     assert fastest(scene, "f64") <= 1.0e-6
 
 
-def test_the_floor_may_be_too_smooth_for_an_elastic_slope() -> None:
-    slab = Mass(lower=(0.1, 0.0), size=(0.5, 0.1), k0="elastic")
-    scene = with_masses(BED_2D, slab, material=STIFF_CLAY, slope_deg=30.0, floor_friction=0.2)
-    with pytest.warns(UserWarning, match="of the weight is unbalanced at the start"):
-        stress_of(scene)
-
-
 def test_strength_that_grows_with_depth_bears_a_column() -> None:
     """sigma_1 = gamma z <= 2 c(z) at every depth, though the cohesion of the top would not bear the foot."""
     soil = Material(friction_deg=0.0, cohesion=100.0, strength_gradient=5.0e4, tension_cutoff=1.0e5)
@@ -190,40 +157,8 @@ def test_the_overburden_counts_what_rests_on_it() -> None:
     np.testing.assert_allclose(found, 9.81 * np.array([0.04 * 1000.0 + 0.1 * 3000.0, 0.04 * 1000.0]))
 
 
-@pytest.mark.double
-def test_layers_of_different_density_are_at_rest() -> None:
-    heavy = Material(friction_deg=34.0, density=2200.0)
-    lower = Mass(lower=(0.0, 0.0), size=(1.0, 0.2), k0=0.5)
-    upper = Mass(lower=(0.0, 0.2), size=(1.0, 0.2), k0=0.45, material=heavy)
-    assert fastest(with_masses(BED_2D, lower, upper, duration=0.25), "f64") <= 1.0e-6
-
-
 def test_sand_that_cannot_stand_is_said_to_be_unbalanced() -> None:
     column = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), k0="elastic")
     with pytest.warns(UserWarning, match=r"no initial stress .* 0\.\d+ of the weight") as caught:
         stress_of(with_masses(BED_2D, column))
     assert len(caught) == 1
-
-
-def test_without_a_release_the_barriers_are_gone_at_the_start() -> None:
-    column = Mass(lower=(0.0, 0.0), size=(0.2, 0.3), k0=0.5)
-    scene = with_masses(BED_2D, column, duration=0.1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        flow = simulate(scene, threads=1, record=WITH_FIELDS)
-    assert flow.velocities is not None
-    assert flow.velocities[-1, :, 0].max() > 0.3
-    # What it starts with is recorded: pressure and elastic energy in frame 0.
-    assert flow.pressure is not None
-    assert flow.pressure[0].mean() == pytest.approx(2.0 / 3.0 * 0.5 * SAND.density * 9.81 * 0.3, rel=0.1)
-    elastic = flow.summary["energy"]["elastic"]
-    assert 0.3 * elastic[0] < elastic[1] < 1.5 * elastic[0]
-
-
-def test_masses_without_k0_begin_without_stress() -> None:
-    scene = with_masses(BED_2D, dataclasses.replace(BED_2D.masses[0], k0=None))
-    assert not stress_of(scene).any()
-
-
-def test_without_gravity_there_is_no_stress() -> None:
-    assert not stress_of(dataclasses.replace(BED_2D, gravity=0.0)).any()

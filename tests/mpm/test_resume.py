@@ -17,11 +17,11 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import AT_REST, WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver
-from mpm.output.checkpoint import Checkpoint, difference
+from mpm.output.checkpoint import Checkpoint
 from mpm.output.request import FIELDS
 from mpm.run import command
-from mpm.simulation import Interrupted, Options, simulate_resumably
-from tests.mpm.scenes import COLUMN, SAND, box
+from mpm.simulation import Options, simulate_resumably
+from tests.mpm.scenes import COLUMN, box
 
 RECORD = Recording(frames=3, fields=frozenset(FIELDS), wall_forces=True)
 FLOW = box(baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),), floor_friction=0.5, duration=0.28)
@@ -94,14 +94,6 @@ def test_another_run_is_refused_with_the_key(checkpoint: Checkpoint, scene: Scen
     assert str(caught.value).startswith(f"{said}: expected the run of the checkpoint, for 0.02 s or longer")
 
 
-def test_the_first_difference_of_two_values() -> None:
-    scene = box(COLUMN, Mass(lower=(0.5, 0.0), size=(0.1, 0.1)))
-    moved = dataclasses.replace(scene.masses[1], lower=(0.6, 0.0))
-    assert difference(scene, dataclasses.replace(scene, masses=(scene.masses[0], moved))) == "masses[1].lower"
-    assert difference(scene, scene) == ""
-    assert difference(moved, dataclasses.replace(moved, material=SAND)) == "material"
-
-
 @pytest.mark.parametrize("key", ["state", "order", "energy", "positions"])
 def test_arrays_that_the_kernels_could_not_trust(checkpoint: Checkpoint, key: str) -> None:
     beyond = checkpoint.arrays["state"].copy()
@@ -124,14 +116,6 @@ def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, ch
     with pytest.raises(InputError) as caught:
         Checkpoint.load(path)
     assert caught.value.where == str(path)
-
-
-def test_a_run_that_is_asked_to_stop() -> None:
-    asked = iter([False, False, True])
-    with pytest.raises(Interrupted) as caught:
-        simulate_resumably(box(duration=0.4), stop=lambda: next(asked), threads=1)
-    assert caught.value.checkpoint.run.frame == 40
-    same(simulate(box(duration=0.4), resume=caught.value.checkpoint, threads=1), simulate(box(duration=0.4), threads=1))
 
 
 SCENE = """

@@ -7,8 +7,7 @@ import pytest
 
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm import WITH_FIELDS, runtime, simulate
-from mpm.arrays.features import Features, features_of
+from mpm import simulate
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_row
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
@@ -163,60 +162,6 @@ def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
     assert ends[1e9] == pytest.approx(firm, abs=1e-6)
     assert ends[1e-9] == pytest.approx(weak, abs=0.02)
     assert firm + 0.01 < ends[0.05] < ends[1e-9] - 0.01
-
-
-@pytest.mark.double
-@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_gpus_kernel_softens_alike(dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything of the law at once, two materials, with cracks that are remembered; a thread per particle or not."""
-    monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
-    soil = Material(
-        friction_deg=35.0,
-        dilation_deg=8.0,
-        cohesion=400.0,
-        tension_cutoff=100.0,
-        residual_friction_deg=28.0,
-        residual_cohesion=50.0,
-        residual_tension_cutoff=0.0,
-        softening_length=0.01,
-    )
-    depth = (0.2,) * (dimension - 2)
-    scene = Scene(
-        domain=Domain(size=(0.8, 0.4, *depth), cell=0.05),
-        material=soil,
-        masses=(
-            Mass(lower=(0.0,) * dimension, size=(0.3, 0.2, *depth), velocity=(2.0,) + (0.0,) * (dimension - 1)),
-            Mass(
-                lower=(0.0, 0.2) + (0.0,) * (dimension - 2),
-                size=(0.3, 0.1, *depth),
-                material=Material(friction_deg=30.0),
-            ),
-        ),
-        volume_correction=True,
-        duration=0.05,
-        frame_dt=0.005,
-    )
-    cpu, gpu = (simulate(scene, precision="f64", record=WITH_FIELDS, arch=arch) for arch in ("cpu", "cuda"))
-    assert cpu.plastic_strain is not None
-    assert gpu.plastic_strain is not None
-    assert cpu.plastic_strain.max() > 0.1
-    np.testing.assert_allclose(gpu.positions, cpu.positions, atol=1e-5)
-    np.testing.assert_allclose(gpu.plastic_strain, cpu.plastic_strain, atol=1e-4)
-
-
-def test_only_softening_pays_for_it() -> None:
-    plain, soft = (
-        Features(dimension=2, precision="f32", heterogeneous=True),
-        Features(dimension=2, precision="f32", softens=True),
-    )
-    assert plain.columns == Property.RESIDUAL_SIN_PHI
-    assert not plain.strained
-    assert soft.strained
-    assert soft.block == Features(dimension=2, precision="f32").block + 1
-    scene = block(residual_cohesion=400.0, softening_length=0.1)
-    assert features_of([scene], [], "f32").softens is False
-    for count in (properties_row(scene.material, 1.0), properties_row(block().material, 1.0)):
-        assert len(count) == len(Property)
 
 
 def test_strength_that_grows_with_depth() -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass
-from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, Recording, runtime, simulate, simulate_many
 from mpm.output.request import FIELDS
 from tests.mpm import scenes
@@ -148,131 +146,12 @@ def test_a_thrown_block_bounces_off_walls_without_gaining_energy(corrected: bool
     assert trajectory.positions.max() <= 1.0
 
 
-def test_the_deposit_keeps_its_volume() -> None:
-    """Deep inside the deposit a cell holds as many points as at the start: sand at psi = 0 flows at constant volume."""
-    scene = dataclasses.replace(read_scene("column-tall-21"), duration=0.8)
-    deposit = simulate(scene).positions[-1]
-    count, _, _ = np.histogram2d(*deposit.T, bins=50, range=[[0, 1], [0, 1]])
-    core = np.ones_like(count, dtype=bool)
-    for axis in (0, 1):
-        for shift in (-1, 1):
-            core &= np.roll(count, shift, axis) > 0
-    core &= count > 0
-    core[:, 0] = core[0] = False
-    per_cell = (0.02 / scene.domain.cell * scene.particles_per_axis) ** 2
-    assert core.sum() > 20
-    assert count[core].mean() == pytest.approx(per_cell, rel=0.06)
-
-
-@pytest.mark.double
-def test_momentum_changes_only_by_the_walls() -> None:
-    """Two blocks of different materials collide in the air: the momentum of both together falls freely."""
-    light, heavy = Material(friction_deg=30.0), Material(friction_deg=40.0, density=2600.0, young=4.0e6)
-    scene = box(
-        Mass(lower=(0.2, 0.4), size=(0.2, 0.2), velocity=(2.0, 0.0)),
-        Mass(lower=(0.42, 0.42), size=(0.2, 0.2), velocity=(-1.0, 0.0), material=heavy),
-        material=light,
-        duration=0.1,
-        gravity=0.0,
-    )
-    trajectory = simulate(scene, precision="f64")
-    density = np.where(trajectory.friction > 0.7, 2600.0, 1800.0)[:, None]
-    centre = (density * trajectory.positions).sum(axis=1) / density.sum()
-    drift = (trajectory.velocity0 * density).sum(axis=0) / density.sum()
-    np.testing.assert_allclose(centre - centre[0], trajectory.time[:, None] * drift, atol=1e-6)
-    energy = total_energy(trajectory)
-    assert energy.max() <= energy[0] * 1.005
-    # They did collide: the light block alone has lost most of its speed.
-    own = trajectory.positions[:, trajectory.friction < 0.7, 0].mean(axis=1)
-    assert own[-1] - own[-2] < 0.6 * (own[1] - own[0])
-
-
-@pytest.mark.double
-def test_masses_of_equal_materials_are_one_material() -> None:
-    """A column cut into two masses, one with its own copy of almost the same material, flows like the whole."""
-    lower, upper = Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), Mass(lower=(0.0, 0.2), size=(0.2, 0.2))
-    twin = dataclasses.replace(upper, material=dataclasses.replace(SAND, density=SAND.density * (1 + 1e-12)))
-    one = simulate(box(lower, upper), precision="f64")
-    two = simulate(box(lower, twin), precision="f64")
-    np.testing.assert_allclose(one.positions, two.positions, atol=1e-5)
-
-
-@pytest.mark.double
-def test_damping_off_and_zero_damping_are_the_same_flow() -> None:
-    """The damped kernel with a coefficient of zero is the undamped one but for rounding."""
-    still = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)))
-    damped = dataclasses.replace(still, damping=0.2)
-    alone, beside = simulate(still, precision="f64"), simulate_many([still, damped], precision="f64")[0]
-    np.testing.assert_allclose(alone.positions, beside.positions, atol=1e-5)
-
-
 def test_a_fast_frame_takes_more_steps() -> None:
     slow = box(Mass(lower=(0.4, 0.4), size=(0.1, 0.1)), step_fraction=1.0, duration=0.01, gravity=0.0)
     fast = dataclasses.replace(slow, masses=(dataclasses.replace(slow.masses[0], velocity=(20.0, 0.0)),))
     crossing = 0.005 / 0.02
     assert simulate(slow).summary["steps"] == 2 * math.ceil(crossing * SAND.wave_speed)
     assert simulate(fast).summary["steps"] == 2 * math.ceil(crossing * (SAND.wave_speed + 20.0))
-
-
-def test_a_run_too_large_to_count_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datasets.memory.free", lambda: 2**50)
-    endless = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.8, 0.8, 0.8)), duration=100.0, frame_dt=0.001)
-    with pytest.raises(InputError, match="expected a smaller run"):
-        simulate(endless)
-
-
-def test_a_slice_between_smooth_walls_flows_as_in_two_dimensions() -> None:
-    """Plane strain, made in 3D by two smooth walls; means over jitters, which scatter fronts by a quarter of a cell."""
-    sand, cell = Material(friction_deg=35.0), 0.02
-    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)), material=sand, duration=0.5, floor_friction=0.4)
-    deep = box(
-        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, 4 * cell)),
-        material=sand,
-        duration=0.5,
-        floor_friction=0.4,
-        domain=Domain(size=(1.0, 1.0, 4 * cell), cell=cell),
-    )
-    alone, slices = (
-        simulate_many([dataclasses.replace(scene, seed=seed) for seed in range(3)], record=DEPOSIT)
-        for scene in (flat, deep)
-    )
-    fronts = [np.mean([flow.summary["front"] for flow in flows]) for flows in (alone, slices)]
-    assert fronts[1] == pytest.approx(fronts[0], abs=0.5 * cell)
-    heights = [np.mean([flow.positions[-1, :, 1].mean() for flow in flows]) for flows in (alone, slices)]
-    assert heights[1] == pytest.approx(heights[0], rel=0.03)
-
-
-@pytest.mark.parametrize("precision", ["f32", "f64"])
-def test_a_collapse_in_three_dimensions_never_gains_energy(precision: str) -> None:
-    scene = room(
-        Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.48, 0.4)), floor_friction=0.4, wall_friction=0.1, duration=0.8
-    )
-    total = total_energy(simulate(scene, precision=precision, record=DEPOSIT))  # type: ignore[arg-type]
-    assert np.diff(total).max() < 2e-4 * total[0]
-    assert total[-1] < 0.8 * total[0]
-
-
-def test_a_ball_of_sand_comes_to_rest_as_a_round_pile() -> None:
-    """A staircase of boxes for a ball, in the middle of the floor: the pile it leaves is as long as it is wide."""
-    radius, cell = 0.16, 0.04
-    middle = np.array([0.4, radius, 0.4])
-    steps = np.arange(-4, 4) * cell + cell / 2
-    masses = [
-        Mass(
-            lower=(middle[0] + x - cell / 2, middle[1] + y - cell / 2, middle[2] - half_width),
-            size=(cell, cell, 2 * half_width),
-        )
-        for x in steps
-        for y in steps
-        if (half_width := math.floor(math.sqrt(max(radius**2 - x * x - y * y, 0.0)) / cell + 0.5) * cell) > 0.0
-    ]
-    trajectory = simulate(room(*masses, floor_friction=0.5, duration=1.0), record=WITH_FIELDS)
-    pile = trajectory.positions[-1] - middle
-    spread = pile.std(axis=0)
-    assert spread[0] == pytest.approx(spread[2], rel=0.05)
-    assert np.abs(pile.mean(axis=0)[[0, 2]]).max() < 0.1 * cell
-    kinetic = trajectory.summary["energy"]["kinetic"]
-    assert kinetic[-1] < 1e-2 * max(kinetic)
 
 
 def test_a_slope_at_repose_stays_and_a_steeper_one_slides() -> None:
@@ -379,30 +258,3 @@ def test_a_missing_gpu_is_one_clear_line() -> None:
         simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01), arch="cuda")
     # And the CPU still works.
     assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"
-
-
-def dropped_beds() -> tuple[Trajectory, Trajectory]:
-    """A bed that falls between walls and parts in its bounce: its gaps forgotten, and remembered."""
-    loose = box(
-        Mass(lower=(0.0, 0.3), size=(0.4, 0.2)), domain=Domain(size=(0.4, 1.0), cell=0.02), duration=2.0, frame_dt=0.01
-    )
-    forgetful, mindful = simulate_many([dataclasses.replace(loose, volume_correction=each) for each in (False, True)])
-    return forgetful, mindful
-
-
-def test_volume_correction_closes_gaps_and_makes_no_energy() -> None:
-    """Sand that parted in the air bears nothing until its gaps have closed: its centre rests at half of its height."""
-    forgetful, mindful = dropped_beds()
-    assert forgetful.positions[-1, :, 1].mean() > 0.15
-    assert mindful.positions[-1, :, 1].mean() == pytest.approx(0.1, rel=0.05)
-    for trajectory in (forgetful, mindful):
-        total = total_energy(trajectory)
-        assert np.diff(total).max() < 2e-4 * total[0]
-
-
-@pytest.mark.double
-def test_a_scene_does_not_remember_what_another_one_of_its_batch_does() -> None:
-    plain = box(Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(2.0, 0.0)), duration=0.2, volume_correction=False)
-    alone = simulate(plain, precision="f64")
-    beside, _ = simulate_many([plain, dataclasses.replace(plain, volume_correction=True)], precision="f64")
-    np.testing.assert_allclose(beside.positions, alone.positions, atol=1e-6)

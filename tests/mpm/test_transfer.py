@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from mpm import simulate, simulate_many
@@ -46,14 +45,6 @@ def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> Non
     assert np.ptp(dissipated) > 0.15 * dissipated.mean()
 
 
-@pytest.mark.slow
-def test_the_front_does_not_depend_on_stiffness_up_to_2e9() -> None:
-    """Three decades of Young's modulus, within 3 % at 20 mm cells."""
-    flows = simulate_many([stiffer(young, duration=1.5) for young in (2.0e6, 2.0e7, 2.0e8, 2.0e9)])
-    fronts = np.array([flow.summary["front"] for flow in flows])
-    assert np.ptp(fronts) <= 0.03 * fronts.mean()
-
-
 @pytest.mark.parametrize("precision", ["f32", "f64"])
 def test_slow_motion_far_from_the_origin_does_not_freeze(precision: Precision) -> None:
     """10 mm/s at x = 2 km in cells of 1 m: 0.1 m in 10 s, though a step moves less than f32 can tell there."""
@@ -84,8 +75,3 @@ def test_the_default_relaxation_scales_with_the_flow() -> None:
     )
     fronts = [simulate(scene, precision="f64").summary["front"] for scene in (COLUMN, large)]
     assert fronts[1] == pytest.approx(10.0 * fronts[0], rel=1e-3)
-
-
-def test_a_negative_relaxation_time_is_refused() -> None:
-    with pytest.raises(InputError, match="relaxation_time"):
-        dataclasses.replace(COLUMN, relaxation_time=-1.0)

@@ -37,12 +37,6 @@ def test_a_bed_at_rest_has_no_gaps() -> None:
     np.testing.assert_allclose(mindful.positions, plain.positions, rtol=0.0, atol=1e-9)
 
 
-def test_a_bed_dropped_in_3d_is_as_dense_as_before() -> None:
-    """It fell six cells and bounced."""
-    flow = simulate(DROPPED, record=LAST)
-    assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
-
-
 def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two grids holds a part of the mass: what is compared with the density is their sum."""
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)

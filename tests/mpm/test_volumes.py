@@ -9,7 +9,6 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from mpm import WITH_FIELDS, simulate
-from mpm.arrays.batch import Batch
 
 SAND = Material(friction_deg=30.0)
 THIN = Mass(lower=(0.05, 0.3), size=(0.4, 0.003))
@@ -45,21 +44,3 @@ def test_the_floor_takes_the_weight_of_each() -> None:
     impulse = momentum + np.array(flow.summary["wall_impulse"])
     np.testing.assert_allclose(-impulse[1:, 1] / flow.time[1:], weight, rtol=1e-5)
     np.testing.assert_allclose(impulse[:, 0], 0.0, atol=1e-5 * weight * 0.2)
-
-
-def test_only_masses_of_different_volume_make_particles_carry_it() -> None:
-    batch = Batch([SCENE], precision="f32")
-    assert batch.features.heterogeneous
-    alone = Batch([dataclasses.replace(SCENE, masses=(THIN,))], precision="f32")
-    assert not alone.features.heterogeneous
-    assert alone.particles[0].common_volume == pytest.approx(0.4 * 0.003 / 40, rel=1e-12)
-    # Two masses that fit the lattice have one volume, whatever rounding makes of it.
-    fitting = (Mass(lower=(0.0, 0.0), size=(0.1, 0.07)), Mass(lower=(0.3, 0.0), size=(0.03, 0.29)))
-    same = dataclasses.replace(SCENE, masses=fitting)
-    assert not Batch([same], precision="f32").features.heterogeneous
-    assert initial_particles(same).common_volume == same.particle_volume
-
-
-def test_a_run_says_that_a_mass_is_too_thin() -> None:
-    with pytest.warns(UserWarning, match=r"masses\[0\]: 0.003 m thick in cells of 0.02 m"):
-        simulate(dataclasses.replace(SCENE, duration=0.01), threads=1)
