@@ -92,15 +92,14 @@ def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpac
     the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
     GPU, or where the checkpoint is of another scene, recording or precision.
     """
-    batch, wall_s, compile_s = run_one(scene, options, resume, never_stop)
-    return finished(trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s))
+    return simulate_resumably(scene, resume=resume, **options)[0]
 
 
 def simulate_resumably(
     scene: Scene,
     *,
     resume: Checkpoint | None = None,
-    stop: Callable[[], bool] | None = None,
+    stop: Callable[[], bool] = lambda: False,
     **options: Unpack[Options],
 ) -> tuple[Trajectory, Checkpoint]:
     """As `simulate`, with the state at its end, from which a longer run can go on.
@@ -108,20 +107,40 @@ def simulate_resumably(
     stop: called every few frames; once it returns True, Interrupted is raised with the checkpoint.
     Other errors as `simulate`.
     """
-    batch, wall_s, compile_s = run_one(scene, options, resume, stop or never_stop)
+    warn_if_unlikely(scene)
+    warn_if_unresolved(scene)
+    arch, threads = options.get("arch", "cpu"), options.get("threads")
+    precision = options.get("precision") or (resume.features.precision if resume else "f32")
+    record = options.get("record") or (resume.recording if resume else ALL)
+    workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
+    file, gpu = options.get("file"), arch != "cpu"
+    if file is not None and (gpu or record.fields):
+        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="file")
+    plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=file is not None)
+    require_memory([plan])
+    particles = particles_of([scene])
+    runtime.start(precision, threads, arch, enough=workers)
+    batch = Batch([scene], precision=precision, workers=workers, record=record, gpu=gpu, particles=particles, file=file)
+    if resume is not None:
+        resume.restore(batch)
+    with progress_bar(scene.frames - 1, batch.computed, options) as bar:
+        wall_s, compile_s = run_batch(batch, arch, bar, stop)
+    wall_s += 0.0 if resume is None else resume.run.wall_s
     checkpoint = Checkpoint.from_batch(batch, wall_s=wall_s)
     if batch.computed < scene.frames - 1 and not checkpoint.run.rest and failure(batch, 0) is None:
         kept = [frame for frame in batch.kept(0) if frame <= checkpoint.run.frame]
         so_far = Trajectory(
             positions=batch.recorded(0)[: len(kept)],
             time=np.array(kept, np.float64) * scene.frame_dt,
-            velocity0=batch.particles[0].velocities.astype(np.float32),
-            friction=batch.particles[0].friction,
+            velocity0=particles[0].velocities.astype(np.float32),
+            friction=particles[0].friction,
             scene=scene,
         )
         raise Interrupted(checkpoint, so_far)
-    outcome = trajectory(batch, 0, arch=options.get("arch", "cpu"), wall_s=wall_s, compile_s=compile_s)
-    return finished(outcome), checkpoint
+    outcome = trajectory(batch, 0, arch=arch, wall_s=wall_s, compile_s=compile_s)
+    if isinstance(outcome, WorkFailed):
+        raise outcome
+    return outcome, checkpoint
 
 
 def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
@@ -173,7 +192,7 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
                 gpu=arch != "cpu",
                 particles=[particles[index] for index in group],
             )
-            seconds = run_batch(batch, arch, bar, never_stop)
+            seconds = run_batch(batch, arch, bar, lambda: False)
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):
                 outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
@@ -181,40 +200,6 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
         if isinstance(outcome, Trajectory):
             outcome.summary.update(wall_s=wall_s, compile_s=compile_s)
     return [outcomes[index] for index in range(len(scenes))]
-
-
-def run_one(
-    scene: Scene, options: Options, resume: Checkpoint | None, stop: Callable[[], bool]
-) -> tuple[Batch, float, float]:
-    """Run one scene until its end or until asked to stop: its batch, seconds in all parts of the run and to compile."""
-    warn_if_unlikely(scene)
-    warn_if_unresolved(scene)
-    arch = options.get("arch", "cpu")
-    precision = options.get("precision") or (resume.features.precision if resume else "f32")
-    record = options.get("record") or (resume.recording if resume else ALL)
-    threads = options.get("threads")
-    workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
-    file, gpu = options.get("file"), arch != "cpu"
-    if file is not None and (gpu or record.fields):
-        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="file")
-    plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=file is not None)
-    require_memory([plan])
-    particles = particles_of([scene])
-    runtime.start(precision, threads, arch, enough=workers)
-    batch = Batch(
-        [scene],
-        precision=precision,
-        workers=workers,
-        record=record,
-        gpu=gpu,
-        particles=particles,
-        file=file,
-    )
-    if resume is not None:
-        resume.restore(batch)
-    with progress_bar(scene.frames - 1, batch.computed, options) as bar:
-        wall_s, compile_s = run_batch(batch, arch, bar, stop)
-    return batch, wall_s + (0.0 if resume is None else resume.run.wall_s), compile_s
 
 
 def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool]) -> tuple[float, float]:
@@ -255,19 +240,7 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
         bar.update(last - first)
 
 
-def finished(outcome: Trajectory | WorkFailed) -> Trajectory:
-    """The trajectory. Raises WorkFailed where there is none."""
-    if isinstance(outcome, WorkFailed):
-        raise outcome
-    return outcome
-
-
 def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":
     """A bar that counts frames, where asked for."""
     disabled = not options.get("progress", False)
     return tqdm(total=frames, initial=computed, unit="frame", disable=disabled, desc="mpm")
-
-
-def never_stop() -> bool:
-    """Never asks a run to stop."""
-    return False

@@ -38,7 +38,7 @@ from mpm.arrays.properties import (
     substeps_per_frame,
 )
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
-from mpm.initial.barriers import barrier_rows, release_times, retained_rows, settling_rows
+from mpm.initial.barriers import barrier_tables, release_times
 from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
@@ -156,21 +156,16 @@ class Batch:
 
     def add_barriers(self) -> None:
         """The lines of `barriers`, `retained` and `settling` of all scenes."""
-        barriers: list[list[int]] = []
-        retained: list[list[int]] = []
-        settling: list[list[float]] = []
+        tables: tuple[list[Any], list[Any], list[Any]] = [], [], []
         for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
-            offset[Offset.BARRIER], offset[Offset.RETAINED] = len(barriers), len(retained)
-            barriers += barrier_rows(scene, len(retained))
-            retained += retained_rows(scene, particles)
-            settling += settling_rows(scene, particles)
-            offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT] = (
-                len(barriers) - offset[Offset.BARRIER],
-                len(retained) - offset[Offset.RETAINED],
-            )
-        self.barriers = np.array(barriers or [[0] * len(Barrier)], np.int32)
-        self.retained = np.array(retained or [[0] * len(Retained)], np.int32)
-        self.settling = np.array(settling or [[0.0] * len(Settling)], np.float64)
+            offset[Offset.BARRIER], offset[Offset.RETAINED] = len(tables[0]), len(tables[1])
+            own: tuple[list[Any], ...] = barrier_tables(scene, particles, len(tables[1]))
+            offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT] = len(own[0]), len(own[1])
+            for table, rows in zip(tables, own, strict=True):
+                table += rows
+        self.barriers = np.array(tables[0] or [[0] * len(Barrier)], np.int32)
+        self.retained = np.array(tables[1] or [[0] * len(Retained)], np.int32)
+        self.settling = np.array(tables[2] or [[0.0] * len(Settling)], np.float64)
 
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record where that is kept."""

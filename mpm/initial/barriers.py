@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene
-from mpm.arrays.layout import PADDING, Barrier, Retained, Settling
+from mpm.arrays.layout import PADDING, Barrier, Settling
 from mpm.physics.barriers import ENERGY, FORCE
 
 BEYOND = 2
@@ -73,53 +73,38 @@ def inside(nodes: Range, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(((indices >= nodes[0]) & (indices < nodes[1])).all(axis=1))
 
 
-def barrier_rows(scene: Scene, first: int) -> list[list[int]]:
-    """Lines of `barriers` for the retained masses of `scene`, the first of which is line `first` of `retained`."""
-    rows = []
-    for number, mass in enumerate(retained_masses(scene).values()):
+def barrier_tables(
+    scene: Scene, particles: Particles, first: int
+) -> tuple[list[list[int]], list[list[int]], list[list[float]]]:
+    """Lines of `barriers`, `retained` and `settling`, in the order of `Barrier`, `Retained` and `Settling`.
+
+    One of the latter two for each retained mass of `scene`, the first of which is line `first`.
+    """
+    held: list[list[int]] = []
+    retained: list[list[int]] = []
+    settling: list[list[float]] = []
+    for index, mass in retained_masses(scene).items():
         found = [(barrier.axis, barrier.nodes) for barrier in barriers(scene, mass)]
         if mass.release == "settled":
             low = [floor_node(scene, length) for length in mass.lower]
             high = [ceiling_node(scene, a + b) + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
             found.append((len(Barrier), np.array([low, high], np.int32)))
         for axis, nodes in found:
-            row = dict.fromkeys(Barrier, 0) | {Barrier.RETAINED: first + number, Barrier.AXIS: axis}
-            for k in range(scene.dimension):
-                row[Barrier(Barrier.LOW_X + k)] = int(nodes[0, k])
-                row[Barrier(Barrier.HIGH_X + k)] = int(nodes[1, k])
-            rows.append([row[column] for column in Barrier])
-    return rows
-
-
-def retained_rows(scene: Scene, particles: Particles) -> list[list[int]]:
-    """Lines of the array `retained`, in the order of `Retained`, one for each retained mass of `scene`."""
-    rows = []
-    for index, mass in retained_masses(scene).items():
-        selected = np.flatnonzero(particles.mass == index)
-        values = dict.fromkeys(Retained, 0) | {
-            Retained.FIRST: int(selected[0]),
-            Retained.LAST: int(selected[-1]) + 1,
-            Retained.RELEASE: 0 if isinstance(mass.release, str) else round((mass.release or 0.0) / scene.frame_dt),
-        }
-        rows.append([values[column] for column in Retained])
-    return rows
-
-
-def settling_rows(scene: Scene, particles: Particles) -> list[list[float]]:
-    """Lines of the array `settling`, in the order of `Settling`, one for each retained mass of `scene`."""
-    rows = []
-    for index, mass in retained_masses(scene).items():
-        particle = float(particles.volume[particles.mass == index][0])
+            padded = np.pad(nodes, ((0, 0), (0, 3 - scene.dimension)))
+            held.append([first + len(retained), axis, *padded[0].tolist(), *padded[1].tolist()])
+        own = np.flatnonzero(particles.mass == index)
+        release = 0 if isinstance(mass.release, str) else round((mass.release or 0.0) / scene.frame_dt)
+        retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
-        values = dict.fromkeys(Settling, 0.0) | {
+        known = {
             Settling.RATE: np.pi * material.wave_speed / height,
-            Settling.PARTICLE: material.density * particle,
+            Settling.PARTICLE: material.density * float(particles.volume[own[0]]),
             Settling.MOST_KINETIC: ENERGY * 0.5 * weight * speed**2,
             Settling.MOST_IMPULSE: FORCE * weight * scene.gravity * scene.frame_dt,
         }
-        rows.append([values[column] for column in Settling])
-    return rows
+        settling.append([known.get(column, 0.0) for column in Settling])
+    return held, retained, settling
 
 
 def retained_masses(scene: Scene) -> dict[int, Mass]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import Scene
-from mpm.arrays.layout import PADDING, Contact
+from mpm.arrays.layout import Contact
+from mpm.output.smoothing import support
 from mpm.solids.obstacles import initial_contacts, obstacles_in
 
 Floats = NDArray[np.float64]
@@ -25,27 +26,17 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArra
 
     Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
     """
-    count, dimension = positions.shape
-    cell = scene.domain.cell
-    x_cells = positions / cell + PADDING
-    low = np.floor(x_cells - 0.5)
-    f = x_cells - low
-    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
-    stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
-    weight = np.ones((count, len(stencil)))
-    for axis in range(dimension):
-        weight *= spline[:, axis, :][:, stencil[:, axis]]
-    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
-    index = low.astype(np.int64)[:, None, :] + stencil
-    touched, column = np.unique(np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), return_inverse=True)
-    row = np.repeat(np.arange(count), len(stencil))
+    found = support(scene, positions)
+    count, cell = len(positions), scene.domain.cell
+    touched, column = np.unique(found.nodes, return_inverse=True)
+    row = np.repeat(np.arange(count), found.nodes.shape[1])
 
     def matrix(values: Floats) -> Any:
         return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(touched)))
 
-    slopes = [matrix(4.0 / cell * weight * (stencil[:, axis] - f[:, axis, None])) for axis in range(dimension)]
-    nodes = np.stack(np.unravel_index(touched, shape), axis=1)
-    return matrix(weight), sparse.vstack(slopes).tocsr(), nodes
+    slopes = [matrix(4.0 / cell * found.weight * away) for away in np.moveaxis(found.offset, -1, 0)]
+    nodes = np.stack(np.unravel_index(touched, found.shape), axis=1)
+    return matrix(found.weight), sparse.vstack(slopes).tocsr(), nodes
 
 
 class ContactOperator:

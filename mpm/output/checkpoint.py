@@ -58,7 +58,7 @@ class Checkpoint:
 
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
-        """The state of a batch of one scene; a copy."""
+        """The state of a batch of one scene; views of its arrays."""
         rest = int(batch.offsets[0, Offset.REST])
         run = Progress(
             frame=rest or batch.computed,
@@ -67,9 +67,12 @@ class Checkpoint:
             clamped=int(batch.clamped.sum()),
             wall_s=wall_s,
         )
-        arrays = {key: array.copy() for key, array in arrays_of(batch, run.frame).items()}
         return Checkpoint(
-            scene=batch.scenes[0], features=batch.features, recording=batch.recording, run=run, arrays=arrays
+            scene=batch.scenes[0],
+            features=batch.features,
+            recording=batch.recording,
+            run=run,
+            arrays=arrays_of(batch, run.frame),
         )
 
     def difference(self, scene: Scene, recording: Recording, precision: Precision) -> str:

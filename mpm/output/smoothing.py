@@ -24,6 +24,7 @@ through the grid once more, as above.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,34 +33,52 @@ from scipy import ndimage, sparse
 from datasets.geometry.nearest import nearest
 from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
+from mpm.arrays.layout import PADDING
 
 PASSES = 2
 """How often stress and pressure go through the grid."""
 MIN_FREE_SHARE = 0.5
 """Least share that counts as free of a box with a particle in it: its mass is there."""
-MARGIN = 2
-"""Nodes beyond the walls in the support of a quadratic spline."""
 
 Floats = NDArray[np.floating]
 
 
-def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
-    """Quadratic B-spline weights w_ip of nodes i at `positions` p [m], shape [N, D]; shape [N, nodes]."""
+class Support(NamedTuple):
+    """The 3^D nodes in the support of each of N particles."""
+
+    shape: tuple[int, ...]
+    """Nodes of the grid along each axis, from the first padding node on."""
+    nodes: NDArray[np.int64]
+    """Of the nodes in the flat grid, shape [N, 3^D]."""
+    weight: NDArray[np.float64]
+    """w_ip, shape [N, 3^D]."""
+    offset: NDArray[np.float64]
+    """x_i - x_p [cells], shape [N, 3^D, D]."""
+
+
+def support(scene: Scene, positions: Floats) -> Support:
+    """The support of particles at `positions` [m], shape [N, D], by quadratic B-splines."""
     cell, dimension = scene.domain.cell, scene.dimension
-    x_cells = positions.astype(np.float64) / cell
-    lowest = np.floor(x_cells - 0.5)
-    f = x_cells - lowest
-    # Per axis and offset 0, 1, 2 from the lowest node, shape [3, N, D].
-    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2])
-    nodes = np.array([round(length / cell) + 1 + 2 * MARGIN for length in scene.domain.size])
-    first = lowest.astype(np.int64) + MARGIN
-    index, weight = np.zeros((len(positions), 1), np.int64), np.ones((len(positions), 1))
+    x_cells = positions.astype(np.float64) / cell + PADDING
+    low = np.floor(x_cells - 0.5)
+    f = x_cells - low
+    spline = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
+    stencil = np.stack(np.meshgrid(*[np.arange(3)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
+    weight = np.ones((len(positions), len(stencil)))
     for axis in range(dimension):
-        along = first[:, axis, None] + np.arange(3)
-        index = (index[:, :, None] * nodes[axis] + along[:, None]).reshape(len(positions), -1)
-        weight = (weight[:, :, None] * spline[:, :, axis].T[:, None]).reshape(len(positions), -1)
-    starts = np.arange(0, index.size + 1, index.shape[1])
-    return sparse.csr_array((weight.ravel(), index.ravel(), starts), shape=(len(positions), math.prod(nodes)))
+        weight *= spline[:, axis, :][:, stencil[:, axis]]
+    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    index = low.astype(np.int64)[:, None, :] + stencil
+    return Support(shape, np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), weight, stencil - f[:, None])
+
+
+def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
+    """Weights w_ip of nodes i at `positions` p [m], shape [N, D]; shape [N, nodes]."""
+    found = support(scene, positions)
+    starts = np.arange(0, found.nodes.size + 1, found.nodes.shape[1])
+    return sparse.csr_array(
+        (found.weight.ravel(), found.nodes.ravel(), starts), shape=(len(positions), math.prod(found.shape))
+    )
 
 
 def smoothed(
