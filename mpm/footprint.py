@@ -16,7 +16,7 @@ from datasets.field import FRICTION
 from datasets.material import Material
 from datasets.particles import mass_counts, mass_particle_volumes
 from datasets.scene import Scene
-from mpm.arrays.features import Features, features_of
+from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Energy, Precision
 from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
@@ -89,39 +89,28 @@ def footprint(
             "a softer `young`, larger cells or a shorter time",
             key="duration",
         )
-    count = sum(mass_counts(scene))
-    frames_size = 0 if in_file else size_of_frames(scene, features, count, record)
+    count, dimension = sum(mass_counts(scene)), features.dimension
     nodes = tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    real = 4 if features.precision == "f32" else 8
+    particle = 8 * (2 * dimension + dimension**2 + 2) + 8
+    sizes = (
+        PROCESS,
+        count * BESIDE * (particle + real * features.block),
+        math.prod(nodes) * workers * (real * features.node + (16 if features.contact else 0)),
+        STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
+    )
+    kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
+    solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
+    # What is smoothed is there twice.
+    numbers = dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))
+    recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     return Footprint(
         particles=count,
         nodes=nodes,
         frames=scene.frames,
         steps=steps,
-        bytes=PROCESS + size_of(scene, features, count, math.prod(nodes), workers) + frames_size,
+        bytes=int(sum(sizes)) + (0 if in_file else recorded),
     )
-
-
-def size_of(scene: Scene, features: Features, count: int, nodes: int, workers: int) -> int:
-    """Bytes of the arrays of a run with so many particles and nodes, but for those of `size_of_frames`."""
-    real, dimension = (4 if features.precision == "f32" else 8), features.dimension
-    particle = 8 * (2 * dimension + dimension**2 + 2) + 8
-    state = real * features.block
-    sizes = (
-        count * BESIDE * (particle + state),
-        nodes * workers * (real * features.node + (16 if features.contact else 0)),
-        STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
-    )
-    return int(sum(sizes))
-
-
-def size_of_frames(scene: Scene, features: Features, count: int, record: Recording) -> int:
-    """Bytes of what is recorded of so many particles, and over time."""
-    dimension = features.dimension
-    kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
-    solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
-    # What is smoothed is there twice.
-    numbers = dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))
-    return count * kept * 4 * numbers + scene.frames * 8 * (len(Energy) + 2 * solids * dimension)
 
 
 def require_memory(footprints: list[Footprint]) -> None:

@@ -1,22 +1,30 @@
-"""The solids in the box for the kernel: faces, which of them are near a cell, nodes deep inside, and where
-each particle touches at the start (`mpm.physics.contact`)."""
+"""The solids in the box for the kernel: faces near cells, nodes deep inside, contact of the particles at the start.
+
+Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers nodes: a cell by its lowest node.
+
+**Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
+F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
+cutoff + h), `smallest` being the distance of c from its nearest face, and a segment of length `travel` that starts in
+the cell can cut F only where d(c, F) <= h + travel.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.nearest import feet, nearest
+from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import Domain, Scene
-from mpm.arrays.layout import Contact
+from mpm.arrays.layout import PADDING, Contact
 from mpm.arrays.properties import CONTACT_WIDTH, search_distance
-from mpm.solids.faces import faces_near, node_shape
 
 Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 FIXED_DEPTH = 0.5
 """Depth [cells] from which nodes in a solid are held."""
@@ -41,8 +49,7 @@ class Obstacles:
     """Of each held node the normal, friction and the number of its solid, shape [K, D + 2]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FirstEntries:
+class FirstEntries(NamedTuple):
     """Where those of one scene begin among the obstacles of several."""
 
     cell: int
@@ -99,10 +106,17 @@ def obstacles_in(scene: Scene) -> Obstacles:
 @lru_cache(maxsize=32)
 def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles:
     """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
-    near = faces_near(domain, surface, cutoff=cutoff)
-    deep = np.flatnonzero(near.distance <= -FIXED_DEPTH * domain.cell * (1.0 - 1.0e-9))
-    fixed = np.zeros(len(near.first), np.int32)
-    fixed[near.nodes[deep]] = np.arange(1, len(deep) + 1)
+    cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
+    nodes = np.flatnonzero(np.diff(cell_faces))
+    near = nearest(surface, node_positions(domain, nodes), cutoff * domain.cell)
+    depth = -near.distance / domain.cell
+    deep = (depth >= FIXED_DEPTH * (1.0 - 1.0e-9)) & (depth <= cutoff)
+    nodes, face, normal = nodes[deep], near.face[deep], near.normal[deep]
+    fixed = np.zeros(len(cell_faces), np.int32)
+    fixed[nodes] = np.arange(1, len(nodes) + 1)
+    _, _, weights = feet(surface.corners[face], node_positions(domain, nodes))
+    corners = np.minimum(surface.friction, NO_SLIP)[face]
+    friction = np.where((corners == NO_SLIP).any(axis=1), NO_SLIP, (weights * corners).sum(axis=1))
     count = len(surface.corners)
     return Obstacles(
         faces=np.concatenate(
@@ -117,13 +131,70 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
             ],
             axis=1,
         ),
-        cell_faces=near.first,
-        near_faces=near.faces,
+        cell_faces=cell_faces,
+        near_faces=near_faces,
         fixed_nodes=fixed,
-        node_contacts=np.concatenate(
-            [near.normal[deep], np.minimum(near.friction[deep], NO_SLIP)[:, None], near.solid[deep, None]], axis=1
-        ),
+        node_contacts=np.concatenate([normal, friction[:, None], surface.solid[face, None]], axis=1),
     )
+
+
+def faces_near(
+    domain: Domain, surface: Surface, *, cutoff: float, travel: float = 1.0
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Where the list of each cell begins among the faces of `surface` that are near cells, and these.
+
+    cutoff: largest distance from the surface that is listed [cells]; travel: longest displacement of a step [cells].
+    """
+    cell = domain.cell
+    half = 0.5 * cell * np.sqrt(len(domain.size))
+    cells, faces, distance = near_pairs(domain, surface, max(cutoff * cell + half, travel * cell + half))
+    groups = np.flatnonzero(np.diff(cells, prepend=-1))
+    smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
+    smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
+    slack = 1.0e-9 * cell
+    kept = (distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack) | (
+        distance <= half + travel * cell + slack
+    )
+    listed = np.bincount(cells[kept] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
+    return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
+
+
+def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
+    """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
+
+    in the order of the cells, then of the faces.
+    """
+    shape = np.array(node_shape(domain))
+    # Cells in the boxes around faces; the last node of an axis has no cell.
+    low = np.floor((surface.corners.min(axis=1) - limit) / domain.cell - 0.5).astype(np.int64) + PADDING
+    high = np.ceil((surface.corners.max(axis=1) + limit) / domain.cell - 0.5).astype(np.int64) + PADDING + 1
+    around = np.zeros(shape, bool)
+    for first, last in zip(np.maximum(low, 0), np.maximum(np.minimum(high, shape - 1), 0), strict=True):
+        around[tuple(map(slice, first, last))] = True
+    numbers = np.flatnonzero(around)
+    centres = node_positions(domain, numbers) + 0.5 * domain.cell
+    found: list[tuple[Integers, Integers, Floats]] = []
+    for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
+        _, distance, _ = feet(surface.corners[face], centres[point])
+        near = distance <= limit
+        found.append((numbers[point[near]], face[near], distance[near]))
+    none = np.zeros(0, np.int64)
+    cells = np.concatenate([none, *(part[0] for part in found)])
+    faces = np.concatenate([none, *(part[1] for part in found)])
+    distance = np.concatenate([np.zeros(0), *(part[2] for part in found)])
+    order = np.lexsort((faces, cells))
+    return cells[order], faces[order], distance[order]
+
+
+def node_shape(domain: Domain) -> tuple[int, ...]:
+    """Nodes of the background grid along each axis, PADDING cells beyond every wall."""
+    return tuple(round(length / domain.cell) + 2 * PADDING + 1 for length in domain.size)
+
+
+def node_positions(domain: Domain, nodes: Integers) -> Floats:
+    """Positions of nodes by their numbers [m], shape [N, D]."""
+    index = np.stack(np.unravel_index(nodes, node_shape(domain)), axis=-1)
+    return np.asarray((index - PADDING) * domain.cell)
 
 
 def face_columns(dimension: int) -> int:

@@ -8,7 +8,7 @@ from datasets.geometry.nearest import feet, nearest
 from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import Baffle, Domain, Mass, Material, Scene, Solid
 from mpm.arrays.layout import PADDING
-from mpm.solids.faces import Faces, faces_near, node_positions, node_shape
+from mpm.solids.obstacles import faces_near, node_shape
 
 CELL = 0.05
 WAVES = tuple(
@@ -47,11 +47,6 @@ def surface(scene: Scene) -> Surface:
     return found
 
 
-def listed(found: Faces, cell: int) -> set[int]:
-    """The faces in the list of a cell."""
-    return set(found.faces[found.first[cell] : found.first[cell + 1]].tolist())
-
-
 def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
     """The cell of each point, by the number of its lowest node."""
     index = np.floor(points / CELL).astype(np.int64) + PADDING
@@ -63,7 +58,7 @@ def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
 def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> None:
     scene = scene_of(dimension)
     whole = surface(scene)
-    found = faces_near(scene.domain, whole, cutoff=cutoff)
+    first, near_faces = faces_near(scene.domain, whole, cutoff=cutoff)
     rng = np.random.default_rng(3)
     points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
     cells = box_cells(scene, points)
@@ -73,7 +68,7 @@ def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> Non
     ways = points + np.linspace(0.0, 1.0, 17)[:, None, None] * (ends - points)
     near = 0
     for number, cell in enumerate(cells.tolist()):
-        faces = listed(found, cell)
+        faces = set(near_faces[first[cell] : first[cell + 1]].tolist())
         if abs(seen.distance[number]) <= cutoff * CELL:
             near += 1
             assert int(seen.face[number]) in faces
@@ -83,28 +78,9 @@ def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> Non
         distance = feet(corners.reshape(-1, dimension, dimension), flat)[1].reshape(17, -1).min(axis=0)
         assert set(np.flatnonzero(distance < 1e-3 * CELL).tolist()) <= faces
     assert near > 8
-    lengths = np.diff(found.first)
+    lengths = np.diff(first)
     assert lengths.max() < (25 if dimension == 2 else 120)
     assert (lengths == 0).sum() > 0.2 * len(lengths)
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_nodes_see_the_surface(dimension: int) -> None:
-    scene = scene_of(dimension)
-    whole = surface(scene)
-    found = faces_near(scene.domain, whole, cutoff=1.5)
-    everything = np.arange(int(np.prod(node_shape(scene.domain))))
-    seen = nearest(whole, node_positions(scene.domain, everything))
-    # The last nodes along an axis are the lowest of no cell.
-    last = np.array([axis[-1] for axis in np.stack(np.unravel_index(everything, node_shape(scene.domain)))[:, -1:]])
-    within = (np.stack(np.unravel_index(everything, node_shape(scene.domain)), axis=1) < last).all(axis=1)
-    near = np.flatnonzero((np.abs(seen.distance) <= 1.5 * CELL) & within)
-    np.testing.assert_array_equal(found.nodes, near)
-    np.testing.assert_allclose(found.distance, seen.distance[near], atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)
-    assert (found.solid == whole.solid[found.face]).all()
-    stuck = np.array([solid.contact == "no-slip" for solid in scene.solids])[np.maximum(found.solid - 1, 0)]
-    np.testing.assert_array_equal(np.isinf(found.friction), stuck & (found.solid > 0))
 
 
 def test_an_empty_neighbourhood() -> None:
@@ -118,6 +94,6 @@ def test_an_empty_neighbourhood() -> None:
         friction=np.zeros((1, 2)),
         adhesion=np.zeros(1),
     )
-    found = faces_near(scene.domain, distant)
-    assert len(found.faces) == len(found.nodes) == 0
-    assert (found.first == 0).all()
+    first, near_faces = faces_near(scene.domain, distant, cutoff=2.0)
+    assert len(near_faces) == 0
+    assert (first == 0).all()
