@@ -34,7 +34,7 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArra
     def matrix(values: Floats) -> Any:
         return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(touched)))
 
-    slopes = [matrix(4.0 / cell * found.weight * away) for away in np.moveaxis(found.offset, -1, 0)]
+    slopes = [matrix(4.0 / cell * found.weight * apart) for apart in np.moveaxis(found.offset, -1, 0)]
     nodes = np.stack(np.unravel_index(touched, found.shape), axis=1)
     return matrix(found.weight), sparse.vstack(slopes).tocsr(), nodes
 

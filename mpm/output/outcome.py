@@ -117,9 +117,9 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         summary["release_time"] = released
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
-        sides = DOMAIN_SIDES[: 2 * scene.dimension]
+        names = DOMAIN_SIDES[: 2 * scene.dimension]
         summary["wall_impulse"] = rounded(walls.sum(axis=1))
-        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(sides)}
+        summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
     if scene.open_sides:
         summary["outflow"] = outflow(batch, index)
     return Trajectory(
