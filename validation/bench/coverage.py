@@ -1,0 +1,289 @@
+"""`python -m validation.bench coverage`: how often the posterior holds the truth, and whether its ranks are uniform.
+
+A truth v0 is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed with noise as stated,
+and the loop solves for it. If the posterior is right, the share of it that is denser than v0 is uniform over the twins,
+and so is the share of each number's marginal below v0 (Talts, Betancourt, Simpson, Vehtari & Gelman, Validating
+Bayesian inference algorithms with simulation-based calibration, arXiv:1804.06788, 2018; Hyndman, Computing and graphing
+highest density regions, Am. Stat. 50 (1996) 120-126).
+"""
+
+import dataclasses
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chisquare, kstest
+from tqdm import tqdm
+
+from datasets.errors import InputError
+from datasets.files import write_json
+from datasets.records import Record, from_mapping, read_json
+from inverse.problem import Problem, read_problem
+from inverse.result import Result
+from inverse.settings import TargetSettings
+from mpm import LAST, simulate_many
+from mpm.cluster import connected
+from validation.loop.solve import solve
+from validation.report.page import GNS, MPM, Page, Row
+from validation.report.plots import BLUE, GREY, figure, pane
+
+REGIONS = (0.5, 0.8, 0.95)
+WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
+"""Shares of truths that a region is to hold: of 40 twins chance leaves each range once in a hundred."""
+BINS = 8
+"""Of the ranks, in the test of their uniformity."""
+SIGNIFICANT = 0.01
+"""p-value below which ranks are not uniform: of so many tests one in twenty would be below 0.05."""
+FIRST_SEED = 100_000
+"""Jitter seed of the first twin's target, then upwards; its inversion has others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Twins of one problem."""
+
+    title: str
+    problem: str
+    """Name of a shipped problem, whose scene, numbers and observation the twins have."""
+    noise: float | str = 0.0
+    """Of each observed number, as in `inverse.settings.ObservationSettings`."""
+    finer: float = 1.0
+    """Cells of the target's flow, as a share of the scene's: what the inversion's own cells get wrong."""
+
+
+FAMILIES = {
+    "front": Family(title="Friction, front", problem="friction-tall-42"),
+    "profile": Family(title="Friction, profile", problem="friction-tall-42-profile"),
+    "front-noise": Family(title="Friction, front with 1 % noise", problem="friction-short-21", noise="1%"),
+    "cohesion": Family(title="Friction and cohesion, profile", problem="cohesion-friction"),
+    "front-fine": Family(title="Friction, front of half the cells", problem="friction-tall-42", finer=0.5),
+    "profile-fine": Family(title="Friction, profile of half the cells", problem="friction-tall-42-profile", finer=0.5),
+    "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
+    "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
+    "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
+}
+DEFAULT = ("front", "profile")
+"""Families that are solved where none is named."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin(Record):
+    """Where the posterior has the truth."""
+
+    seed: int
+    denser: float
+    """Share of the posterior that is denser than the truth: above 0.95 it is outside of the 95 % region."""
+    below: dict[str, float]
+    """Share of each number's marginal below the true value."""
+    inside: int
+    """Numbers whose half-width about the answer nearest to the truth holds the true value."""
+    answers: int
+    verdict: str
+    runs: int
+    seconds: float
+
+
+def bench(
+    out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[str, ...] = DEFAULT, scheduler: str = ""
+) -> str:
+    """Solve twin experiments with truths from the prior; write OUT/coverage.md and return its conclusion.
+
+    Parameters
+    ----------
+    out
+        Folder for coverage.md and its picture.
+    quick
+        Two twins of the first family.
+    keep
+        Folder of a file for each twin that is solved; those that are there are not solved again.
+    twins
+        Of each family.
+    only
+        Families to solve (front, profile, front-noise, cohesion, front-fine, profile-fine, layers, velocities,
+        baffles); the page has all that there are in `keep`.
+    scheduler
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
+    """
+    if unknown := [name for name in only if name not in FAMILIES]:
+        raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
+    if twins < 1:
+        raise InputError(f"expected at least one twin, got {twins}", where="--twins")
+    asked = [(name, number) for name in (only[:1] if quick else only) for number in range(2 if quick else twins)]
+    missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
+    tasks = [(FAMILIES[name], number) for name, number in missing]
+    with nullcontext() if not scheduler else connected(scheduler) as workers:
+        results: Iterator[tuple[int, Twin]] = (
+            enumerate(solve_twin(*task) for task in tasks)
+            if workers is None
+            else workers.finished(solve_twin, [(*task, 1) for task in tasks])
+        )
+        for index, result in tqdm(results, total=len(tasks), unit="twin", leave=False, disable=None):
+            name, number = missing[index]
+            write_json(path_of(number, keep / name), dataclasses.asdict(result))
+    stored = {
+        FAMILIES[name]: [twin for path in sorted((keep / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
+        for name in FAMILIES
+    }
+    found = {family: some for family, some in stored.items() if some}
+    draw(out / "coverage.png", found)
+    flags = "" if twins == 40 else f" --twins {twins}"
+    flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
+    return page(found, flags=flags, quick=quick).write(out / "coverage.md")
+
+
+def path_of(number: int, folder: Path) -> Path:
+    """The file of a twin in the folder of its family."""
+    return folder / f"{number:03d}.json"
+
+
+def read_twin(path: Path) -> Twin | None:
+    """The twin at `path`; None where it was not solved yet."""
+    return None if (known := read_json(path)) is None else from_mapping(Twin, known)
+
+
+def solve_twin(family: Family, number: int, threads: int | None = None) -> Twin:
+    """Solve the twin of this number; threads: of the MPM, all cores unless given."""
+    simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
+    with tempfile.TemporaryDirectory() as folder:
+        problem = drawn(family, number)
+        truth = problem.target.truth
+        if family.finer != 1.0:
+            problem = with_finer_target(problem, family.finer, Path(folder))
+        return located(solve(problem, simulate=simulate), truth, FIRST_SEED + number)
+
+
+def drawn(family: Family, number: int) -> Problem:
+    """The twin experiment of this number, with its truth and its jitter seeds."""
+    asked, rng = read_problem(family.problem), np.random.default_rng([FIRST_SEED, number])
+    lower, upper = np.array([each.bounds for each in asked.numbers]).T
+    truth = asked.named(lower + (upper - lower) * rng.random(len(lower)))
+    return dataclasses.replace(
+        asked,
+        scene=dataclasses.replace(asked.scene, seed=int(rng.integers(2**31))),
+        observations=tuple(dataclasses.replace(each, noise=family.noise) for each in asked.observations),
+        target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth),
+    )
+
+
+def with_finer_target(problem: Problem, finer: float, folder: Path) -> Problem:
+    """The problem with the trajectory of its twin on other cells as what was observed."""
+    scene = problem.twin_scene
+    fine = dataclasses.replace(scene, domain=dataclasses.replace(scene.domain, cell=finer * scene.domain.cell))
+    (flow,) = simulate_many([fine], record=LAST)
+    flow.save(folder / "target.npz")
+    return dataclasses.replace(problem, target=TargetSettings(trajectory=str(folder / "target.npz")))
+
+
+def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
+    """Where the posterior of `result` has its truth."""
+    found, box = result.posterior, result.problem.box
+    assert found is not None, "of numbers"
+    values = np.array([truth[name] for name in result.problem.names])
+    point, samples = (values - box.lower) / box.range, found.samples
+    excluded = np.any((point < found.region.low) | (point > found.region.high))
+    density = -np.inf if excluded else float(found.likelihood(point[None])[0])
+    off = [
+        np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300)
+        for each in result.answers
+        if each.half_widths is not None
+    ]
+    return Twin(
+        seed=seed,
+        denser=float(samples.weights[samples.log_likelihood > density].sum()),
+        below=result.problem.named(samples.weights @ (samples.points < point)),
+        inside=int(np.sum(min(off, key=np.max) <= 1.0)),
+        answers=len(result.answers),
+        verdict=result.verdict.value,
+        runs=len(result.mpm_runs),
+        seconds=result.seconds["total"],
+    )
+
+
+def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool) -> Page:
+    """The table and its conclusion."""
+    tested = {
+        level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
+        for level, (low, high) in WITHIN.items()
+    }
+    uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
+    every = [each for twins_of_one in found.values() for each in twins_of_one]
+    result = Page(
+        "Coverage of the posterior",
+        command=f"python -m validation.bench coverage{flags} --out docs",
+        conclusion=[
+            f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
+            *(
+                f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
+                f"to {WITHIN[level][1]:.0%}: {', '.join(names) or 'none'}."
+                for level, names in tested.items()
+            ),
+            f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
+        ],
+        packages=MPM | GNS,
+        quick=quick,
+    )
+    result.picture("coverage.png", "share of the truths that a region holds over the region's share")
+    result.text(f"""
+        A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
+        solves for it. A region of highest density holds the truth where less than its share of the posterior is denser.
+        p-values: Kolmogorov-Smirnov of that share, and chi-square of the ranks of all numbers in {BINS} bins.
+        Half-widths are those of the answer nearest to the truth.
+    """)
+    result.table([row(family, each) for family, each in found.items()])
+    return result
+
+
+def held(found: Sequence[Twin], level: float) -> float:
+    """Share of the truths within the region of `level`."""
+    return float(np.mean([each.denser <= level for each in found]))
+
+
+def uniformity(found: Sequence[Twin]) -> float:
+    """p-value of the share that is denser than the truth, if it were uniform."""
+    return float(kstest([each.denser for each in found], "uniform").pvalue)
+
+
+def ranks(found: Sequence[Twin]) -> float:
+    """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
+    names = list(found[0].below)
+    values = [
+        chisquare(np.histogram([each.below[name] for each in found], bins=BINS, range=(0.0, 1.0))[0]).pvalue
+        for name in names
+    ]
+    return min(1.0, len(names) * float(min(values)))
+
+
+def row(family: Family, found: Sequence[Twin]) -> Row:
+    """A line of the table."""
+    verdicts = [each.verdict for each in found]
+    count = len(found[0].below)
+    return {
+        "twins of": family.title,
+        "problem": f"`{family.problem}`",
+        "twins": len(found),
+        **{f"in the {level:.0%} region": f"{held(found, level):.0%}" for level in REGIONS},
+        "p, regions": f"{uniformity(found):.2g}",
+        "p, ranks": f"{ranks(found):.2g}",
+        "true values within half-widths": f"{sum(each.inside for each in found) / (count * len(found)):.0%}",
+        "verdicts": ", ".join(f"{verdicts.count(each)} {each}" for each in dict.fromkeys(verdicts)),
+        "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
+        "s": f"{np.median([each.seconds for each in found]):.0f}",
+    }
+
+
+def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
+    """Share of the truths in the region over the region's share: on the diagonal where the posterior is right."""
+    levels = np.linspace(0.0, 1.0, 101)
+    with figure(path, size=(5.0, 4.0)) as axes:
+        axis = pane(axes)
+        axis.plot(levels, levels, color=GREY, linewidth=0.8)
+        for family, twins in found.items():
+            colour = {"color": BLUE} if len(found) == 1 else {}
+            axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2, **colour)
+        axis.set_xlabel("share of the posterior in the region")
+        axis.set_ylabel("share of the truths in it")
+        axis.legend()

@@ -1,1 +1,0 @@
-"""Simulation-based calibration of the posterior: `python -m validation.bench coverage`."""

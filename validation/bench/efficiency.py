@@ -1,0 +1,445 @@
+"""`python -m validation.bench efficiency`: what a gradient costs by surrogate, adjoint and differences, and a search.
+
+The paper's column of ten layers is cut into 1 to 1,000 blocks of unknown velocity. Gradients are compared with the
+MPM's differences averaged over `JITTERS` seeds: along the path of one run the adjoint has its corners, which the mean
+over runs has not.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import torch
+from inverse.parameters.parameter import Parameter
+from inverse.target import read_target
+from matplotlib.axes import Axes
+from mpm.process import processors
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+import gns
+from datasets.errors import InputError
+from datasets.library import read_scene
+from datasets.scene import Mass, Scene
+from gns.model.simulator import Simulator
+from inverse.forward.adjoint import AdjointForward
+from inverse.forward.gns import GnsForward
+from inverse.forward.interface import Differentiable, Forward
+from inverse.forward.mpm import MpmForward
+from inverse.jacobian import automatic
+from inverse.observations import Values
+from inverse.parameters import Vector
+from inverse.problem import Problem, read_problem
+from inverse.settings import ObservationSettings, OptimiserSettings, TargetSettings
+from mpm import simulate, simulate_many
+from validation.bench.searches import By, Models, Searched, methods, search
+from validation.report.page import GNS, MPM, Page, Row
+from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
+
+SCENE = "layers-10"
+CUTS = {1: (1, 1), 10: (1, 10), 100: (10, 10), 1_000: (25, 40)}
+"""Blocks along x and along y, by the number of unknowns."""
+AT_FLOOR, AT_TOP = 1.5, 0.15
+"""True velocities [m/s], about the paper's; a block has that of its middle."""
+FRACTION = 0.5
+"""Of the true velocities: where the gradient is evaluated."""
+STEPS = {1: 0.15, 10: 0.15, 100: 0.5, 1_000: 2.0}
+"""Step of the differences [m/s]: a smaller part of the sand moves the deposit less."""
+MOST_COLUMNS = 10
+"""Unknowns whose differences are run; the seconds of more are multiplied."""
+JITTERS = 4
+"""Jitter seeds of the MPM's differences that gradients are compared with."""
+HUNDRED = "velocity-blocks-100"
+"""The problem of a hundred blocks; a start of 0.75 m/s and the bounds of `velocity-layers-10`."""
+LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
+"""Seconds for each method, by problem."""
+QUICK_S, QUICK_LIMIT = 0.2, 3.0
+"""How long flows last and seconds for each method, with `--quick` [s]."""
+SAME = 1.5
+"""Losses whose ratio is less than this do not differ: a check run scatters too."""
+PICTURES = "pictures"
+
+
+class Method(StrEnum):
+    """What computes a gradient."""
+
+    SURROGATE = "surrogate"
+    """Reverse mode through the rollout."""
+    ADJOINT = "adjoint of the MPM"
+    DIFFERENCES = "differences of the MPM"
+
+
+COLOURS = {Method.SURROGATE: ORANGE, Method.ADJOINT: RED, Method.DIFFERENCES: BLUE}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gradient:
+    """One gradient by one method."""
+
+    method: Method
+    unknowns: int
+    seconds: float
+    columns: int
+    """Unknowns whose differences were run; the seconds of the others are taken to be the same."""
+    cosine: float
+    """Of the angle between it and the mean of the MPM's differences of `JITTERS` seeds, over those unknowns."""
+    length: float
+    """Over that of this mean."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """All methods on one problem."""
+
+    problem: str
+    limit: float
+    """Seconds that each method may use."""
+    floor: float
+    """Loss that the MPM shows at the truth, by its own scatter."""
+    searches: tuple[Searched, ...]
+
+    @property
+    def level(self) -> float:
+        """The loss below which no answer is better than another, by the MPM's own scatter."""
+        return SAME * max(self.floor, min(each.loss for each in self.searches))
+
+
+def bench(
+    out: Path,
+    *,
+    quick: bool,
+    keep: Path,
+    unknowns: tuple[int, ...] = (1, 10, 100),
+    problems: tuple[str, ...] = tuple(LIMITS),
+) -> str:
+    """Gradients over the number of unknowns, and whole searches, by every method; some seven minutes.
+
+    Parameters
+    ----------
+    out
+        Folder for efficiency.md and its pictures.
+    quick
+        Short flows, ten unknowns, one problem.
+    keep
+        Not used: seconds are measured anew.
+    unknowns
+        Of 1, 10, 100, 1000.
+    problems
+        Of friction-tall-42, velocity-layers-10, velocity-blocks-100.
+    """
+    for name, asked, known in (("--unknowns", unknowns, CUTS), ("--problems", problems, LIMITS)):
+        if wrong := [each for each in asked if each not in known]:
+            raise InputError(f"expected any of {', '.join(map(str, known))}, got {wrong[0]}", where=name)
+    if quick:
+        unknowns, problems = unknowns[:2], problems[:1]
+    torch.set_num_threads(processors())
+    simulator = gns.load("flow2d")
+    gradients = over_unknowns(simulator, unknowns, duration=QUICK_S if quick else None)
+    compared = []
+    for name in problems:
+        problem = hundred_problem() if name == HUNDRED else read_problem(name)
+        if quick:
+            problem = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=QUICK_S))
+        models, limit = Models.build(problem, simulator), QUICK_LIMIT if quick else LIMITS[name]
+        searches = [search(by, models, limit) for by in tqdm(methods(problem), desc=name, unit="method")]
+        compared.append(
+            Compared(problem=name, limit=limit, floor=models.checked([models.truth])[0], searches=tuple(searches))
+        )
+    draw_gradients(out / PICTURES / "efficiency-unknowns.png", gradients)
+    draw_searches(out / PICTURES / "efficiency-searches.png", compared)
+    flags = "" if unknowns == (1, 10, 100) or quick else "".join(f" --unknowns {each}" for each in unknowns)
+    return page(gradients, compared, flags=flags, quick=quick).write(out / "efficiency.md")
+
+
+def blocks(columns: int, layers: int) -> Scene:
+    """The layers' sand in `columns` times `layers` blocks at their true velocities, cut between its particles.
+
+    However it is cut, its particles are the same: no cut goes through a particle's share of a cell.
+    """
+    whole = read_scene(SCENE)
+    spacing = whole.particle_spacing
+    across = round(whole.masses[0].size[0] / spacing)
+    up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
+    x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
+    masses = []
+    for j, i in product(range(layers), range(columns)):
+        middle = (y[j] + y[j + 1]) / 2.0 / up
+        masses.append(
+            Mass(
+                lower=(float(x[i] * spacing), float(y[j] * spacing)),
+                size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+                velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float(middle), 0.0),
+            )
+        )
+    return dataclasses.replace(whole, masses=tuple(masses))
+
+
+def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
+    """The velocities of so many blocks from their deposit; it starts at `FRACTION` of the true ones."""
+    scene = blocks(*CUTS[unknowns])
+    scene = scene if duration is None else dataclasses.replace(scene, duration=duration)
+    return Problem(
+        name=f"blocks-{unknowns}",
+        scene=scene,
+        parameters=tuple(
+            Parameter(
+                name=f"masses[{index}].velocity_x",
+                initial=FRACTION * (mass.velocity or (0.0,))[0],
+                lower=-3.0,
+                upper=3.0,
+                step=STEPS[unknowns],
+            )
+            for index, mass in enumerate(scene.masses)
+        ),
+        observations=(ObservationSettings(kind="deposit"),),
+        target=TargetSettings(twin=True),
+    )
+
+
+def hundred_problem() -> Problem:
+    """As `velocity-layers-10`, of a hundred blocks."""
+    problem = blocks_problem(100)
+    numbers = tuple(
+        dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0, step=None) for each in problem.parameters
+    )
+    return dataclasses.replace(
+        problem, name=HUNDRED, parameters=numbers, optimiser=OptimiserSettings(max_iterations=40)
+    )
+
+
+def sampled(count: int) -> NDArray[np.int64]:
+    """Which unknowns' differences are run, ascending: all, or `MOST_COLUMNS` of them.
+
+    A golden-section sequence: among 10 x 10 blocks they are of many columns and many layers.
+    """
+    if count <= MOST_COLUMNS:
+        return np.arange(count)
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    return np.unique((golden * np.arange(1, MOST_COLUMNS + 1) % 1.0 * count).astype(np.int64))
+
+
+def over_unknowns(simulator: Simulator, unknowns: Sequence[int], *, duration: float | None) -> list[Gradient]:
+    """All gradients of all cuts; kernels are compiled on a short flow before."""
+    gradients_of(blocks_problem(1, duration=0.1), simulator, jitters=1)
+    numbers = tqdm(unknowns, desc="gradients", unit="cut")
+    return [each for number in numbers for each in gradients_of(blocks_problem(number, duration=duration), simulator)]
+
+
+def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTERS) -> list[Gradient]:
+    """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
+    target = read_target(problem, simulate)
+    observation, unknowns = target.observation, len(problem.numbers)
+    chosen = sampled(unknowns)
+
+    def reverse(forward: Differentiable, values: Values) -> tuple[float, Vector]:
+        found = automatic(forward, values, components=observation.components)(problem.initial)
+        return found.forward_s + found.backward_s, found.slope[chosen]
+
+    surrogate = GnsForward(simulator, problem, observation)
+    seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
+    seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
+    slopes = [
+        differences(MpmForward(each, observation, simulate_many), target.values, each, chosen, observation.components)
+        for each in seeded
+    ]
+    found = {
+        Method.SURROGATE: reverse(surrogate, surrogate.select(target.values)),
+        Method.ADJOINT: reverse(AdjointForward(problem, observation, simulate_many), target.values),
+        Method.DIFFERENCES: slopes[0],
+    }
+    mean = np.mean([slope for _, slope in slopes], axis=0)
+    norm = float(np.linalg.norm(mean))
+    return [
+        Gradient(
+            method=method,
+            unknowns=unknowns,
+            seconds=seconds,
+            columns=len(chosen) if method is Method.DIFFERENCES else unknowns,
+            cosine=float(slope @ mean / (np.linalg.norm(slope) * norm)),
+            length=float(np.linalg.norm(slope)) / norm,
+        )
+        for method, (seconds, slope) in found.items()
+    ]
+
+
+def differences(
+    forward: Forward, target: Values, problem: Problem, chosen: NDArray[np.int64], components: int
+) -> tuple[float, Vector]:
+    """Seconds of a whole gradient by central differences, and the loss's slope in the `chosen` unknowns.
+
+    d/du of the loss is 2 sum (y - y*) dy/du over the number of points, as in `inverse.jacobian`.
+    """
+    start, steps = problem.initial, problem.steps[chosen]
+    moves = np.diag(problem.steps)[chosen]
+    began = time.perf_counter()
+    (observation,) = forward.observe([start])
+    middle = time.perf_counter()
+    values = np.array(forward.observe([start + move for move in moves] + [start - move for move in moves]))
+    end = time.perf_counter()
+    columns = (values[: len(chosen)] - values[len(chosen) :]).T / (2.0 * steps)
+    slope = 2.0 * components * (observation - target) @ columns / len(target)
+    return middle - began + (end - middle) * len(start) / len(chosen), slope
+
+
+def crossing(first: Mapping[int, float], second: Mapping[int, float]) -> float:
+    """The number of unknowns from which on `first` costs less than `second`; inf where it does not at the end.
+
+    Straight between measurements on logarithmic axes: log(a/b) is linear in log(n), so that between n0 and n1 the
+    crossing is at log n = log n0 + (log n1 - log n0) r0 / (r0 - r1), with r = log(a/b) at both.
+    """
+    numbers = sorted(first)
+    ratios = [math.log(first[n] / second[n]) for n in numbers]
+    if ratios[-1] >= 0.0:
+        return math.inf
+    above = [index for index, ratio in enumerate(ratios) if ratio >= 0.0]
+    if not above:
+        return numbers[0]
+    index = above[-1]
+    n0, n1, r0, r1 = numbers[index], numbers[index + 1], ratios[index], ratios[index + 1]
+    return math.exp(math.log(n0) + r0 / (r0 - r1) * math.log(n1 / n0))
+
+
+def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> list[str]:
+    """The price of a gradient, its direction, and who gets first to the MPM's own scatter."""
+    seconds = {method: {e.unknowns: e.seconds for e in gradients if e.method is method} for method in Method}
+    numbers = sorted(seconds[Method.SURROGATE])
+
+    def listed(values: Sequence[str]) -> str:
+        return " / ".join(values)
+
+    prices = [f"{method} {listed([f'{seconds[method][n]:.2g} s' for n in numbers])}" for method in Method]
+    cosines = [
+        f"{method} {listed([f'{e.cosine:.2f}' for e in gradients if e.method is method and e.unknowns > 1])}"
+        for method in (Method.SURROGATE, Method.ADJOINT)
+    ]
+    sentences = [f"A gradient in {listed([f'{n:,}' for n in numbers])} unknowns: {'; '.join(prices)}."]
+    if len(numbers) > 1:
+        from_n = {method: crossing(seconds[method], seconds[Method.DIFFERENCES]) for method in Method}
+        texts = [
+            f"the {method} is cheaper than differences "
+            + ("for no number of them" if math.isinf(at) else f"from {math.ceil(at)} on")
+            for method, at in from_n.items()
+            if method is not Method.DIFFERENCES
+        ]
+        sentences.append(f"{'; '.join(texts)}.".capitalize())
+    if any(n > 1 for n in numbers):
+        many = listed([f"{n:,}" for n in numbers if n > 1])
+        sentences.append(
+            f"Cosine to the MPM's differences (mean of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
+        )
+    for each in compared[: 5 - len(sentences)]:
+        there = {s.by: s.seconds_to(each.level) for s in each.searches}
+        ranked = sorted((seconds, by) for by, seconds in there.items() if math.isfinite(seconds))
+        got = ", ".join(f"{by} {seconds:.2g} s" for seconds, by in ranked)
+        never = ", ".join(by for by, seconds in there.items() if math.isinf(seconds))
+        sentences.append(
+            f"`{each.problem}` to the MPM's own scatter: {got}"
+            + (f"; not within {each.limit:g} s: {never}." if never else ".")
+        )
+    return sentences
+
+
+def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, flags: str = "", quick: bool) -> Page:
+    """The page."""
+    result = Page(
+        "What a gradient costs",
+        command=f"python -m validation.bench efficiency{flags} --out docs",
+        conclusion=conclusion(gradients, compared),
+        packages=MPM | GNS,
+        quick=quick,
+    )
+    result.section("Over the unknowns")
+    result.text(f"""
+        The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
+        True ones fall from {AT_FLOOR:g} m/s at the floor to {AT_TOP:g} at the top; the gradient of the deposit's loss
+        is evaluated at {FRACTION:g} of them. "≈": the differences of {MOST_COLUMNS} unknowns were run and their seconds
+        multiplied; cosine and length are over those unknowns, to the mean of the MPM's differences over {JITTERS}
+        jitters. The row of differences is that of one jitter.
+    """)
+    result.table([gradient_row(each) for each in gradients])
+    result.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds of a gradient over unknowns")
+    result.section("To the MPM's own scatter")
+    result.text(f"""
+        Whole searches from the problem's start. The loss is that of an MPM run at the answer, with a jitter that neither
+        target nor search used. The scatter: {SAME:g} times the least loss of any, or that at the truth. The paper's
+        descent: gradient descent for the angle, Adam for velocities, by the surrogate. Optuna uses no gradient.
+    """)
+    for each in compared:
+        result.section(each.problem, level=3)
+        result.text(f"Loss at the truth {each.floor:.1e}; each method has {each.limit:g} s.")
+        result.table([search_row(one, each.level) for one in each.searches])
+    if compared:
+        result.picture(f"{PICTURES}/efficiency-searches.png", "MPM loss over seconds")
+    return result
+
+
+def gradient_row(each: Gradient) -> Row:
+    """A line of the first table."""
+    return {
+        "unknowns": f"{each.unknowns:,}",
+        "by": each.method,
+        "seconds": f"{'≈ ' if each.columns < each.unknowns else ''}{each.seconds:.2f}",
+        "cosine": f"{each.cosine:.3f}",
+        "length": f"{each.length:.2f}",
+    }
+
+
+def search_row(each: Searched, level: float) -> Row:
+    """A line of a problem."""
+    there = each.seconds_to(level)
+    return {
+        "method": each.by,
+        "evaluations": each.evaluations,
+        "MPM runs": each.mpm_runs,
+        "seconds": f"{each.seconds:.1f}",
+        "ended": each.ended,
+        "seconds to the scatter": "-" if math.isinf(there) else f"{there:.1f}",
+        "MPM loss": f"{each.loss:.1e}",
+        "rms error": f"{each.error:.3g}",
+    }
+
+
+def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
+    """Seconds per gradient over the unknowns; a ring where they were multiplied."""
+    with figure(path, size=(6.0, 4.0)) as axes:
+        axis = pane(axes)
+        for method, colour in COLOURS.items():
+            curve = [each for each in gradients if each.method is method]
+            axis.plot([e.unknowns for e in curve], [e.seconds for e in curve], color=colour, lw=1.2, label=method)
+            for each in curve:
+                fill = "none" if each.columns < each.unknowns else colour
+                axis.plot(each.unknowns, each.seconds, "o", color=colour, mfc=fill)
+        logarithmic(axis, "unknowns", "seconds per gradient")
+
+
+def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
+    """MPM loss at each method's best iterate over the seconds, a pane for each problem."""
+    with figure(path, columns=max(1, len(compared)), size=(5.0, 4.0)) as axes:
+        for number, each in enumerate(compared):
+            axis = pane(axes, 0, number)
+            for by, marker in zip(By, "os^Dv*", strict=True):
+                for one in each.searches:
+                    if one.by is by:
+                        seconds, losses = [e.seconds for e in one.curve], [e.loss for e in one.curve]
+                        # An answer stays until there is a better one, or the search ends.
+                        ends = [*seconds, max(one.seconds, seconds[-1])]
+                        (line,) = axis.plot(ends, [*losses, losses[-1]], drawstyle="steps-post", lw=1.2)
+                        axis.plot(seconds, losses, marker, color=line.get_color(), markersize=4, label=by)
+            axis.axhline(each.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
+            axis.set_title(each.problem)
+            logarithmic(axis, "seconds", "MPM loss at the best iterate [m²]")
+
+
+def logarithmic(axis: Axes, x: str, y: str) -> None:
+    """Logarithmic axes with labels and a legend."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.legend(fontsize=7)

@@ -1,0 +1,334 @@
+"""`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
+
+import dataclasses
+import hashlib
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from inverse.found import Verdict
+
+from datasets.errors import InputError, WorkFailed
+from datasets.files import write_text
+from datasets.processes import parent_environment
+from datasets.records import Record, from_mapping, read_json, read_toml
+from gns.inference import shipped
+from inverse.problem import Problem, read_problem
+from validation.bench.paper import Paper, read_paper
+from validation.report.page import GNS, MPM, Page, Row
+
+RESULT, KEY = "result.json", "made-of.txt"
+"""In the folder of a problem: what the loop wrote, and a digest of what it was made of."""
+ENDED = (0, 1)
+"""Exit statuses of a loop that came to an end: confirmed, and not."""
+QUICK = ("friction-short-21",)
+"""Problems of a quick page."""
+NAMED = 4
+"""With more numbers than these the range of their half-widths is given."""
+PICTURES = "pictures"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Criteria(Record):
+    """What an outcome is compared with; None: not at all."""
+
+    verdict: Verdict = Verdict.CONFIRMED
+    front_error_pct: float | None = None
+    """Largest relative error of the front in the MPM."""
+    unknown_error_pct: float | None = None
+    """Largest relative error of a number, where its half-width is no wider."""
+    loss: float | None = None
+    """Largest loss in the MPM [m^2]."""
+    inside: bool = False
+    """Whether every true value is to be within its half-width."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family(Record):
+    """Problems of one kind."""
+
+    title: str
+    problems: tuple[str, ...]
+    pictures: tuple[str, ...] = ()
+    """PROBLEM/PICTURE that the page shows, without the ending."""
+    criteria: Criteria
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(Record):
+    families: tuple[Family, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """A result with the problem and the criteria that belong to it."""
+
+    problem: Problem
+    criteria: Criteria
+    result: dict[str, Any]
+    """The contents of `result.json`."""
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """Half-widths of the numbers; infinite where the file has none."""
+        found = self.result.get("certainty") or {}
+        return {name: math.inf if found.get(name) is None else found[name] for name in self.problem.names}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Errors of the numbers in their units; empty where the truth is not known."""
+        truth = self.result.get("truth") or {}
+        return {name: abs(self.result["unknowns"][name] - value) for name, value in truth.items()}
+
+    @property
+    def inside(self) -> int:
+        """How many true values are within their half-width."""
+        return sum(error <= self.half_widths[name] for name, error in self.errors.items())
+
+    def percent(self, values: Mapping[str, float]) -> float:
+        """The largest of `values` by number over the true values [%]."""
+        truth = self.result["truth"]
+        return max((100.0 * values[each] / abs(truth[each]) if truth[each] else math.inf) for each in truth)
+
+    @property
+    def missed(self) -> list[str]:
+        """Criteria that it does not meet, with what came out."""
+        asked, result, found = self.criteria, self.result, []
+        if result["verdict"] != asked.verdict:
+            found.append(f"verdict {asked.verdict}")
+        front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
+        if asked.front_error_pct is not None and front is not None and front > asked.front_error_pct:
+            found.append(f"front within {asked.front_error_pct:g} %: {front:.2f} %")
+        if asked.loss is not None and loss is not None and loss > asked.loss:
+            found.append(f"loss of {asked.loss:.0e} m²: {loss:.1e}")
+        if self.errors and (most := asked.unknown_error_pct) is not None:
+            error = self.percent(self.errors)
+            if error > most >= self.percent(self.half_widths):
+                found.append(f"number within {most:g} %: {error:.2f} %")
+        if asked.inside and self.inside < len(self.errors):
+            found.append(f"truth within the half-width: {self.inside} of {len(self.errors)}")
+        return found
+
+
+def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
+    """Solve every shipped problem, fields included, that has no result in `keep`; some eight minutes.
+
+    Each is a `python -m validation.loop` of its own in KEEP/NAME. A result is kept unless the problem or the
+    surrogate's weights have changed since. An answer that the MPM does not confirm is part of the page. Raises
+    WorkFailed, once the page is written, where a problem could not be run.
+
+    Parameters
+    ----------
+    out
+        Folder for problems.md and its pictures.
+    quick
+        One problem.
+    keep
+        Folder of results.
+    only
+        Solve these alone; the page has all that there are.
+    """
+    families = from_mapping(_File, read_toml(Path(__file__).with_suffix(".toml"))).families
+    names = [name for family in families for name in family.problems]
+    for name in only:
+        if name not in names:
+            raise InputError("expected the name of a shipped problem", where=name, key="--only")
+    requested, failed = only or (QUICK if quick else tuple(names)), []
+    found: dict[str, list[Outcome]] = {}
+    for family in families:
+        for name in family.problems:
+            problem, folder = read_problem(name), keep / name
+            if name in requested and not is_current(problem, folder) and not solved(problem, folder):
+                failed.append(name)
+            if is_current(problem, folder):
+                outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
+                found.setdefault(family.title, []).append(outcome)
+    pictures = [copied(keep, picture, out) for family in families for picture in family.pictures]
+    result = page(found, [each for each in pictures if each], read_paper(), quick=quick)
+    conclusion = result.write(out / "problems.md")
+    if failed:
+        raise WorkFailed(f"could not be run: {', '.join(failed)}")
+    return conclusion
+
+
+def made_of(problem: Problem) -> str:
+    """Digest of the problem and of the surrogate's weights."""
+    text = repr(dataclasses.replace(problem, folder=Path()))
+    return hashlib.sha256(text.encode() + shipped(problem.scene.dimension).read_bytes()).hexdigest()[:16]
+
+
+def is_current(problem: Problem, folder: Path) -> bool:
+    """Whether `folder` has a result of the problem as it is now."""
+    key = folder / KEY
+    return key.exists() and (folder / RESULT).exists() and key.read_text() == made_of(problem)
+
+
+def solved(problem: Problem, folder: Path) -> bool:
+    """Run the loop on a shipped problem in a process of its own; whether it came to its end."""
+    # An older result is not this one's, should this one fail.
+    (folder / RESULT).unlink(missing_ok=True)
+    arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
+    if subprocess.run([sys.executable, *arguments], check=False, env=parent_environment()).returncode not in ENDED:
+        return False
+    write_text(folder / KEY, made_of(problem))
+    return True
+
+
+def copied(keep: Path, picture: str, out: Path) -> str:
+    """Copy PROBLEM/PICTURE beside the page; its name there, empty where there is none."""
+    source, target = keep / f"{picture}.png", f"{PICTURES}/{picture.replace('/', '-')}.png"
+    if not source.exists():
+        return ""
+    (out / PICTURES).mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, out / target)
+    return target
+
+
+def page(found: Mapping[str, Sequence[Outcome]], pictures: Sequence[str], paper: Paper, *, quick: bool) -> Page:
+    """The page of all problems that were `found`, by their families' titles."""
+    outcomes = [each for group in found.values() for each in group]
+    result = Page(
+        "The inverse problems",
+        command="python -m validation.bench problems --out docs",
+        conclusion=conclusion(outcomes),
+        packages=MPM | GNS,
+        quick=quick,
+    )
+    result.text("""
+        Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
+        another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; ± are 95 %
+        half-widths, of a problem with more than one answer those of the heaviest. The paper (Choi and Kumar 2024)
+        takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the particles are
+        behind.
+    """)
+    for title, group in found.items():
+        result.section(title)
+        fields = [field_row(each, field) for each in group for field in each.result.get("fields", ())]
+        result.table(fields or [row(each, paper) for each in group])
+    if any("fields" in each.result for each in outcomes):
+        result.text("""
+            Of a field: root mean square errors over its values, of the prior's mean and of what was found; identified
+            are values of whose prior variance the observation removes more than half.
+        """)
+    for name in pictures:
+        result.picture(name, Path(name).stem)
+    return result
+
+
+def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
+    """What was confirmed, which criteria were missed, errors beside the paper's, half-widths, cost."""
+    if not outcomes:
+        return ["No problem has been solved yet."]
+    expected = sum(each.result["verdict"] == each.criteria.verdict for each in outcomes)
+    missed = [f"`{each.problem.name}`" for each in outcomes if each.missed]
+    known = [each for each in outcomes if each.errors]
+    truths = sum(len(each.errors) for each in known)
+    sentences = [
+        f"{expected} of {len(outcomes)} problems have the verdict that they should have; criteria are missed by "
+        f"{', '.join(missed) or 'none'}.",
+        f"{sum(each.inside for each in known)} of {truths} true values are within their 95 % half-widths.",
+    ]
+    fields = [field for each in outcomes for field in each.result.get("fields", ())]
+    if fields:
+        values = sum(each["values"] for each in fields)
+        held = sum(each["values"] * each["truth_in_band"]["all"] for each in fields) / values
+        sentences.append(
+            f"Of {values} values of {len(fields)} fields {held:.0%} lie within their 95 % bands; the observation "
+            f"identifies {min(each['identified'] for each in fields):.0%} to "
+            f"{max(each['identified'] for each in fields):.0%} of a field."
+        )
+    runs = [len(each.result["mpm_runs"]) for each in outcomes]
+    seconds = [each.result["seconds"]["total"] for each in outcomes]
+    sentences.append(f"A problem takes {extent(runs)} MPM runs and {extent(seconds)} s.")
+    return sentences
+
+
+def extent(values: Sequence[float]) -> str:
+    """The smallest to the largest of `values`."""
+    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def row(outcome: Outcome, paper: Paper) -> Row:
+    """The line of a problem of numbers."""
+    result = outcome.result
+    front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
+    return {
+        "problem": f"`{outcome.problem.name}`",
+        "the paper": of_paper(outcome.problem.name, paper),
+        "verdict": result["verdict"],
+        "found": found_text(outcome),
+        "largest error": error_text(outcome),
+        "truth inside": f"{outcome.inside} of {len(outcome.errors)}" if outcome.errors else "-",
+        "front off by": "-" if front is None else f"{front:.2f} %",
+        "loss": "-" if loss is None else f"{loss:.1e}",
+        "missed": "; ".join(outcome.missed) or "-",
+        "MPM runs": len(result["mpm_runs"]),
+        "s": f"{result['seconds']['total']:.0f}",
+    }
+
+
+def found_text(outcome: Outcome) -> str:
+    """The numbers found, or the range of their half-widths."""
+    problem, widths = outcome.problem, outcome.half_widths
+    if len(widths) > NAMED:
+        low, high = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
+        return f"{len(widths)} numbers, ± {problem.text(low, widths[low])} to {problem.text(high, widths[high])}"
+    return "<br>".join(
+        (f"`{each}` " if len(widths) > 1 else "")
+        + problem.text(each, outcome.result["unknowns"][each])
+        + f" ± {problem.text(each, width)}"
+        for each, width in widths.items()
+    )
+
+
+def error_text(outcome: Outcome) -> str:
+    """The largest error of a number, by its half-width."""
+    errors, widths = outcome.errors, outcome.half_widths
+    if not errors:
+        return "-"
+    worst = max(errors, key=lambda each: errors[each] / widths[each])
+    text = outcome.problem.text(worst, errors[worst])
+    return f"{text} of `{worst}`" if len(errors) > 1 else f"{text} ({outcome.percent(errors):.2f} %)"
+
+
+def of_paper(problem: str, paper: Paper) -> str:
+    """What the paper reports of a problem, empty where nothing."""
+    for each in paper.scenarios:
+        if problem == f"friction-{each.name}":
+            return f"{each.phi_estimated:.2f} deg ({each.phi_error_pct:.2f} %), runout {each.front_error_pct:.2f} % off"
+    if problem == "velocity-layers-10":
+        return f"loss {paper.velocity.mse_mpm:.1e}, {paper.velocity.iterations} iterations"
+    if problem == "baffles-2":
+        z = " and ".join(f"{value:.3f}" for value in paper.baffles.z)
+        return f"z = {z} m, loss {paper.baffles.loss_mpm:.1e}, {paper.baffles.iterations} iterations"
+    return ""
+
+
+def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
+    """The line of a field."""
+    result, error = outcome.result, field["error"]
+
+    def number(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3g}"
+
+    return {
+        "problem": f"`{outcome.problem.name}`",
+        "field": f"{field['name']} [{field['unit']}]",
+        "verdict": result["verdict"],
+        "values": field["values"],
+        "identified": f"{field['identified']:.0%}",
+        "error, prior": number(error["prior"]),
+        "error": number(error["posterior"]),
+        "identified, prior": number(error["prior_identified"]),
+        "identified, error": number(error["identified"]),
+        "width": number(field["deviation"]["posterior"]),
+        "within 95 %": f"{field['truth_in_band']['all']:.0%}",
+        "MPM runs": len(result["mpm_runs"]),
+        "s": f"{result['seconds']['total']:.0f}",
+    }

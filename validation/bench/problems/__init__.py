@@ -1,1 +1,0 @@
-"""Every inverse problem that ships, gathered on one page."""
