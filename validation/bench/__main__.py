@@ -49,20 +49,20 @@ BENCHES = {
         summary="hard cases and exact solutions of the MPM; fronts over stiffness and step",
     ),
     "problems": Bench(
-        module="validation.bench.problems.bench",
+        module="validation.bench.problems",
         summary="the shipped inverse problems, beside their criteria and the reference paper",
     ),
     "coverage": Bench(
-        module="validation.bench.coverage.bench",
-        summary="simulation-based calibration: how often the posterior of an inverse problem holds the truth",
+        module="validation.bench.coverage",
+        summary="how often the posterior of an inverse problem holds the truth, in twin experiments",
     ),
     "speed": Bench(
         module="validation.bench.speed",
         summary="rates of the MPM over sizes, price of a gradient by the adjoint, a network's step",
     ),
     "efficiency": Bench(
-        module="validation.bench.efficiency.bench",
-        summary="seconds, memory and quality of a gradient by every method: on problems, over unknowns and particles",
+        module="validation.bench.efficiency",
+        summary="price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
     ),
     "gns": Bench(
         module="validation.bench.gns", summary="the shipped surrogates beside the MPM: error, price, bands, ranges"

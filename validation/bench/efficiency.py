@@ -8,55 +8,47 @@ over runs has not.
 import dataclasses
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
-from inverse.parameters.parameter import Parameter
-from inverse.target import read_target
 from matplotlib.axes import Axes
-from mpm.process import processors
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
 from datasets.errors import InputError
-from datasets.library import read_scene
-from datasets.scene import Mass, Scene
-from gns.model.simulator import Simulator
+from datasets.processes import processors
+from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
-from inverse.forward.interface import Differentiable, Forward
+from inverse.forward.interface import Forward
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import automatic
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.problem import Problem, read_problem
-from inverse.settings import ObservationSettings, OptimiserSettings, TargetSettings
-from mpm import simulate, simulate_many
+from mpm import simulate_many
+from validation.bench.blocks import (
+    AT_FLOOR,
+    AT_TOP,
+    CUTS,
+    FRACTION,
+    HUNDRED,
+    MOST_COLUMNS,
+    blocks_problem,
+    hundred_problem,
+    sampled,
+)
 from validation.bench.searches import By, Models, Searched, methods, search
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
 
-SCENE = "layers-10"
-CUTS = {1: (1, 1), 10: (1, 10), 100: (10, 10), 1_000: (25, 40)}
-"""Blocks along x and along y, by the number of unknowns."""
-AT_FLOOR, AT_TOP = 1.5, 0.15
-"""True velocities [m/s], about the paper's; a block has that of its middle."""
-FRACTION = 0.5
-"""Of the true velocities: where the gradient is evaluated."""
-STEPS = {1: 0.15, 10: 0.15, 100: 0.5, 1_000: 2.0}
-"""Step of the differences [m/s]: a smaller part of the sand moves the deposit less."""
-MOST_COLUMNS = 10
-"""Unknowns whose differences are run; the seconds of more are multiplied."""
 JITTERS = 4
 """Jitter seeds of the MPM's differences that gradients are compared with."""
-HUNDRED = "velocity-blocks-100"
-"""The problem of a hundred blocks; a start of 0.75 m/s and the bounds of `velocity-layers-10`."""
 LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
 """Seconds for each method, by problem."""
 QUICK_S, QUICK_LIMIT = 0.2, 3.0
@@ -140,7 +132,12 @@ def bench(
         unknowns, problems = unknowns[:2], problems[:1]
     torch.set_num_threads(processors())
     simulator = gns.load("flow2d")
-    gradients = over_unknowns(simulator, unknowns, duration=QUICK_S if quick else None)
+    duration = QUICK_S if quick else None
+    gradients = [
+        each
+        for number in tqdm(unknowns, desc="gradients", unit="cut")
+        for each in gradients_of(blocks_problem(number, duration=duration), simulator)
+    ]
     compared = []
     for name in problems:
         problem = hundred_problem() if name == HUNDRED else read_problem(name)
@@ -149,7 +146,7 @@ def bench(
         models, limit = Models.build(problem, simulator), QUICK_LIMIT if quick else LIMITS[name]
         searches = [search(by, models, limit) for by in tqdm(methods(problem), desc=name, unit="method")]
         compared.append(
-            Compared(problem=name, limit=limit, floor=models.checked([models.truth])[0], searches=tuple(searches))
+            Compared(problem=name, limit=limit, floor=models.checked(models.truth), searches=tuple(searches))
         )
     draw_gradients(out / PICTURES / "efficiency-unknowns.png", gradients)
     draw_searches(out / PICTURES / "efficiency-searches.png", compared)
@@ -157,100 +154,28 @@ def bench(
     return page(gradients, compared, flags=flags, quick=quick).write(out / "efficiency.md")
 
 
-def blocks(columns: int, layers: int) -> Scene:
-    """The layers' sand in `columns` times `layers` blocks at their true velocities, cut between its particles.
-
-    However it is cut, its particles are the same: no cut goes through a particle's share of a cell.
-    """
-    whole = read_scene(SCENE)
-    spacing = whole.particle_spacing
-    across = round(whole.masses[0].size[0] / spacing)
-    up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
-    x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
-    masses = []
-    for j, i in product(range(layers), range(columns)):
-        middle = (y[j] + y[j + 1]) / 2.0 / up
-        masses.append(
-            Mass(
-                lower=(float(x[i] * spacing), float(y[j] * spacing)),
-                size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
-                velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float(middle), 0.0),
-            )
-        )
-    return dataclasses.replace(whole, masses=tuple(masses))
-
-
-def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
-    """The velocities of so many blocks from their deposit; it starts at `FRACTION` of the true ones."""
-    scene = blocks(*CUTS[unknowns])
-    scene = scene if duration is None else dataclasses.replace(scene, duration=duration)
-    return Problem(
-        name=f"blocks-{unknowns}",
-        scene=scene,
-        parameters=tuple(
-            Parameter(
-                name=f"masses[{index}].velocity_x",
-                initial=FRACTION * (mass.velocity or (0.0,))[0],
-                lower=-3.0,
-                upper=3.0,
-                step=STEPS[unknowns],
-            )
-            for index, mass in enumerate(scene.masses)
-        ),
-        observations=(ObservationSettings(kind="deposit"),),
-        target=TargetSettings(twin=True),
-    )
-
-
-def hundred_problem() -> Problem:
-    """As `velocity-layers-10`, of a hundred blocks."""
-    problem = blocks_problem(100)
-    numbers = tuple(
-        dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0, step=None) for each in problem.parameters
-    )
-    return dataclasses.replace(
-        problem, name=HUNDRED, parameters=numbers, optimiser=OptimiserSettings(max_iterations=40)
-    )
-
-
-def sampled(count: int) -> NDArray[np.int64]:
-    """Which unknowns' differences are run, ascending: all, or `MOST_COLUMNS` of them.
-
-    A golden-section sequence: among 10 x 10 blocks they are of many columns and many layers.
-    """
-    if count <= MOST_COLUMNS:
-        return np.arange(count)
-    golden = (np.sqrt(5.0) - 1.0) / 2.0
-    return np.unique((golden * np.arange(1, MOST_COLUMNS + 1) % 1.0 * count).astype(np.int64))
-
-
-def over_unknowns(simulator: Simulator, unknowns: Sequence[int], *, duration: float | None) -> list[Gradient]:
-    """All gradients of all cuts; kernels are compiled on a short flow before."""
-    gradients_of(blocks_problem(1, duration=0.1), simulator, jitters=1)
-    numbers = tqdm(unknowns, desc="gradients", unit="cut")
-    return [each for number in numbers for each in gradients_of(blocks_problem(number, duration=duration), simulator)]
-
-
 def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTERS) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
-    target = read_target(problem, simulate)
-    observation, unknowns = target.observation, len(problem.numbers)
+    models = Models.build(problem, simulator)
+    observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
     chosen = sampled(unknowns)
 
-    def reverse(forward: Differentiable, values: Values) -> tuple[float, Vector]:
-        found = automatic(forward, values, components=observation.components)(problem.initial)
+    def reverse(forward: GnsForward | AdjointForward) -> tuple[float, Vector]:
+        evaluate = automatic(forward, forward.select(values), components=observation.components)
+        # The first one compiles kernels.
+        evaluate(problem.initial)
+        found = evaluate(problem.initial)
         return found.forward_s + found.backward_s, found.slope[chosen]
 
-    surrogate = GnsForward(simulator, problem, observation)
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     slopes = [
-        differences(MpmForward(each, observation, simulate_many), target.values, each, chosen, observation.components)
+        differences(MpmForward(each, observation, simulate_many), values, each, chosen, observation.components)
         for each in seeded
     ]
     found = {
-        Method.SURROGATE: reverse(surrogate, surrogate.select(target.values)),
-        Method.ADJOINT: reverse(AdjointForward(problem, observation, simulate_many), target.values),
+        Method.SURROGATE: reverse(models.surrogate),
+        Method.ADJOINT: reverse(models.adjoint),
         Method.DIFFERENCES: slopes[0],
     }
     mean = np.mean([slope for _, slope in slopes], axis=0)
@@ -287,24 +212,6 @@ def differences(
     return middle - began + (end - middle) * len(start) / len(chosen), slope
 
 
-def crossing(first: Mapping[int, float], second: Mapping[int, float]) -> float:
-    """The number of unknowns from which on `first` costs less than `second`; inf where it does not at the end.
-
-    Straight between measurements on logarithmic axes: log(a/b) is linear in log(n), so that between n0 and n1 the
-    crossing is at log n = log n0 + (log n1 - log n0) r0 / (r0 - r1), with r = log(a/b) at both.
-    """
-    numbers = sorted(first)
-    ratios = [math.log(first[n] / second[n]) for n in numbers]
-    if ratios[-1] >= 0.0:
-        return math.inf
-    above = [index for index, ratio in enumerate(ratios) if ratio >= 0.0]
-    if not above:
-        return numbers[0]
-    index = above[-1]
-    n0, n1, r0, r1 = numbers[index], numbers[index + 1], ratios[index], ratios[index + 1]
-    return math.exp(math.log(n0) + r0 / (r0 - r1) * math.log(n1 / n0))
-
-
 def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> list[str]:
     """The price of a gradient, its direction, and who gets first to the MPM's own scatter."""
     seconds = {method: {e.unknowns: e.seconds for e in gradients if e.method is method} for method in Method}
@@ -319,15 +226,6 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
         for method in (Method.SURROGATE, Method.ADJOINT)
     ]
     sentences = [f"A gradient in {listed([f'{n:,}' for n in numbers])} unknowns: {'; '.join(prices)}."]
-    if len(numbers) > 1:
-        from_n = {method: crossing(seconds[method], seconds[Method.DIFFERENCES]) for method in Method}
-        texts = [
-            f"the {method} is cheaper than differences "
-            + ("for no number of them" if math.isinf(at) else f"from {math.ceil(at)} on")
-            for method, at in from_n.items()
-            if method is not Method.DIFFERENCES
-        ]
-        sentences.append(f"{'; '.join(texts)}.".capitalize())
     if any(n > 1 for n in numbers):
         many = listed([f"{n:,}" for n in numbers if n > 1])
         sentences.append(
@@ -366,9 +264,9 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, flags: 
     result.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds of a gradient over unknowns")
     result.section("To the MPM's own scatter")
     result.text(f"""
-        Whole searches from the problem's start. The loss is that of an MPM run at the answer, with a jitter that neither
-        target nor search used. The scatter: {SAME:g} times the least loss of any, or that at the truth. The paper's
-        descent: gradient descent for the angle, Adam for velocities, by the surrogate. Optuna uses no gradient.
+        Whole searches from the problem's start. The loss is that of an MPM run at the answer, with a jitter that
+        neither target nor search used. The scatter: {SAME:g} times the least loss of any, or that at the truth. The
+        paper's descent: gradient descent for the angle, Adam for velocities, by the surrogate. Optuna uses no gradient.
     """)
     for each in compared:
         result.section(each.problem, level=3)
@@ -395,10 +293,9 @@ def search_row(each: Searched, level: float) -> Row:
     there = each.seconds_to(level)
     return {
         "method": each.by,
-        "evaluations": each.evaluations,
+        "evaluations": len(each.losses),
         "MPM runs": each.mpm_runs,
-        "seconds": f"{each.seconds:.1f}",
-        "ended": each.ended,
+        "seconds": f"{each.seconds[-1]:.1f}",
         "seconds to the scatter": "-" if math.isinf(there) else f"{there:.1f}",
         "MPM loss": f"{each.loss:.1e}",
         "rms error": f"{each.error:.3g}",
@@ -426,14 +323,12 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
             for by, marker in zip(By, "os^Dv*", strict=True):
                 for one in each.searches:
                     if one.by is by:
-                        seconds, losses = [e.seconds for e in one.curve], [e.loss for e in one.curve]
-                        # An answer stays until there is a better one, or the search ends.
-                        ends = [*seconds, max(one.seconds, seconds[-1])]
-                        (line,) = axis.plot(ends, [*losses, losses[-1]], drawstyle="steps-post", lw=1.2)
-                        axis.plot(seconds, losses, marker, color=line.get_color(), markersize=4, label=by)
+                        # A surrogate's own losses are not the MPM's: its answer alone is shown.
+                        least = np.minimum.accumulate(one.losses) if one.by_mpm else [one.loss]
+                        axis.plot(one.seconds[-len(least) :], least, f"{marker}-", lw=1.2, markersize=4, label=by)
             axis.axhline(each.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
             axis.set_title(each.problem)
-            logarithmic(axis, "seconds", "MPM loss at the best iterate [m²]")
+            logarithmic(axis, "seconds", "MPM loss [m²]")
 
 
 def logarithmic(axis: Axes, x: str, y: str) -> None:

@@ -17,7 +17,7 @@ from datasets.errors import InputError, WorkFailed
 from datasets.files import write_text
 from datasets.processes import parent_environment
 from datasets.records import Record, from_mapping, read_json, read_toml
-from gns.inference import shipped
+from gns.library import shipped
 from inverse.problem import Problem, read_problem
 from validation.bench.paper import Paper, read_paper
 from validation.report.page import GNS, MPM, Page, Row

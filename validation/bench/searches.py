@@ -1,21 +1,22 @@
-"""Searches by the clock: every method from the same start against the same target, each answer checked by the MPM.
+"""Whole searches: every method from the same start against the same target, the answer checked by the MPM.
 
 Beside the methods of `inverse.optimise` two that serve no other purpose: the paper's descent, and Optuna (an extra,
-`pip install talus[efficiency]`), which uses no gradient.
+`pip install 'talus[efficiency]'`), which uses no gradient.
 """
 
 import dataclasses
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
+from itertools import accumulate
 
 import numpy as np
 import torch
 from inverse.target import Target, read_target
 
 from datasets.errors import InputError
-from gns.model.simulator import Simulator
+from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Evaluation
@@ -24,20 +25,16 @@ from inverse.jacobian import Evaluate, automatic, central, observed
 from inverse.optimise import minimise
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from inverse.secants import sample
-from inverse.settings import Method, OptimiserSettings
+from inverse.secants import lowest, sample
+from inverse.settings import Method
 from mpm import simulate, simulate_many
 
 CHECK_SEED = 20_002
 """Jitter of the checks, other than the target's and the search's."""
-CHECKS = 6
-"""Most iterates of a method that the MPM checks."""
-WARM_UP_S = 0.1
-"""Flow that surrogate and adjoint are compiled on [s]."""
 STEPS = {"deg": 2.0, "m/s": 0.15}
 """Steps whose differences exceed the MPM's scatter over its jitter, by the unit of the number."""
 MOST_BY_DIFFERENCES = 20
-"""Numbers beyond which no search is made by differences: none ends in time."""
+"""Numbers beyond which no search is made by differences or by Optuna: none ends in time."""
 
 
 class By(StrEnum):
@@ -51,11 +48,15 @@ class By(StrEnum):
     OPTUNA = "MPM by Optuna (TPE)"
 
 
+METHODS = {By.DIFFERENCES: Method.GAUSS_NEWTON, By.SECANTS: Method.SECANTS}
+"""Of `inverse.optimise`; L-BFGS-B for the others that use it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Descent:
     """The paper's descent on a problem."""
 
-    optimiser: type[torch.optim.Optimizer]
+    optimiser: Callable[..., torch.optim.Optimizer]
     rate: float
     iterations: int
     stop_below: float = 0.0
@@ -69,40 +70,32 @@ PAPER = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckedLoss:
-    """What the MPM shows at the best iterate that a search had after some time."""
-
-    seconds: float
-    loss: float
-    """Of a run whose jitter neither target nor search used."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Searched:
     """The search of one method on one problem."""
 
     by: By
-    evaluations: int
+    seconds: tuple[float, ...]
+    """When each evaluation was done, since the search began; without compilation and a surrogate's start [s]."""
+    losses: tuple[float, ...]
+    """By the method's own model."""
     mpm_runs: int
-    """Whole runs of the search, checks not included."""
-    seconds: float
-    """Of the whole search, a surrogate's start not included."""
-    ended: str
+    """Whole runs of the search, the check not included."""
     error: float
     """Of the numbers, root mean square."""
-    curve: tuple[CheckedLoss, ...]
-    """From the first iterate to the last improvement."""
+    loss: float
+    """What the MPM shows at the answer, with a jitter that neither target nor search used."""
 
     @property
-    def loss(self) -> float:
-        """What the MPM shows at the answer."""
-        return self.curve[-1].loss
+    def by_mpm(self) -> bool:
+        """Whether its own model is the MPM."""
+        return self.by not in (By.SURROGATE, By.PAPER)
 
     def seconds_to(self, loss: float) -> float:
-        """When the MPM loss fell to `loss` and stayed there [s], inf where it did not."""
-        above = [number for number, each in enumerate(self.curve) if each.loss > loss]
-        first = above[-1] + 1 if above else 0
-        return self.curve[first].seconds if first < len(self.curve) else float("inf")
+        """When the MPM's loss fell to `loss` [s], of a surrogate's answer its end; inf where it did not."""
+        if not self.by_mpm:
+            return self.seconds[-1] if self.loss <= loss else math.inf
+        pairs = zip(self.seconds, self.losses, strict=True)
+        return next((at for at, own in pairs if own <= loss), math.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,35 +107,35 @@ class Models:
     surrogate: GnsForward
     mpm: MpmForward
     adjoint: AdjointForward
-    check: MpmForward
-    """The MPM with a jitter of its own."""
 
     @staticmethod
     def build(problem: Problem, simulator: Simulator) -> "Models":
-        """Of a problem; the surrogate and the adjoint are compiled on a short flow before."""
+        """Of a problem."""
         target = read_target(problem, simulate)
-        observation, short = target.observation, dataclasses.replace(problem.scene, duration=WARM_UP_S)
-        other = dataclasses.replace(problem.scene, seed=CHECK_SEED)
-        for scene in (short, problem.scene):
-            each = dataclasses.replace(problem, scene=scene)
-            surrogate = GnsForward(simulator, each, observation)
-            adjoint = AdjointForward(each, observation, simulate_many)
-            if scene is short:
-                for forward in (surrogate, adjoint):
-                    values = forward.select(target.values)
-                    automatic(forward, values, components=observation.components)(problem.initial)
         return Models(
             problem=problem,
             target=target,
-            surrogate=surrogate,
-            mpm=MpmForward(problem, observation, simulate_many),
-            adjoint=adjoint,
-            check=MpmForward(dataclasses.replace(problem, scene=other), observation, simulate_many),
+            surrogate=GnsForward(simulator, problem, target.observation),
+            mpm=MpmForward(problem, target.observation, simulate_many),
+            adjoint=AdjointForward(problem, target.observation, simulate_many),
         )
 
-    def checked(self, points: Sequence[Vector]) -> list[float]:
-        """Losses that the MPM shows at `points`."""
-        return [self.target.misfit(values) for values in self.check.observe(points)]
+    def evaluate(self, by: By) -> Evaluate:
+        """Loss and, where the method uses one, gradient."""
+        values, components = self.target.values, self.target.observation.components
+        if by in (By.SURROGATE, By.PAPER):
+            return automatic(self.surrogate, self.surrogate.select(values), components=components)
+        if by is By.ADJOINT:
+            return automatic(self.adjoint, values, components=components)
+        if by is By.DIFFERENCES:
+            steps = np.array([STEPS[kind.unit] for kind in self.problem.kinds])
+            return central(self.mpm, values, steps, components=components)
+        return lambda at: observed(self.mpm, values, [at], components=components)[0]
+
+    def checked(self, numbers: Vector) -> float:
+        """The loss that the MPM shows at `numbers` [U], with a jitter of its own."""
+        scene = dataclasses.replace(self.problem.scene_at(numbers), seed=CHECK_SEED)
+        return self.target.misfit(self.target.observation.observe(simulate(scene)))
 
     @property
     def truth(self) -> Vector:
@@ -151,154 +144,82 @@ class Models:
         return np.array([self.target.truth[name] for name in self.problem.names])
 
 
-class OutOfTime(Exception):
-    """The next evaluation would end after the limit."""
-
-
-@dataclass
-class Stopwatch:
-    """Times a search, keeps its evaluations and ends it before the limit."""
-
-    limit: float
-    """[s]."""
-    clock: Callable[[], float] = time.perf_counter
-    found: list[tuple[float, Evaluation]] = field(default_factory=list)
-    """Seconds since the search began, and what it had then."""
-    longest: float = 0.0
-    """Of an evaluation [s]."""
-
-    def __post_init__(self) -> None:
-        self.began = self.clock()
-
-    @property
-    def elapsed(self) -> float:
-        """Since the search began [s]."""
-        return self.clock() - self.began
-
-    def timed(self, evaluate: Evaluate) -> Evaluate:
-        """`evaluate`, timed. Raises OutOfTime; for the first one there is always enough."""
-
-        def within(numbers: Vector) -> Evaluation:
-            before = self.elapsed
-            if self.found and before + self.longest > self.limit:
-                raise OutOfTime
-            found = evaluate(numbers)
-            self.longest = max(self.longest, self.elapsed - before)
-            self.found.append((self.elapsed, found))
-            return found
-
-        return within
-
-    def improvements(self) -> list[tuple[float, Evaluation]]:
-        """Each evaluation that was better than all before it."""
-        found: list[tuple[float, Evaluation]] = []
-        for each in self.found:
-            if np.isfinite(each[1].loss) and (not found or each[1].loss < found[-1][1].loss):
-                found.append(each)
-        return found or self.found[:1]
-
-
 def methods(problem: Problem) -> list[By]:
     """Those that are compared on a problem."""
-    few = len(problem.numbers) <= MOST_BY_DIFFERENCES
-    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few}
-    return [by for by in By if applies.get(by, len(problem.numbers) > 1 or by is not By.SECANTS)]
+    few, many = len(problem.numbers) <= MOST_BY_DIFFERENCES, len(problem.numbers) > 1
+    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few, By.SECANTS: many}
+    return [by for by in By if applies.get(by, True)]
 
 
-def search(
-    by: By, models: Models, limit: float, *, checks: int = CHECKS, clock: Callable[[], float] = time.perf_counter
-) -> Searched:
-    """One search, and what the MPM shows at its iterates."""
-    stopwatch = Stopwatch(limit=limit, clock=clock)
-    try:
-        _search(by, models, stopwatch)
-        ended = "by itself"
-    except OutOfTime:
-        ended = "out of time"
-    seconds, best = stopwatch.elapsed, thinned(stopwatch.improvements(), checks)
-    losses = models.checked([each.parameters for _, each in best])
-    count = len(stopwatch.found)
-    each_runs = {By.SURROGATE: 0, By.PAPER: 0, By.DIFFERENCES: 1 + 2 * len(models.problem.numbers)}.get(by, 1)
+def search(by: By, models: Models, limit: float) -> Searched:
+    """One search of as many evaluations as fit into `limit` [s], and what the MPM shows at its answer."""
+    problem, evaluate = models.problem, models.evaluate(by)
+    # The first one compiles kernels; the second is timed.
+    evaluate(problem.initial)
+    once = evaluate(problem.initial)
+    most = max(1, int(limit / (once.forward_s + once.backward_s)))
+    records = evaluations(by, models, evaluate, most)
+    answer = lowest(records).parameters
+    each_runs = {By.SURROGATE: 0, By.PAPER: 0, By.DIFFERENCES: 1 + 2 * len(problem.numbers)}.get(by, 1)
     return Searched(
         by=by,
-        evaluations=count,
-        mpm_runs=each_runs * count,
-        seconds=seconds,
-        ended=ended,
-        error=float(np.sqrt(np.mean((best[-1][1].parameters - models.truth) ** 2))),
-        curve=tuple(CheckedLoss(seconds=at, loss=loss) for (at, _), loss in zip(best, losses, strict=True)),
+        seconds=tuple(accumulate(each.forward_s + each.backward_s for each in records)),
+        losses=tuple(each.loss for each in records),
+        mpm_runs=each_runs * len(records),
+        error=float(np.sqrt(np.mean((answer - models.truth) ** 2))),
+        loss=models.checked(answer),
     )
 
 
-def _search(by: By, models: Models, stopwatch: Stopwatch) -> None:
-    """Run a search to its end. Raises OutOfTime."""
-    problem, components = models.problem, models.target.observation.components
-    box, values, settings = problem.box, models.target.values, problem.optimiser
-
-    def with_method(method: Method) -> OptimiserSettings:
-        return dataclasses.replace(settings, method=method, max_iterations=settings.max_iterations or 40)
-
-    if by in (By.SURROGATE, By.PAPER):
-        evaluate = automatic(models.surrogate, models.surrogate.select(values), components=components)
-        if by is By.PAPER:
-            descend(stopwatch.timed(evaluate), problem, PAPER[problem.name])
-            return
-        minimise(stopwatch.timed(evaluate), problem.initial, box, with_method(Method.LBFGSB), by)
-    elif by is By.ADJOINT:
-        evaluate = automatic(models.adjoint, values, components=components)
-        minimise(stopwatch.timed(evaluate), problem.initial, box, with_method(Method.LBFGSB), by)
-    elif by is By.DIFFERENCES:
-        steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
-        evaluate = central(models.mpm, values, steps, components=components)
+def evaluations(by: By, models: Models, evaluate: Evaluate, most: int) -> list[Evaluation]:
+    """Every evaluation of a search, in order; at most so many."""
+    problem, box, spread = models.problem, models.problem.box, list[Evaluation]()
+    if by is By.PAPER:
+        return descend(evaluate, problem, PAPER[problem.name], most)
+    if by is By.OPTUNA:
+        return explore(evaluate, problem, most)
+    if by is By.DIFFERENCES:
         # No difference leaves the bounds.
-        inner = dataclasses.replace(box, lower=box.lower + steps, upper=box.upper - steps)
-        minimise(stopwatch.timed(evaluate), problem.initial, inner, with_method(Method.GAUSS_NEWTON), by)
-    else:
-        evaluate = stopwatch.timed(lambda at: observed(models.mpm, values, [at], components=components)[0])
-        if by is By.OPTUNA:
-            explore(evaluate, problem)
-            return
-        spread = sample(models.mpm, values, problem.initial, box, components=components)
-        stopwatch.found += [(stopwatch.elapsed, each) for each in spread]
-        minimise(evaluate, problem.initial, box, with_method(Method.SECANTS), by, spread)
+        steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
+        box = dataclasses.replace(box, lower=box.lower + steps, upper=box.upper - steps)
+    if by is By.SECANTS:
+        target = models.target
+        spread = sample(models.mpm, target.values, problem.initial, box, components=target.observation.components)
+    settings = dataclasses.replace(
+        problem.optimiser, method=METHODS.get(by, Method.LBFGSB), max_iterations=max(1, most - len(spread))
+    )
+    return spread + minimise(evaluate, problem.initial, box, settings, by, spread)
 
 
-def descend(evaluate: Evaluate, problem: Problem, descent: Descent) -> None:
+def descend(evaluate: Evaluate, problem: Problem, descent: Descent, most: int) -> list[Evaluation]:
     """The paper's descent, projected onto the bounds."""
-    at = torch.tensor(problem.initial)
-    optimiser = descent.optimiser([at], lr=descent.rate)  # type: ignore[call-arg]
-    for _ in range(descent.iterations):
-        found = evaluate(at.numpy().copy())
-        if found.loss < descent.stop_below:
-            return
-        at.grad = torch.from_numpy(found.slope)
+    at, found = torch.tensor(problem.initial), list[Evaluation]()
+    optimiser = descent.optimiser([at], lr=descent.rate)
+    while len(found) < min(descent.iterations, most):
+        found.append(evaluate(at.numpy().copy()))
+        if found[-1].loss < descent.stop_below:
+            break
+        at.grad = torch.from_numpy(found[-1].slope)
         optimiser.step()
         at.copy_(torch.from_numpy(problem.box.clip(at.numpy())))
+    return found
 
 
-def explore(evaluate: Evaluate, problem: Problem) -> None:
-    """A search without gradients, from the problem's start, until `evaluate` ends it. Raises InputError."""
+def explore(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:
+    """A search without gradients, from the problem's start. Raises InputError."""
     try:
         import optuna
     except ImportError:
         raise InputError("expected the package optuna: pip install 'talus[efficiency]'", key="optuna") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=problem.optimiser.seed))
-    study.enqueue_trial(problem.named(problem.initial))
+    found = list[Evaluation]()
 
     def objective(trial: "optuna.Trial") -> float:
         pairs = zip(problem.names, problem.bounds, strict=True)
-        return evaluate(np.array([trial.suggest_float(name, *bounds) for name, bounds in pairs])).loss
+        found.append(evaluate(np.array([trial.suggest_float(name, *bounds) for name, bounds in pairs])))
+        return found[-1].loss
 
-    while True:
-        study.optimize(objective, n_trials=1)
-
-
-def thinned(found: Sequence[tuple[float, Evaluation]], most: int) -> list[tuple[float, Evaluation]]:
-    """About `most` of them, evenly over the logarithm of time, the first and the last included."""
-    if len(found) <= most:
-        return list(found)
-    seconds = np.array([at for at, _ in found])
-    even = np.geomspace(seconds[0], seconds[-1], most)
-    chosen = {0, len(found) - 1, *(int(np.abs(np.log(seconds / each)).argmin()) for each in even)}
-    return [found[number] for number in sorted(chosen)]
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=problem.optimiser.seed))
+    study.enqueue_trial(problem.named(problem.initial))
+    study.optimize(objective, n_trials=most)
+    return found

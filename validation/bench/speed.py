@@ -21,6 +21,7 @@ from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
+from validation.bench.networks import network_rows
 from validation.report.measuring import Spread, isolated, peak, reset_peak, resident, seconds_of, spread, turns
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, ORANGE, figure, pane
@@ -186,7 +187,7 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     scales = ((0.5, 0.1),) if quick else SCALES
     prices = [isolated(price, enlarged(*each), rounds) for each in scales]
     command = f"python -m validation.bench speed --rounds {rounds}"
-    text = page(rates, prices, (), command=command, quick=quick)
+    text = page(rates, prices, network_rows(sizes=1 if quick else 3), command=command, quick=quick)
     draw(out / "speed.png", rates, prices)
     text.text(f"Measured in {time.perf_counter() - began:.0f} s.")
     return text.write(out / "speed.md")

@@ -10,7 +10,7 @@ import pytest
 from datasets.command_line import run
 from tests.breaking import PROBLEM, SCENE, answer
 from validation.bench import __main__ as benches
-from validation.bench.coverage.bench import read_twin
+from validation.bench.coverage import read_twin
 from validation.loop.__main__ import main
 
 distributed = pytest.importorskip("distributed")
