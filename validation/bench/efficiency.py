@@ -324,8 +324,8 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
                 for one in each.searches:
                     if one.by is by:
                         # A surrogate's own losses are not the MPM's: its answer alone is shown.
-                        least = np.minimum.accumulate(one.losses) if one.by_mpm else [one.loss]
-                        axis.plot(one.seconds[-len(least) :], least, f"{marker}-", lw=1.2, markersize=4, label=by)
+                        lowest = np.minimum.accumulate(one.losses) if one.by_mpm else [one.loss]
+                        axis.plot(one.seconds[-len(lowest) :], lowest, f"{marker}-", lw=1.2, markersize=4, label=by)
             axis.axhline(each.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
             axis.set_title(each.problem)
             logarithmic(axis, "seconds", "MPM loss [m²]")

@@ -143,7 +143,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
     for family in families:
         for name in family.problems:
             problem, folder = read_problem(name), keep / name
-            if name in requested and not is_current(problem, folder) and not solved(problem, folder):
+            if name in requested and not is_current(problem, folder) and not ran(problem, folder):
                 failed.append(name)
             if is_current(problem, folder):
                 outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
@@ -168,7 +168,7 @@ def is_current(problem: Problem, folder: Path) -> bool:
     return key.exists() and (folder / RESULT).exists() and key.read_text() == made_of(problem)
 
 
-def solved(problem: Problem, folder: Path) -> bool:
+def ran(problem: Problem, folder: Path) -> bool:
     """Run the loop on a shipped problem in a process of its own; whether it came to its end."""
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
@@ -273,16 +273,23 @@ def row(outcome: Outcome, paper: Paper) -> Row:
     }
 
 
+def text_of(problem: Problem, name: str, value: float) -> str:
+    """A value of a number with its unit."""
+    return dict(zip(problem.names, problem.kinds, strict=True))[name].text(value)
+
+
 def found_text(outcome: Outcome) -> str:
     """The numbers found, or the range of their half-widths."""
     problem, widths = outcome.problem, outcome.half_widths
     if len(widths) > NAMED:
         low, high = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
-        return f"{len(widths)} numbers, ± {problem.text(low, widths[low])} to {problem.text(high, widths[high])}"
+        return (
+            f"{len(widths)} numbers, ± {text_of(problem, low, widths[low])} to {text_of(problem, high, widths[high])}"
+        )
     return "<br>".join(
         (f"`{each}` " if len(widths) > 1 else "")
-        + problem.text(each, outcome.result["unknowns"][each])
-        + f" ± {problem.text(each, width)}"
+        + text_of(problem, each, outcome.result["unknowns"][each])
+        + f" ± {text_of(problem, each, width)}"
         for each, width in widths.items()
     )
 
@@ -293,7 +300,7 @@ def error_text(outcome: Outcome) -> str:
     if not errors:
         return "-"
     worst = max(errors, key=lambda each: errors[each] / widths[each])
-    text = outcome.problem.text(worst, errors[worst])
+    text = text_of(outcome.problem, worst, errors[worst])
     return f"{text} of `{worst}`" if len(errors) > 1 else f"{text} ({outcome.percent(errors):.2f} %)"
 
 
