@@ -25,7 +25,6 @@ from validation.bench.held_out import (
     coarse,
     creep,
     held_out,
-    inside,
     mean,
     out_of_range,
     rms,
@@ -56,16 +55,6 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Long:
-    """A rollout `TIMES` times as long as its scene."""
-
-    creep: float
-    """[mm/s]."""
-    inside: bool
-    """Whether no particle left the box."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Model:
     """All that was measured of one model."""
 
@@ -77,8 +66,8 @@ class Model:
     """In the order of the scenes."""
     mpm: Mapping[int, Sequence[Measured]]
     """Coarse runs, by their cells across the body."""
-    long: Sequence[Long]
-    """Of the first scenes whose reference comes to rest."""
+    creeps: Sequence[float]
+    """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
     bands: Mapping[str, tuple[float, float]] | str
     """By scene whose front is free: error of the predicted front and half-width of its band [m]; why there are none."""
     outside: Mapping[str, bool]
@@ -176,11 +165,10 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
         rollouts.append(Measured(seconds=flow.summary["wall_s"], errors=truth.errors(flow)))
     torch.set_num_threads(threads)
     resting = [each for each, flow in zip(scenes, references, strict=True) if flow.summary["rest_time"] is not None]
-    rested = []
-    for each in tqdm(resting[:long], desc=f"{path.stem}, rest", unit="scene"):
-        longer = dataclasses.replace(each.scene, duration=TIMES * each.scene.duration)
-        flow = gns.simulate(longer, model=simulator)
-        rested.append(Long(creep=creep(flow), inside=inside(flow.positions, each.scene)))
+    longer = [dataclasses.replace(each.scene, duration=TIMES * each.scene.duration) for each in resting[:long]]
+    creeps = [
+        creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{path.stem}, rest", unit="scene")
+    ]
     outside = out_of_range() if simulator.settings.dimension == 2 else {}
     return Model(
         name=path.stem,
@@ -189,7 +177,7 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
         truths=truths,
         rollouts=rollouts,
         mpm=mpm,
-        long=rested,
+        creeps=creeps,
         bands=bands(path, scenes, truths),
         outside={name: card.warning(path, scene) is not None for name, scene in outside.items()},
         within={each.name: card.warning(path, each.scene) is not None for each in scenes},
@@ -258,7 +246,7 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         for each in found
     ]
     sentences.append(f"Cards warn of {'; '.join(parts)}.")
-    rested = [f"{worst([one.creep for one in each.long]):+.2g} mm/s (`{each.name}`)" for each in found if each.long]
+    rested = [f"{worst(each.creeps):+.2g} mm/s (`{each.name}`)" for each in found if each.creeps]
     if rested:
         sentences.append(f"Deposits that should rest creep by at most {', '.join(rested)}.")
     return sentences
@@ -333,19 +321,19 @@ def kind_row(model: Model, kind: str) -> Row:
 
 def self_row(model: Model) -> Row:
     """Bands, warnings and rest of a model."""
-    known = not isinstance(model.bands, str) and len(model.bands) > 0
-    extents = {scene.name: truth.extent for scene, truth in zip(model.scenes, model.truths, strict=True)}
+    held, width = "-", "-"
+    if not isinstance(model.bands, str) and model.bands:
+        extents = {scene.name: truth.extent for scene, truth in zip(model.scenes, model.truths, strict=True)}
+        held = f"{model.held} of {len(model.bands)}"
+        width = f"{mean([half / extents[name] for name, (_, half) in model.bands.items()]):.1%}"
     return {
         "model": f"`{model.name}`",
-        "fronts in their bands": f"{model.held} of {len(model.bands)}" if known else "-",
-        "half-width over the extent": f"{np.mean([model.bands[name][1] / extents[name] for name in model.bands]):.1%}"  # type: ignore[call-overload,index]
-        if known
-        else "-",
+        "fronts in their bands": held,
+        "half-width over the extent": width,
         "warned of, out of range": f"{sum(model.outside.values())} of {len(model.outside)}" if model.outside else "-",
         "warned of, in range": f"{sum(model.within.values())} of {len(model.within)}",
-        "creep, mean [mm/s]": f"{mean([each.creep for each in model.long]):.2f}",
-        "worst [mm/s]": f"{worst([each.creep for each in model.long]):+.2f}",
-        "inside the box": f"{sum(each.inside for each in model.long)} of {len(model.long)}",
+        "creep, mean [mm/s]": f"{mean(model.creeps):.2f}",
+        "worst [mm/s]": f"{worst(model.creeps):+.2f}",
     }
 
 

@@ -16,7 +16,7 @@ from datasets import measures
 from datasets.definitions import flow2d, obstacle3d
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.trajectory import Floats, Trajectory
+from datasets.trajectory import Trajectory
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 
 SEED = 1
@@ -139,12 +139,6 @@ def creep(rollout: Trajectory) -> float:
     seconds = float(rollout.time[-1] - rollout.time[middle])
     old, new = measures.ends(rollout.positions[middle]), measures.ends(rollout.positions[-1])
     return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / seconds
-
-
-def inside(positions: Floats, scene: Scene) -> bool:
-    """Whether no particle [m], shape [T, n, D], is outside of the box, beyond rounding."""
-    slack = 1.0e-4 * scene.domain.cell
-    return bool((positions >= -slack).all() and (positions <= np.array(scene.domain.size) + slack).all())
 
 
 def out_of_range() -> dict[str, Scene]:
