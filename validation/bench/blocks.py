@@ -4,11 +4,11 @@ import dataclasses
 from itertools import product
 
 import numpy as np
-from inverse.parameters.parameter import Parameter
 from numpy.typing import NDArray
 
 from datasets.library import read_scene
 from datasets.scene import Mass, Scene
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, OptimiserSettings, TargetSettings
 

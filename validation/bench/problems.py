@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inverse.found import Verdict
-
 from datasets.errors import InputError, WorkFailed
 from datasets.files import write_text
 from datasets.processes import parent_environment
 from datasets.records import Record, from_mapping, read_json, read_toml
 from gns.library import shipped
+from inverse.found import Verdict
 from inverse.problem import Problem, read_problem
 from validation.bench.paper import Paper, read_paper
 from validation.report.page import GNS, MPM, Page, Row

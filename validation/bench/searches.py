@@ -13,7 +13,6 @@ from itertools import accumulate
 
 import numpy as np
 import torch
-from inverse.target import Target, read_target
 
 from datasets.errors import InputError
 from gns.simulator import Simulator
@@ -27,6 +26,7 @@ from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.secants import lowest, sample
 from inverse.settings import Method
+from inverse.target import Target, read_target
 from mpm import simulate, simulate_many
 
 CHECK_SEED = 20_002
