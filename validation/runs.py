@@ -111,7 +111,7 @@ class RunStore:
         return path
 
     def _path(self, run: Run) -> Path | None:
-        return next(iter(self.folder.glob(f"*-{run.digest}.npz")), None)
+        return min(self.folder.glob(f"*-{run.digest}.npz"), default=None)
 
     def _load(self, run: Run) -> Trajectory | None:
         """The stored run; None where there is none, or a broken file."""

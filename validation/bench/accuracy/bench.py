@@ -12,20 +12,18 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from datasets import measures
 from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.observations.profile import Profile
 from mpm.resolution import (
     COVERAGE,
     MEASURED,
     Measured,
     Resolution,
-    characteristic_length,
     read_measured,
     resolved,
     with_resolution,
@@ -36,8 +34,6 @@ from validation.report.page import Page, percent
 from validation.report.plots import BLUE, GREY, ORANGE, figure, pane
 from validation.runs import SHARE, Run, RunStore
 
-STATIONS = 10.0
-"""Of a profile across the smallest side of the mass."""
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
 """The resolution that each selects is shown."""
 TRIED = (0.2, 0.1, 0.05)
@@ -92,9 +88,8 @@ def reference_of(flow: Trajectory) -> Reference:
 
 
 def equal_shares(flow: Trajectory) -> NDArray[np.float64]:
-    """The x [m] of twenty equal shares of a deposit, shape [20]."""
-    # The last value of a profile is the front, whose error is counted by itself.
-    return Profile(flow.scene, characteristic_length(flow.scene) / STATIONS).exact(flow.positions[-1])[:-1]
+    """The x [m] that twenty equal shares of a deposit's particles, from their middles, lie behind, shape [20]."""
+    return np.asarray(np.quantile(flow.positions[-1, :, 0].astype(np.float64), (np.arange(20) + 0.5) / 20.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +151,7 @@ def prediction_limit(errors: Sequence[float]) -> float:
     count = len(errors)
     if count < 2:
         return max(errors)
-    t = float(stats.t.ppf(COVERAGE, count - 1))
+    t = float(stdtrit(count - 1, COVERAGE))
     limit = float(np.mean(errors)) + t * float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
     return max(limit, *errors)
 
@@ -269,7 +264,7 @@ def page(
         tolerance selects: the cheapest whose **bound** is within it (`mpm/resolution.toml`, measured on ten scenes in
         2D and four in 3D, by `--ship`). The bound is what {COVERAGE * 10:.0f} of 10 further scenes like these stay
         within. An error is that of the **front**, the x that 99.5 % of the particles are behind, or of the **profile**,
-        the rms distance along x of twenty equal shares of the deposit's volume, the larger of the two over the
+        the rms distance along x of twenty equal shares of the deposit, the larger of the two over the
         **extent** from the rear of the mass at the start to the front; against the same scene on a fine grid.
     """)
     text.table(
