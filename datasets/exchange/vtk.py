@@ -1,6 +1,5 @@
-"""Trajectory -> a time series that ParaView opens: particles with fields, surfaces of solids, the box's edges."""
+"""Trajectory -> a time series that ParaView opens: particles with fields, the surface of all solids, the box."""
 
-import dataclasses
 import re
 import tempfile
 from functools import cached_property
@@ -10,12 +9,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.files import replacing
-from datasets.geometry.surface import Surface, surface_of
+from datasets.geometry.surface import surface_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"((particles|points)-\d+|(baffles|solids)(-\d+)?|domain)\.vt[pu]")
+PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vt[pu]")
 """The files that a series consists of, whatever its length."""
 UNITS = {
     "velocity": "m/s",
@@ -36,18 +34,17 @@ UNITS = {
     "plastic_strain": "1",
     "material": "1",
     "friction_deg": "deg",
-    "baffle": "1",
     "solid": "1",
     "friction": "1",
     "impulse": "N s",
     "force": "N",
 }
 """Of the arrays; of impulse and force in 2D per metre of width."""
-UNCHANGING = frozenset({"material", "friction_deg", "baffle", "solid", "friction"})
+UNCHANGING = frozenset({"material", "friction_deg", "solid", "friction"})
 """Arrays that are the same in every frame."""
 MOVING = "particles"
 """The part whose geometry changes."""
-ACTIVE = {MOVING: "velocity", "baffles": "force", "solids": "force"}
+ACTIVE = {MOVING: "velocity", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
 
@@ -55,13 +52,12 @@ class Meshes:
     """The parts of a trajectory as VTK's meshes; all in three dimensions, a 2D trajectory at z = 0."""
 
     def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory = trajectory
-
-    @property
-    def materials(self) -> list[Material]:
-        """The different materials of the scene, in the order of `datasets.particles.initial_particles`."""
-        scene = self.trajectory.scene
-        return list(dict.fromkeys(map(scene.material_of, scene.masses)))
+        self.trajectory, scene = trajectory, trajectory.scene
+        self.materials: list[Material] = list(dict.fromkeys(map(scene.material_of, scene.masses)))
+        """The different ones of the scene, in the order of `datasets.particles.initial_particles`."""
+        solids = ("solids",) if scene.baffles or scene.solids else ()
+        self.parts: tuple[str, ...] = (MOVING, *solids, "domain")
+        """What there is to draw, the same in every frame."""
 
     @cached_property
     def start(self) -> NDArray[np.float64]:
@@ -79,6 +75,8 @@ class Meshes:
 
         Where the trajectory does not say its mass, that of the nearest of the scene's own particles at the start.
         """
+        from scipy.spatial import cKDTree
+
         scene = self.trajectory.scene
         if self.trajectory.mass is not None:
             of_masses = [self.materials.index(scene.material_of(mass)) for mass in scene.masses]
@@ -87,11 +85,6 @@ class Meshes:
             return np.zeros(len(self.start), np.int32)
         own = initial_particles(scene)
         return np.asarray(own.material[cKDTree(own.positions).query(self.start)[1]])
-
-    @cached_property
-    def friction_deg(self) -> NDArray[np.float32]:
-        """Angle of internal friction of each particle [deg], shape [N]."""
-        return np.degrees(np.arctan(self.trajectory.friction)).astype(np.float32)
 
     def velocity(self, frame: int) -> NDArray[np.float32] | None:
         """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
@@ -119,18 +112,12 @@ class Meshes:
             "displacement": trajectory.positions[frame] - self.start.astype(np.float32),
             **{key: values[frame] for key, values in recorded.items() if values is not None},
             "material": self.material,
-            "friction_deg": self.friction_deg,
+            "friction_deg": np.degrees(np.arctan(trajectory.friction)).astype(np.float32),
         }
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """What there is to draw, the same in every frame."""
-        scene = self.trajectory.scene
-        return (MOVING, *(("baffles",) if scene.baffles else ()), *(("solids",) if scene.solids else ()), "domain")
 
     def changes(self, part: str) -> bool:
         """Whether a part is another one in every frame."""
-        return part == MOVING or (part != "domain" and self.trajectory.solid_impulse is not None)
+        return part == MOVING or (part == "solids" and self.trajectory.solid_impulse is not None)
 
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
         """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
@@ -145,88 +132,45 @@ class Meshes:
         return mesh
 
     def shape(self, name: str, frame: int) -> "pyvista.PolyData":
-        """The part `name` at `frame` without its arrays: the particles, a vertex each, or one of the surfaces."""
+        """The part `name` at `frame` without its arrays: the particles, a vertex each, the surface or the box."""
         import pyvista
 
         if name == MOVING:
             return pyvista.PolyData(spatial(self.trajectory.positions[frame]))
-        surfaces = {"baffles": lambda: self.baffle_surface, "solids": lambda: self.solid_surface}
-        surface: pyvista.PolyData = surfaces.get(name, lambda: self.domain)().copy()
-        return surface
+        if name == "domain":
+            size = self.trajectory.scene.domain.size
+            edges: pyvista.PolyData = box((0.0,) * len(size), size).extract_all_edges()
+            return edges
+        surface = surface_of(self.trajectory.scene)
+        assert surface is not None
+        count, width = surface.corners.shape[:2]
+        faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
+        points = spatial(surface.corners.reshape(-1, surface.dimension))
+        return pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
 
     def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
         """The arrays of a part at `frame`: of the particles those of `fields`, of solids those of each of their faces.
 
-        That is the number of the baffle or solid, of solids their friction, infinite without slip, and, where it was
-        recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since
-        the frame `since`, both in 2D per metre of width.
+        That is the number of the solid, baffles first, its friction, infinite without slip, and, where it was recorded,
+        the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since the frame
+        `since`, both in 2D per metre of width.
         """
+        trajectory, surface = self.trajectory, surface_of(self.trajectory.scene)
         if name == MOVING:
             return {
                 key: values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
                 for key, values in self.fields(frame).items()
             }
-        if name == "domain":
+        if name == "domain" or surface is None:
             return {}
-        impulse = self.trajectory.solid_impulse
-        if name == "baffles":
-            number = self.baffle_of_face
-            arrays: dict[str, NDArray[Any]] = {"baffle": number}
-        else:
-            surface = self.solid_faces
-            number = surface.solid
-            arrays = {
-                "solid": number - np.int32(len(self.trajectory.scene.baffles)),
-                "friction": surface.friction.mean(axis=1).astype(np.float32),
-            }
+        number, friction = surface.solid, surface.friction.mean(axis=1).astype(np.float32)
+        arrays: dict[str, NDArray[Any]] = {"solid": number, "friction": friction}
+        impulse = trajectory.solid_impulse
         if impulse is not None:
-            gained, elapsed = impulse[frame] - impulse[since], self.trajectory.time[frame] - self.trajectory.time[since]
+            gained, elapsed = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
             arrays["impulse"] = spatial(impulse[frame])[number]
             arrays["force"] = spatial(gained / elapsed if elapsed > 0.0 else gained)[number]
         return arrays
-
-    @cached_property
-    def baffle_surface(self) -> "pyvista.PolyData":
-        """The baffles, closed surfaces."""
-        first, *others = self._baffle_boxes
-        surface: pyvista.PolyData = first.append_polydata(*others)
-        return surface
-
-    @cached_property
-    def baffle_of_face(self) -> NDArray[np.int32]:
-        """The index of the baffle that each face of `baffle_surface` belongs to, shape [F]."""
-        boxes = self._baffle_boxes
-        return np.repeat(np.arange(len(boxes), dtype=np.int32), [each.n_cells for each in boxes])
-
-    @property
-    def _baffle_boxes(self) -> list["pyvista.PolyData"]:
-        return [turned(box(each.lower, each.size), each.turned_deg) for each in self.trajectory.scene.baffles]
-
-    @cached_property
-    def solid_faces(self) -> Surface:
-        """The faces of the scene's solids that are free, of the union of all that is solid, baffles left out."""
-        surface = surface_of(self.trajectory.scene)
-        assert surface is not None, "asked for where there are solids"
-        chosen = surface.solid >= len(self.trajectory.scene.baffles)
-        return Surface(**{field.name: getattr(surface, field.name)[chosen] for field in dataclasses.fields(Surface)})
-
-    @cached_property
-    def solid_surface(self) -> "pyvista.PolyData":
-        """`solid_faces` as triangles, in 2D as lines."""
-        import pyvista
-
-        corners = self.solid_faces.corners
-        count, width = corners.shape[:2]
-        faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
-        points = spatial(corners.reshape(-1, corners.shape[2]))
-        return pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
-
-    @cached_property
-    def domain(self) -> "pyvista.PolyData":
-        """The edges of the box."""
-        size = self.trajectory.scene.domain.size
-        edges: pyvista.PolyData = box((0.0,) * len(size), size).extract_all_edges()
-        return edges
 
     def unit(self, name: str) -> str:
         """Of the array `name`, in 2D per metre of width where that counts."""
@@ -250,15 +194,6 @@ def box(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData"
     if not z:
         return pyvista.PolyData([(x[0], y[0], 0), (x[1], y[0], 0), (x[1], y[1], 0), (x[0], y[1], 0)], [4, 0, 1, 2, 3])
     return pyvista.Box((*x, *y, *z[0]))
-
-
-def turned(mesh: "pyvista.PolyData", angle_deg: float) -> "pyvista.PolyData":
-    """A box turned about its centre: in 2D from x to y, in 3D about the vertical, from x to z."""
-    if angle_deg == 0.0:
-        return mesh
-    flat = mesh.bounds[4] == mesh.bounds[5]
-    rotate, angle = (mesh.rotate_z, angle_deg) if flat else (mesh.rotate_y, -angle_deg)
-    return rotate(angle, point=mesh.center)
 
 
 def frames_of(trajectory: Trajectory, every: int) -> list[int]:

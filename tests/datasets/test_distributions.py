@@ -10,8 +10,6 @@ from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError
 from datasets.geometry.placement import overlaps
-from datasets.training.metadata import metadata
-from datasets.training.statistics import motion_statistics
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 (EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
@@ -66,18 +64,6 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
             assert all(gap > 0.0399 for gap in gaps) or any(o.lower[1] > 0.0 for o in others)
 
 
-def test_metadata_holds_the_largest_box_and_ranges(tmp_path: Path) -> None:
-    steps = definition(tmp_path)
-    entries = steps.entries(seed=0)
-    content = metadata(steps, entries, seed=0, statistics=motion_statistics(np.zeros((3, 1, 2)), 0.0025))
-    assert (content["definition"], content["bounds"]) == ("steps", [[0.0, 1.5], [0.0, 0.5]])
-    assert content["sequence_length"] == 301
-    assert (content["cell"], content["wall_friction"], content["damping"]) == ([0.02, 0.025], 0.2, [0.0, 0.12])
-    cohesions = [entry.scene.material.cohesion for entry in entries]
-    assert content["material"]["cohesion"] == [min(cohesions), max(cohesions)]
-    assert content["default_connectivity_radius"] in (0.04, 0.05)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -104,12 +90,3 @@ def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected
     assert str(caught.value).startswith(f"{tmp_path / 'steps.toml'}: ")
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_files_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is none"):
-        read_definition(str(tmp_path / "absent.toml"))
-    with pytest.raises(InputError, match="names the trajectories"):
-        definition(tmp_path, SMALL, "my set.toml")
-    with pytest.raises(InputError, match="one of flow2d"):
-        read_definition("flow3d")

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from datasets.exchange.cloud import Cloud, cloud_of
 from datasets.exchange.conversion import LAYOUTS
 from datasets.files import write_json
 from datasets.scene import Solid
-from datasets.training.statistics import motion_statistics
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
@@ -72,27 +70,6 @@ def test_there_and_back(tmp_path: Path, layout: str, dimension: int) -> None:
         np.testing.assert_allclose(before[key], after[key], rtol=1e-12)
     assert after["splits"] == {"train": 2, "valid": 1, "test": 1}
     assert "seed" not in after
-
-
-@layouts
-def test_what_the_metadata_of_other_codes_says(tmp_path: Path, layout: str) -> None:
-    toy_dataset(tmp_path / "ours", 3)
-    exchange(tmp_path / "ours", "--to", layout, "--out", tmp_path / "theirs")
-    written = json.loads((tmp_path / "theirs" / "metadata.json").read_text())
-    assert written["bounds"] == [[0.0, 0.4], [0.0, 0.2], [0.0, 0.16]]
-    assert (written["dim"], written["dt"], written["dx"]) == (3, 0.0025, 0.01)
-    train = np.stack([toy(3, seed).positions for seed in range(2)])
-    expected = sum((motion_statistics(each, 0.0025) for each in train[1:]), motion_statistics(train[0], 0.0025))
-    np.testing.assert_allclose(written["vel_std"], expected.velocity.std)
-    if layout == "geoelements":
-        # Of the peers' network: 5 velocities and 2 walls per axis, an embedding of 16, tan(phi).
-        assert (written["nnode_in"], written["nedge_in"], written["material_feature_len"]) == (38, 4, 1)
-        assert written["sequence_length"] == FRAMES
-    else:
-        assert (written["sequence_length_train"], written["num_trajs_train"]) == (FRAMES - 1, 2)
-        assert written["num_particles_max"] == max(len(cloud_of(toy(3, seed), "").stationary) for seed in range(4))
-        assert written["periodic_boundary_conditions"] == [False] * 3
-        assert written["t_end"] == pytest.approx((FRAMES - 1) * 0.0025)
 
 
 @pytest.mark.parametrize("direction", ["--to", "--from"])
@@ -319,17 +296,6 @@ def test_their_readers_take_what_talus_writes(tmp_path: Path, dimension: int) ->
             np.testing.assert_array_equal(file[f"{name}/material_property"][:], cloud.friction)
 
 
-def test_obstacles_come_last_and_fill_their_boxes(tmp_path: Path) -> None:
-    trajectory = toy(3)
-    cloud, sand = cloud_of(trajectory, "toy"), trajectory.positions.shape[1]
-    assert cloud.stationary.tolist() == [False] * sand + [True] * (len(cloud.stationary) - sand)
-    assert (np.ptp(cloud.positions[:, sand:], axis=0) == 0.0).all()
-    for baffle in trajectory.scene.baffles:
-        lower, upper = np.array(baffle.lower), np.array(baffle.lower) + baffle.size
-        inside = ((cloud.positions[0] > lower) & (cloud.positions[0] < upper)).all(axis=1)
-        assert inside.sum() == pytest.approx(np.prod(baffle.size) / trajectory.scene.particle_spacing**3, rel=0.2)
-
-
 @pytest.mark.parametrize(
     ("material", "expected"),
     [
@@ -383,21 +349,6 @@ def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected:
     assert (caught.value.where, caught.value.key) == (str(path), "simulation_trajectory_0")
 
 
-@pytest.mark.parametrize(
-    ("arrays", "expected"),
-    [
-        ({"particle_type": TYPES}, "an array of numbers in the file"),
-        ({"position": POSITIONS, "particle_type": [0, 2, 0, 0, 0]}, "types of [0, 1]"),
-        ({"position": POSITIONS, "particle_type": [b"a"] * 5}, "array of numbers"),
-    ],
-)
-def test_what_is_no_trajectory_in_hdf5(tmp_path: Path, arrays: dict[str, Any], expected: str) -> None:
-    path = stored_hdf5(tmp_path / "train.h5", **arrays)
-    with pytest.raises(InputError, match=re.escape(expected)) as caught:
-        only(path)
-    assert caught.value.where == str(path)
-
-
 def test_links_out_of_the_file(tmp_path: Path) -> None:
     stored_hdf5(tmp_path / "other.h5", position=POSITIONS)
     path = stored_hdf5(tmp_path / "train.h5", particle_type=TYPES)
@@ -405,21 +356,6 @@ def test_links_out_of_the_file(tmp_path: Path) -> None:
         file["00000/position"] = h5py.ExternalLink("other.h5", "00000/position")
     with pytest.raises(InputError, match="an array of numbers in the file"):
         only(path)
-
-
-def test_a_failing_source_leaves_no_file_and_a_name_means_all(tmp_path: Path) -> None:
-    def interrupted() -> Any:
-        yield cloud_of(toy(2), "toy")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        geoelements.write(tmp_path / "train.npz", interrupted())
-    with pytest.raises(InputError, match="gns_data"):
-        geoelements.write(tmp_path / "train.npz", [cloud_of(toy(2), "gns_data")])
-    assert list(tmp_path.iterdir()) == []
-    geoelements.write(tmp_path / "train.npz", [cloud_of(toy(2), "toy")])
-    with zipfile.ZipFile(tmp_path / "train.npz") as archive:
-        assert archive.testzip() is None
 
 
 def test_the_page_names_every_key(tmp_path: Path) -> None:

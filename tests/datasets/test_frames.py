@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.frames import FrameWriter, open_frames
-from datasets.trajectory import FIELDS, Trajectory, open_trajectory, read_trajectory, stored_scene, trajectory_files
+from datasets.frames import FrameWriter
+from datasets.trajectory import FIELDS, Trajectory, open_trajectory, read_trajectory, stored_scene
 
 
 @pytest.fixture
@@ -97,27 +97,6 @@ def test_a_file_grows_by_frames_and_appears_at_the_end(flow: Trajectory, tmp_pat
     with pytest.raises(TypeError), FrameWriter(tmp_path / "lost.h5") as file:
         file.put(scene=object())  # type: ignore[arg-type]
     assert [each.name for each in tmp_path.iterdir()] == ["flow.h5"]
-
-
-def test_a_deposit_at_rest_takes_little(flow: Trajectory, tmp_path: Path) -> None:
-    rows = np.repeat(np.round(flow.positions[:1], 2), len(flow.time), axis=0)
-    resting = dataclasses.replace(flow, positions=rows, **dict.fromkeys(FIELDS))
-    resting.save(tmp_path / "resting.h5")
-    assert (tmp_path / "resting.h5").stat().st_size < 0.4 * resting.positions.nbytes
-
-
-def test_trajectories_of_both_kinds_are_found_and_parts_of_none(trajectory: Trajectory, tmp_path: Path) -> None:
-    for name in ("b.h5", "a.npz"):
-        trajectory.save(tmp_path / name)
-    (tmp_path / ".part-c.h5").write_bytes(b"")
-    assert [path.name for path in trajectory_files(tmp_path)] == ["a.npz", "b.h5"]
-
-
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_either_order_is_mapped(tmp_path: Path, order: str) -> None:
-    array = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
-    np.savez(tmp_path / "a.npz", other=np.arange(3), positions=np.asarray(array, order=order))
-    assert np.array_equal(open_frames(tmp_path / "a.npz", "positions"), array)
 
 
 def test_what_cannot_be_mapped_is_read(tmp_path: Path, trajectory: Trajectory) -> None:

@@ -110,16 +110,3 @@ def test_a_scene_of_other_corners_walls_or_masses_is_no_neighbour() -> None:
     assert neighbours(tall, read_scene("column-tall-21"))
     assert not neighbours(moved(tall, 0, 0.3, 0.0), tall)
     assert not neighbours(tall, read_scene("column-short-21"))
-
-
-def test_baffles_of_the_same_z_are_paired_whatever_their_order() -> None:
-    scene = read_scene("baffles-2")
-    front, back = (dataclasses.replace(scene.baffles[0], lower=(x, 0.0, z)) for x, z in ((0.5, 0.3 + 1e-9), (0.8, 0.3)))
-    lines = dataclasses.replace(scene, baffles=(front, back))
-    slid = dataclasses.replace(scene, baffles=(front, dataclasses.replace(back, lower=(0.8, 0.0, 0.31))))
-    swapped = dataclasses.replace(scene, baffles=(back, front))
-    for same in (slid, swapped, mirrored(lines)):
-        assert neighbours(same, lines)
-    # Both near the same one of the two: no pairs.
-    beside = dataclasses.replace(front, lower=(0.5, 0.0, 0.46))
-    assert not neighbours(dataclasses.replace(scene, baffles=(front, beside)), lines)

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import rasterio
 from matplotlib.image import imread
-from shapely import MultiPolygon
 from shapely.geometry import shape
 
 from datasets.command_line import run
 from datasets.library import read_scene
-from datasets.maps.__main__ import command, summary, write_maps, write_profile
-from datasets.maps.files import LOCAL, Georeference, outline, write_outlines, write_raster
+from datasets.maps.__main__ import command, write_maps, write_profile
+from datasets.maps.files import LOCAL, Georeference, outline, write_raster
 from datasets.maps.pictures import draw_map
 from datasets.maps.plan import map_edges, maps_of, station_edges
 from datasets.material import Material
@@ -115,36 +114,6 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
     assert polygon.exterior.is_ccw
     assert [ring.is_ccw for ring in polygon.interiors] == [False]
     assert (polygon.centroid.x, polygon.centroid.y) == pytest.approx((1000.5, 2000.4), abs=1e-3)
-
-
-def test_an_outline_ends_at_the_walls() -> None:
-    polygons = outline(np.full((10, 4), 0.2), 0.1, LOCAL, 0.05)
-    assert polygons.area == pytest.approx(0.4, rel=1e-5)
-    assert polygons.bounds[:2] == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert outline(np.zeros((4, 4)), 0.1, LOCAL, 0.05).is_empty
-
-
-def test_the_extent_is_that_of_the_largest_part(flow: Trajectory) -> None:
-    """A few particles that rolled on are no deposit."""
-    astray = flow.positions.copy()
-    astray[-1, :8] = np.float32([0.925, 0.2, 0.125])
-    lost = dataclasses.replace(flow, positions=astray)
-    maps = maps_of(lost, map_edges(flow.scene, 0.05), threshold=0.02)
-    assert len(outline(maps.thickness, 0.05, LOCAL, 0.02).geoms) == 2
-    assert summary(lost, maps, LOCAL)["extent"] == pytest.approx(0.7, abs=0.05)
-
-
-@pytest.mark.parametrize("georeference", [LOCAL, ALPS])
-def test_outlines_as_geojson(tmp_path: Path, georeference: Georeference) -> None:
-    found = outline(np.full((10, 4), 0.2), 0.1, georeference, 0.05)
-    write_outlines(tmp_path / "outline.geojson", {"deposit": found, "release": MultiPolygon()}, 0.05, georeference)
-    text = json.loads((tmp_path / "outline.geojson").read_text())
-    deposit, release = text["features"]
-    assert deposit["properties"] == {"name": "deposit", "threshold_m": 0.05, "area_m2": pytest.approx(0.4, rel=1e-5)}
-    assert shape(deposit["geometry"]).area == pytest.approx(0.4, rel=1e-5)
-    assert shape(release["geometry"]).is_empty
-    named = text.get("crs", {}).get("properties")
-    assert named == (None if georeference is LOCAL else {"name": "urn:ogc:def:crs:EPSG::25832"})
 
 
 def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
@@ -252,21 +221,6 @@ def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
     assert said["extent"] == pytest.approx(0.7, abs=0.05)
     assert "area_deposit" not in said
     assert imread(tmp_path / "profile.png").shape[0] > 300
-
-
-def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:
-    flow.save(tmp_path / "run" / "trajectory.npz")
-    out = tmp_path / "out"
-    assert (
-        run(command, "maps", [str(tmp_path / "run"), "--out", str(out), "--cell", "0.1", "--formats", "asc,geojson"])
-        == 0
-    )
-    assert "volume 0.002 m³" in capsys.readouterr().out
-    names = {"thickness.asc", "depth.asc", "velocity.asc", "outline.geojson", "maps.json"}
-    assert {path.name for path in out.iterdir()} == names
-    flat(flow).save(tmp_path / "flat.npz")
-    assert run(command, "maps", [str(tmp_path / "flat.npz"), "--out", str(tmp_path / "profile")]) == 0
-    assert {path.name for path in (tmp_path / "profile").iterdir()} == {"profile.csv", "profile.png", "maps.json"}
 
 
 @pytest.mark.parametrize(

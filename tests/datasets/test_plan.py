@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
 from datasets.maps.plan import Floats, PlanMaps, map_edges, maps_of, station_edges
 from datasets.material import Material
 from datasets.particles import initial_particles
@@ -71,24 +70,6 @@ def test_an_even_layer_is_even_to_the_walls(cell: float) -> None:
     np.testing.assert_allclose(whole, 0.05, rtol=1e-5)
 
 
-def test_no_holes_at_two_particles_per_cell_and_axis() -> None:
-    """A layer one cell thick, jittered as scenes are, on map cells a quarter of the scene's."""
-    scene = dataclasses.replace(scene_of((1.0, 0.2, 1.0), ((0.0, 0.0, 0.0), (1.0, 0.05, 1.0))), jitter=0.8)
-    maps = maps_of(still(scene, initial_particles(scene).positions), map_edges(scene, 0.0125))
-    assert maps.thickness.min() > 0.5 * 0.05
-    assert maps.thickness.std() < 0.1 * 0.05
-
-
-def test_a_layer_on_an_incline_is_measured_vertically() -> None:
-    """t normal to a ground of angle alpha is t / cos(alpha) in the map."""
-    angle, normal = np.radians(35.0), 0.04
-    scene = scene_of((1.0, 1.0, 0.4), ((0.0, 0.0, 0.0), (1.0, normal / np.cos(angle), 0.4)), cell=0.02)
-    coordinates = initial_particles(scene).positions
-    coordinates[:, 1] += 0.9 - np.tan(angle) * coordinates[:, 0]
-    maps = maps_of(still(scene, coordinates), map_edges(scene, 0.05))
-    np.testing.assert_allclose(maps.thickness, normal / np.cos(angle), rtol=1e-5)
-
-
 def test_a_cone() -> None:
     """Of height 0.2 and radius 0.4, filled evenly: its thickness, its outline and its volume."""
     height, radius, spacing = 0.2, 0.4, 0.01
@@ -128,15 +109,6 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     assert maps.threshold == pytest.approx(0.025)
 
 
-def test_a_last_frame_alone_has_a_deposit_and_no_velocity() -> None:
-    scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
-    flow = dataclasses.replace(still(scene, initial_particles(scene).positions), time=np.array([0.5]))
-    maps = maps_of(flow, map_edges(scene, 0.05))
-    assert maps.velocity is None
-    assert maps.start is None
-    np.testing.assert_array_equal(maps.depth, maps.thickness)
-
-
 def test_what_has_left_the_box_is_counted() -> None:
     scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
     start = initial_particles(scene)
@@ -147,13 +119,6 @@ def test_what_has_left_the_box_is_counted() -> None:
     assert maps.left == pytest.approx(15 * each)
     assert maps.volume == pytest.approx(start.volume.sum() - 15 * each)
     assert volume_in(maps) == pytest.approx(maps.volume, rel=1e-12)
-
-
-def test_other_particles_share_the_volume_of_the_masses() -> None:
-    scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
-    few = np.random.default_rng(2).random((50, 3)) * [1.0, 0.1, 0.4]
-    maps = maps_of(still(scene, few), map_edges(scene, 0.05))
-    assert volume_in(maps) == pytest.approx(0.2 * 0.1 * 0.2)
 
 
 def test_the_ground_of_terrain_and_baffles() -> None:
@@ -182,15 +147,3 @@ def test_the_ground_line_in_two_dimensions() -> None:
     np.testing.assert_allclose(maps.ground, expected, atol=1e-9)
     bare = dataclasses.replace(scene, solids=(), baffles=())
     assert not maps_of(still(bare, initial_particles(bare).positions), station_edges(bare, 0.03125)).ground.any()
-
-
-@pytest.mark.parametrize("cell", [0.0, -0.1, 0.5])
-def test_a_cell_that_is_none(cell: float) -> None:
-    with pytest.raises(InputError, match="--cell"):
-        map_edges(scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2))), cell)
-
-
-def test_a_threshold_that_is_none() -> None:
-    scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
-    with pytest.raises(InputError, match="--threshold: expected a thickness above 0 m"):
-        maps_of(still(scene, initial_particles(scene).positions), map_edges(scene, 0.05), threshold=0.0)

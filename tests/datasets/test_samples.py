@@ -52,12 +52,6 @@ def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[in
     assert sample.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_a_flow_on_a_slope_has_its_gravity(trajectory: Trajectory) -> None:
-    tilted = dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, slope_deg=30.0))
-    around = Flow.from_trajectory(tilted, 0.0025, "a").surroundings
-    np.testing.assert_allclose(around.gravity, [9.81 * 0.5, -9.81 * 0.75**0.5], rtol=1e-6)
-
-
 def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(trajectory: Trajectory) -> None:
     def over(solid: Solid) -> Trajectory:
         return dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, solids=(solid,)))
@@ -178,14 +172,3 @@ def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_pa
         flows[1]
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
         load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
-
-
-def test_a_split_is_loaded_in_order(trajectory: Trajectory, tmp_path: Path) -> None:
-    for name in ("b", "a"):
-        trajectory.save(tmp_path / "valid" / f"{name}.npz")
-    flows = load_flows(tmp_path, "valid", step=0.0025, dimension=2, spacing=0.01)
-    assert [Path(flow.name).stem for flow in flows] == ["a", "b"]
-    with pytest.raises(InputError, match="expected trajectories in train"):
-        load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
-    with pytest.raises(InputError, match="expected a 3D trajectory"):
-        load_flows(tmp_path, "valid", step=0.0025, dimension=3, spacing=0.01)

@@ -4,7 +4,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import h5py
 import meshio
 import numpy as np
 import pytest
@@ -68,8 +67,8 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
     assert list(frames) == flow.time[kept].tolist()
     since = 0
     for frame, blocks in zip(kept, frames.values(), strict=True):
-        assert blocks.keys() == ["particles", "baffles", "solids", "domain"]
-        for name in ("particles", "baffles", "solids", "domain"):
+        assert blocks.keys() == ["particles", "solids", "domain"]
+        for name in ("particles", "solids", "domain"):
             expected = meshes.part(name, frame, since)
             same(blocks[name], expected)
             cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], expected)]
@@ -78,17 +77,6 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
         assert blocks["particles"].point_data.active_vectors_name == "velocity"
         assert blocks["solids"].cell_data.active_vectors_name == "force"
         since = frame
-
-
-def test_vtkhdf_says_its_units_and_stores_once_what_stays(tmp_path: Path, flow: Trajectory) -> None:
-    write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf")
-    with h5py.File(tmp_path / "trajectory.vtkhdf") as file:
-        root, points = file["VTKHDF"], flow.positions.shape[1]
-        assert root["particles/PointData/velocity"].attrs["units"] == "m/s"
-        assert root["solids/CellData/force"].attrs["units"] == ("N/m" if flow.scene.dimension == 2 else "N")
-        assert len(root["particles/PointData/velocity"]) == 6 * points
-        assert len(root["particles/PointData/material"]) == points
-        assert len(root["baffles/Points"]) < 20
 
 
 def test_a_vtkhdf_that_fails_leaves_the_older_one(
@@ -112,7 +100,7 @@ def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
     write_vtk(flow, tmp_path, suffix=".vtu")
     assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == flow.time.tolist()
     meshes = Meshes(flow)
-    for part, kind in (("particles", "point_data"), ("baffles", "cell_data"), ("solids", "cell_data")):
+    for part, kind in (("particles", "point_data"), ("solids", "cell_data")):
         found, expected = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
         np.testing.assert_array_equal(found.points, expected.points)
         for name, values in getattr(expected, kind).items():

@@ -160,21 +160,22 @@ class Picture:
         scene = self.trajectory.scene
         for mass in [mass for mass in scene.masses if mass.kind == "box"]:
             self._lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
-        if scene.baffles:
-            baffles = self.meshes.part("baffles", 0, 0)
-            self.plotter.add_mesh(baffles, color=STEEL, ambient=0.25)
-            self._lines(baffles.extract_all_edges(), INK)
-        if not scene.solids:
+        if not (scene.baffles or scene.solids):
             return
+        surface, count = self.meshes.part("solids", 0, 0), len(scene.baffles)
         if scene.dimension == 3:
-            self.plotter.add_mesh(self._clipped(self.meshes.solid_surface), color=GROUND, ambient=0.25)
+            for chosen, colour in ((surface["solid"] < count, STEEL), (surface["solid"] >= count, GROUND)):
+                if chosen.any():
+                    part = self._clipped(surface.extract_cells(chosen).extract_surface(algorithm=None))
+                    self.plotter.add_mesh(part, color=colour, ambient=0.25)
+                    if colour is STEEL:
+                        self._lines(part.clean().extract_feature_edges(), INK)
             return
-        solids, keys = solids_of(scene)
-        for solid, key in list(zip(solids, keys, strict=True))[len(scene.baffles) :]:
+        for number, (solid, key) in enumerate(zip(*solids_of(scene), strict=True)):
             ring = spatial(ring_of(solid, key, scene.domain).points)
             area = pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate()
-            self.plotter.add_mesh(self._clipped(area), color=GROUND, lighting=False)
-        self._lines(self._clipped(self.meshes.solid_surface), INK)
+            self.plotter.add_mesh(self._clipped(area), color=STEEL if number < count else GROUND, lighting=False)
+        self._lines(self._clipped(surface), INK)
 
     def _clipped(self, mesh: pyvista.PolyData) -> pyvista.PolyData:
         """The part of a surface within the picture, of any depth in 2D."""
