@@ -62,10 +62,15 @@ def with_files(data: Entry, folder: Path) -> Entry:
     for group, read in (("solids", reader.solid), ("masses", reader.mass)):
         if isinstance(data.get(group), list):
             new[group] = [
-                read(dict(entry), f"{group}[{index}]") if isinstance(entry, dict) else entry
+                read(dict(entry), f"{group}[{index}]") if isinstance(entry, dict) and known(entry) else entry
                 for index, entry in enumerate(data[group])
             ]
     return new
+
+
+def known(entry: Entry) -> bool:
+    """Whether the kind of an entry is a name, as it must be."""
+    return isinstance(entry.get("kind", ""), str)
 
 
 class Reader:
@@ -126,7 +131,8 @@ class Reader:
                 continue
             value = how[part] = entry.pop(part)
             count = 3 if entry["kind"] == "mesh" else 2
-            numbers = [type(each) in (int, float) and abs(each) < np.inf for each in np.atleast_1d(value).tolist()]
+            values = value if isinstance(value, list) else [value]
+            numbers = [type(each) in (int, float) and abs(each) < np.inf for each in values]
             expected, ok = {
                 "scale": ("a positive factor", isinstance(value, int | float) and all(numbers) and value > 0.0),
                 "at": (f"{count} lengths in m", isinstance(value, list) and all(numbers) and len(numbers) == count),
@@ -170,8 +176,9 @@ class Reader:
             check_covers(at, name, length, at[1] - at[0], "", what="friction", where=str(path))
         field = field.cropped((self.size[0], self.size[2]), BEYOND * self.cell)
         field.check_whole(path)
-        shape = np.array(entry["heights"]).shape
-        axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
+        with reading(path, "friction of a terrain with `origin`, `spacing` and `heights`"):
+            shape = np.array(entry["heights"]).shape
+            axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
         plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         found: list[list[float]] = interpolated(field.x, field.z, field.values, plan).reshape(shape).tolist()
         return found
