@@ -37,11 +37,6 @@ class Npz:
         """The names of the arrays."""
         return list(self._members)
 
-    @property
-    def checksums(self) -> list[tuple[str, int, int]]:
-        """Name, checksum and size of every member, as the archive states them."""
-        return [(key, member.CRC, member.file_size) for key, member in self._members.items()]
-
     def member(self, key: str) -> zipfile.ZipInfo:
         """Where an array lies in the file. Raises InputError where there is none."""
         if key not in self._members:
@@ -162,7 +157,7 @@ def plain_dtype(code: str, *_: Any) -> np.dtype[Any]:
     dtype = np.dtype(code)
     if dtype.kind not in "biufO":
         raise InputError(f"expected arrays and nothing else, found the dtype {code!r}")
-    return np.dtype(code, False, True)  # type: ignore[call-overload, no-any-return]  # What pickles call it with.
+    return np.dtype(code, False, True)
 
 
 @contextmanager

@@ -73,7 +73,9 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     return status if isinstance(status, int) else 0
 
 
-def one_line(message: Warning | str, category: type[Warning], *place: Any) -> str:
+def one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
     """A warning as commands print it: what it says, without the place in the program that says it."""
     return f"talus: {message}\n"
 

@@ -13,9 +13,6 @@ from datasets.scene import Scene
 FRONT_QUANTILE = 0.995
 TOE_FRACTION = 0.10
 
-UPSTREAM = 0.1
-"""Length [m] of the strip in front of the baffles over which the depth there is a mean."""
-
 Positions = NDArray[np.floating]
 
 
@@ -95,27 +92,6 @@ def transport_distance(
     """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
     apart = equal_shares(positions, volume) - equal_shares(others, other_volume)
     return float(np.sqrt(np.mean(apart**2)))
-
-
-def upstream_depth(positions: Positions, volume: float | NDArray[np.floating], scene: Scene) -> float:
-    """Depth [m] at its initial density of what stands or flows right before the first row of baffles.
-
-    Mean over the strips `UPSTREAM` long and as wide as each baffle of that row (the one whose faces have the least x).
-    volume: of the particles [m^D], one for all or shape [N].
-    """
-    face = min(baffle.lower[0] for baffle in scene.baffles)
-    before = (positions[:, 0] >= face - UPSTREAM) & (positions[:, 0] < face)
-    inside, area = 0.0, 0.0
-    for baffle in scene.baffles:
-        if baffle.lower[0] > face:
-            continue
-        here, width = before, 1.0
-        if scene.dimension == 3:
-            z, width = baffle.lower[2], baffle.size[2]
-            here = before & (positions[:, 2] >= z) & (positions[:, 2] < z + width)
-        inside += float((volume * here).sum(dtype=np.float64))
-        area += UPSTREAM * width
-    return inside / area
 
 
 def kinetic_energy(velocities: Positions, mass: float | NDArray[np.floating]) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 def free() -> int:
     """Memory that this process may still take [bytes]: what the machine, its container and its own limit leave."""
-    found = [psutil.virtual_memory().available]
+    found: list[int] = [psutil.virtual_memory().available]
     most, used = (read_number(GROUP / f"memory.{name}") for name in ("max", "current"))
     if most is not None and used is not None:
         found.append(most - used)

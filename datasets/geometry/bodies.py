@@ -220,7 +220,8 @@ class Plan:
             check_grid(mass, given, key, "thickness")
             self.values = np.array(given)
             origin, spacing = mass.origin or (), mass.spacing or ()
-            self.stations = tuple(origin[k] + spacing[k] * np.arange(self.values.shape[k]) for k in range(2))
+            axes = (origin[k] + spacing[k] * np.arange(self.values.shape[k]) for k in range(2))
+            self.stations = tuple(np.asarray(axis, np.float64) for axis in axes)
         elif isinstance(given, tuple):
             check_ground_line(given, f"{key}.thickness")
             self.stations, self.values = (np.array(given)[:, 0],), np.array(given)[:, 1]
@@ -266,7 +267,8 @@ class Plan:
             return np.full(len(plan), float(self.values))
         if self.dimension == 2:
             return np.asarray(np.interp(plan[:, 0], self.stations[0], self.values))
-        return interpolated(*self.stations, self.values, plan)
+        x, z = self.stations
+        return interpolated(x, z, self.values, plan)
 
     @property
     def volume(self) -> float:

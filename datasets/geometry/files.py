@@ -100,7 +100,7 @@ class Reader:
             entry = combined(entry, found, key)
         if isinstance(entry.get("friction"), str):
             with at_key(f"{key}.friction"):
-                entry["friction"] = self.friction(entry)
+                entry["friction"] = self.friction(entry).tolist()
         refuse(entry, ("scale", "at", "unit"), key)
         return entry
 
@@ -125,7 +125,8 @@ class Reader:
 
     def taken(self, entry: Entry, name: str, key: str) -> tuple[Path, Entry]:
         """The path of an entry's file, and how it is read, taken out of it. Raises InputError."""
-        path, allowed, how = self.folder / entry.pop(name), HOW[entry["kind"]], {}
+        path, allowed = self.folder / str(entry.pop(name)), HOW[entry["kind"]]
+        how: Entry = {}
         for part in ("scale", "at", "unit"):
             if part not in entry:
                 continue
@@ -166,7 +167,7 @@ class Reader:
             found["friction"] = field.extra.tolist()
         return found
 
-    def friction(self, entry: Entry) -> list[list[float]]:
+    def friction(self, entry: Entry) -> Floats:
         """Friction from a raster at the heights of a terrain."""
         path = self.folder / str(entry["friction"])
         if entry.get("kind") != "terrain" or len(self.size) != 3 or not isinstance(entry.get("heights"), list):
@@ -180,8 +181,7 @@ class Reader:
             shape = np.array(entry["heights"]).shape
             axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
         plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        found: list[list[float]] = interpolated(field.x, field.z, field.values, plan).reshape(shape).tolist()
-        return found
+        return interpolated(field.x, field.z, field.values, plan).reshape(shape)
 
     def thickness(self, path: Path, how: Entry) -> Entry:
         """The thickness of a layer."""

@@ -91,7 +91,7 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats,
     axes: list[Floats] = []
     for number, (axis, name) in enumerate(((0, "x"), (2, "z"))):
         origin, spacing = (solid.origin or ())[number], (solid.spacing or ())[number]
-        at, length = origin + spacing * np.arange(heights.shape[number]), domain.size[axis]
+        length, at = domain.size[axis], np.asarray(origin + spacing * np.arange(heights.shape[number]), np.float64)
         check_covers(at, name, length, max(domain.cell, spacing), f"{key}.heights")
         at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
         axes.append(at)

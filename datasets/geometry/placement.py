@@ -24,7 +24,7 @@ PAIRS = 4_000_000
 
 def check_overlaps(scene: Scene) -> None:
     """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
-    boxes = (*scene.masses, *scene.baffles)
+    boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
     shared = overlaps(boxes)
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
     upright = np.array([each.kind == "box" if isinstance(each, Mass) else each.turned_deg == 0.0 for each in boxes])
@@ -187,7 +187,7 @@ def heights_above_ground(scene: Scene) -> Floats:
     # A height passes from mass to mass that touch, until none changes.
     while (lowest := np.where(touches, height[None], np.inf).min(axis=1, initial=np.inf)).tolist() != height.tolist():
         height = lowest
-    return height
+    return np.asarray(height)
 
 
 def heights_above_solids(scene: Scene) -> Floats:

@@ -90,7 +90,7 @@ def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
     require(min(shape.spacing or ()) > 0.0, f"{key}.spacing", "positive lengths in m", list(shape.spacing or ()))
-    require(len(values[:1]) and len(values[0]) >= 2, f"{key}.{name}", "at least 2 x 2 numbers", "fewer")
+    require(len(values) > 0 and len(values[0]) >= 2, f"{key}.{name}", "at least 2 x 2 numbers", "fewer")
     check_rows(values, f"{key}.{name}", len(values[0]), least=2)
 
 
@@ -115,7 +115,12 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     if solid.heights is not None:
         check_grid(solid, solid.heights, key, "heights")
     for name in ("corner", "crs"):
-        require(not getattr(solid, name) or solid.heights, f"{key}.{name}", "no such key but of a terrain in 3D", "one")
+        require(
+            not getattr(solid, name) or solid.heights is not None,
+            f"{key}.{name}",
+            "no such key but of a terrain in 3D",
+            "one",
+        )
     if solid.corner is not None:
         check_vector(solid.corner, f"{key}.corner", 2)
     check_friction(solid, key)

@@ -173,7 +173,7 @@ def boundary(solids: list[Body], box: Domain) -> dict[str, NDArray[Any]]:
     else:
         vertices, triangles, friction, owner = union(solids, CLOSING * box.cell)
     normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
-    found = {
+    found: dict[str, NDArray[Any]] = {
         "corners": vertices[triangles],
         "normals": normals,
         "corner_normals": corner_normals,

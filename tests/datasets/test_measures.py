@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from datasets.material import Material
 from datasets.measures import (
     SHARES,
-    UPSTREAM,
     equal_shares,
     front,
     height_profile,
@@ -16,9 +14,7 @@ from datasets.measures import (
     runout,
     toe,
     transport_distance,
-    upstream_depth,
 )
-from datasets.scene import Baffle, Domain, Mass, Scene
 
 SPACING = 0.005
 
@@ -71,17 +67,6 @@ def test_profile_error_of_equal_shorter_and_disjoint_deposits() -> None:
     assert profile_error(expected[::-1], expected) == 2.0
 
 
-def before_baffles(*, dimension: int) -> Scene:
-    """Two rows of baffles in a box, the first at x = 0.5 m; in 3D two in the first row."""
-    corners = [(0.5, 0.0), (0.8, 0.0)] if dimension == 2 else [(0.5, 0.0, 0.1), (0.5, 0.0, 0.6), (0.8, 0.0, 0.3)]
-    return Scene(
-        domain=Domain(size=(1.0,) * dimension, cell=0.05),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.0,) * dimension, size=(0.1,) * dimension),),
-        baffles=tuple(Baffle(lower=corner, size=(0.1,) * dimension) for corner in corners),
-    )
-
-
 def test_equal_shares_of_a_uniform_block() -> None:
     deposit = block(0.4, 0.1)
     shares = equal_shares(deposit, np.ones(len(deposit)))
@@ -103,20 +88,6 @@ def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
     ahead = deposit.copy()
     ahead[deposit[:, 0] > 0.3, 0] += 0.2
     assert transport_distance(ahead, one, deposit, one) == pytest.approx(0.1, rel=0.02)
-
-
-def test_depth_before_the_first_baffles_is_that_of_the_strip() -> None:
-    # A block of depth 0.2 m reaches half-way into the strip; what stands before the second row does not count.
-    points = np.concatenate((block(0.5 - UPSTREAM / 2, 0.2), np.add(block(0.1, 0.3), (0.65, 0.0))))
-    assert upstream_depth(points, SPACING**2, before_baffles(dimension=2)) == pytest.approx(0.1)
-    assert upstream_depth(points, np.full(len(points), SPACING**2), before_baffles(dimension=2)) == pytest.approx(0.1)
-
-
-def test_depth_in_3d_is_that_before_the_baffles_alone() -> None:
-    flat = block(0.5, 0.2)
-    sheets = [np.column_stack((flat, np.full(len(flat), z))) for z in np.arange(0.1 + SPACING / 2, 0.2, SPACING)]
-    # Sand stands before one of the two baffles of the first row.
-    assert upstream_depth(np.concatenate(sheets), SPACING**3, before_baffles(dimension=3)) == pytest.approx(0.1)
 
 
 def test_energies_of_points_that_fall() -> None:
