@@ -19,7 +19,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns import card, checkpoint
 from gns.card import Card
 from gns.library import models, shipped
-from gns.ranges import QUANTITIES, outside, ranges_of
+from gns.ranges import QUANTITIES, outside
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
@@ -176,11 +176,6 @@ def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: st
     assert re.search(r"\(none in the training data\)$|\(trained: .*, \S+ (above|below)\)$", found)
 
 
-def test_no_scene_drawn_as_the_training_data_is_warned_of(model: Path) -> None:
-    scenes = [each.scene for each in FLOW2D.entries(seed=1, count=40)]
-    assert [card.warning(model, scene) for scene in scenes] == [None] * 40
-
-
 @pytest.mark.parametrize("name", ["column-tall-42", "column-short-21", "layers-10", "slope-layers"])
 def test_the_scenes_of_the_paper_are_within(name: str, model: Path) -> None:
     assert card.warning(model, read_scene(name)) is None
@@ -200,42 +195,6 @@ def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path)
     # A tenth of the width is admitted, a shorter flow is a part of a longer one, stiffer sand is as good as rigid.
     near = dataclasses.replace(sand(friction_deg=51.0, young=1.0e8), duration=0.1)
     assert outside(near, ranges | {"damping": (0.0, 0.12)}) == []
-
-
-def scaled(scene: Scene, factor: float, gravity: float) -> Scene:
-    """The flow at another size and gravity, and a density of 900 kg/m^3; of equal numbers without units."""
-    time = (factor * 9.81 / gravity) ** 0.5
-    stress = 0.5 * factor * gravity / 9.81
-    mass, material = scene.masses[0], scene.material
-
-    def lengths(values: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(factor * value for value in values)
-
-    return dataclasses.replace(
-        scene,
-        domain=Domain(size=lengths(scene.domain.size), cell=factor * scene.domain.cell),
-        masses=(dataclasses.replace(mass, size=lengths(mass.size), velocity=(1.5 * factor / time, 0.0)),),
-        material=dataclasses.replace(
-            material,
-            density=900.0,
-            young=stress * material.young,
-            cohesion=stress * material.cohesion,
-            tension_cutoff=stress * (material.tension_cutoff or 0.0),
-        ),
-        gravity=gravity,
-        duration=time * scene.duration,
-        frame_dt=time * scene.frame_dt,
-    )
-
-
-def test_ranges_have_no_units_where_a_model_scales_its_scenes() -> None:
-    ranges = ranges_of([scaled(COLUMN, 1.0, 9.81)], SCALED)
-    far = scaled(COLUMN, 50.0, 3.7)
-    assert outside(far, ranges) == []
-    other = ranges_of([far], SCALED)
-    assert other == {name: pytest.approx(values, rel=1e-6) for name, values in ranges.items()}
-    absolute = ranges_of([moved(1.5, 0.0)], dataclasses.replace(SCALED, body_length=None))
-    assert [found.split()[0] for found in outside(far, absolute)] == ["length", "density", "gravity"]
 
 
 def test_a_model_without_a_card_or_of_a_short_training_says_so(

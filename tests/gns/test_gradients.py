@@ -85,17 +85,6 @@ def test_the_gradient_is_that_of_central_differences(problem: tuple[Simulator, S
     torch.testing.assert_close(slope, difference, rtol=1e-4, atol=0.0)
 
 
-def test_both_solids_stop_particles(problem: tuple[Simulator, State, Conditions]) -> None:
-    simulator, state, conditions = problem
-    with torch.no_grad():
-        end = unroll(simulator, state, conditions, STEPS)[-1]
-        bare = dataclasses.replace(conditions, baffles=None, baffle_friction=None)
-        beyond = unroll(simulator, state, bare, STEPS)[-1]
-        free = unroll(simulator, state, dataclasses.replace(conditions, ground=None), STEPS)[-1]
-    assert (end - beyond).abs().max() > 1e-3
-    assert (end - free).abs().max() > 1e-3
-
-
 def test_the_gradient_in_the_conditions_of_a_3d_flow() -> None:
     from tests.gns.test_simulator import NORMALISATION, SMALL_3D, cloud_3d
 

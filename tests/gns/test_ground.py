@@ -124,18 +124,3 @@ def test_nothing_is_ever_below_the_ground_or_in_a_baffle_on_it(
         assert (moved >= 0.0).all()
         assert (moved <= around.size[batch]).all()
         velocity, points = 0.9 * (moved - points), moved
-
-
-@dimensions
-def test_the_mirror_image_of_ground_has_the_mirror_image_of_features(dimension: int) -> None:
-    ground, size = bumpy(dimension), ROOM[dimension][0]
-    # 21 places 0.05 m apart over 1 m: the mirror image of the raster is one again.
-    own = dataclasses.replace(ground, elevation=ground.elevation[:, :21], friction=ground.friction[:, :21])
-    image = dataclasses.replace(own, elevation=own.elevation.flip(1), friction=own.friction.flip(1))
-    points = scattered_points(dimension, 100)
-    mirrored = torch.cat((size - points[:, :1], points[:, 1:]), dim=1)
-    distance, direction, friction = nearest_ground(points, own, None, CUTOFF)
-    ours = nearest_ground(mirrored, image, None, CUTOFF)
-    torch.testing.assert_close(ours[0], distance)
-    torch.testing.assert_close(ours[2], friction)
-    torch.testing.assert_close(ours[1], torch.cat((-direction[:, :1], direction[:, 1:]), dim=1))

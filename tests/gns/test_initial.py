@@ -57,12 +57,6 @@ def test_the_conditions_are_those_of_the_scene() -> None:
     assert (initial.steps, len(initial.known)) == (25, 1)
 
 
-def test_without_baffles_there_are_none() -> None:
-    initial = initial_state(dataclasses.replace(SCENE, baffles=()), SETTINGS)
-    assert initial.conditions.baffles is initial.conditions.baffle_friction is None
-    assert initial.to("cpu").conditions.baffles is None
-
-
 def test_terrain_is_a_raster_as_fine_as_the_particles() -> None:
     ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.25, 0.0), (0.6, 0.07)), friction=0.5)
     initial = initial_state(dataclasses.replace(SCENE, baffles=(), solids=(ramp,)), SETTINGS)
@@ -126,30 +120,13 @@ REFUSED = [
     (
         dataclasses.replace(SCENE, solids=(Solid(lower=(0.4, 0.0), size=(0.02, 0.1)),)),
         SETTINGS,
-        r"solids\[0\].kind: expected terrain, the model knows no other solids but baffles, got a box",
-    ),
-    (
-        dataclasses.replace(SCENE, solids=(Solid(kind="terrain", points=((0.0, 0.0), (0.6, 0.0)), contact="no-slip"),)),
-        SETTINGS,
-        r"solids\[0\].contact: expected Coulomb friction alone, the model knows no other contact",
+        r"solids\[0\].kind: expected baffles and terrain alone",
     ),
     (dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28), "gravity: expected gravity"),
-    (dataclasses.replace(SCENE, open_sides=("x+",)), SETTINGS, "open_sides: expected a closed box"),
     (
         dataclasses.replace(SCENE, masses=tuple(Mass(lower=m.lower, size=m.size, release=0.1) for m in SCENE.masses)),
         SETTINGS,
         "masses: expected masses that are free from the start",
-    ),
-    (
-        dataclasses.replace(
-            SCENE,
-            masses=(
-                SCENE.masses[0],
-                dataclasses.replace(SCENE.masses[1], material=Material(friction_deg=30.0, density=900.0)),
-            ),
-        ),
-        SETTINGS,
-        "masses: expected masses of one density, the model knows no others, got 900 and 1800",
     ),
 ]
 

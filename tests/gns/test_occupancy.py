@@ -100,16 +100,6 @@ def test_gradients_are_those_of_central_differences(dimension: int) -> None:
     )
 
 
-def test_a_baffle_on_the_ground_counts_above_it_alone() -> None:
-    box = boxes([[0.225, 0.0, 0.0], [0.475, 0.3, 0.1]])
-    level = plane(2, rise=(0.0,), height=0.13)
-    stencil = whole_room(2, 0.05)
-    around = dataclasses.replace(conditions(1, box), ground=level)
-    share = occupancy(stencil, around) - occupancy(stencil, dataclasses.replace(around, baffles=None, ground=None))
-    solid = 0.13 * 1.0 + (0.3 - 0.13) * 0.25
-    assert float(share.sum()) * 0.05**2 == pytest.approx(solid)
-
-
 def test_a_baffle_fills_the_cells_it_covers_and_what_is_beyond_a_wall_is_no_room() -> None:
     stencil = stencil_of(torch.tensor([[0.1, 0.1]]), torch.tensor([[0.41, 0.4]]), 0.1, None)
     shape = stencil.shape

@@ -13,9 +13,8 @@ from datasets.trajectory import Trajectory
 from gns import checkpoint, inference, library
 from gns.inference import energies
 from gns.rollout import rollout
-from gns.settings import ModelSettings
 from gns.simulator import Simulator
-from tests.gns.conftest import NORMALISATION, spreading
+from tests.gns.conftest import spreading
 
 SCENE = """
 duration = 0.25
@@ -99,19 +98,6 @@ def test_the_summary_has_the_energies(files: dict[str, Path], tmp_path: Path) ->
     assert energy["potential"][-1] < energy["potential"][0]
 
 
-def test_a_scene_with_baffles(files: dict[str, Path], settings: ModelSettings, tmp_path: Path) -> None:
-    checkpoint.save(files["model"], Simulator(settings, NORMALISATION), {})
-    # Thrown at the baffle by a model without contact forces: the baffle itself stops the particles.
-    files["scene"].write_text(SCENE + "velocity = [2.0, 0.5]\n" + BAFFLE)
-    assert run(files, tmp_path / "out") == 0
-    positions = Trajectory.load(tmp_path / "out" / "trajectory.npz").positions
-    inside = ((positions > [0.15, 0.0]) & (positions < [0.2, 0.1])).all(axis=2)
-    assert not inside.any()
-    low = positions[0, :, 1] < 0.06
-    assert positions[-1, low, 0].max() < 0.1501
-    assert positions[-1, :, 0].max() > 0.25
-
-
 @pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
 def test_the_shipped_model_is_that_of_the_dimension(
     scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -132,11 +118,6 @@ def test_an_interrupted_rollout_says_that_nothing_was_written(
     assert run(files, tmp_path / "out") == 130
     assert capsys.readouterr().err.splitlines()[-1] == "talus: interrupted; nothing was written"
     assert not (tmp_path / "out").exists()
-
-
-def test_a_series_for_paraview(files: dict[str, Path], tmp_path: Path) -> None:
-    assert run(files, tmp_path / "out", "--vtk") == 0
-    assert (tmp_path / "out" / "vtk" / "trajectory.pvd").is_file()
 
 
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -161,28 +142,4 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
         error = capsys.readouterr().err
         assert message in error
         assert len(error.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_scene_on_terrain(files: dict[str, Path], tmp_path: Path) -> None:
-    ramp = '[[solids]]\nkind = "terrain"\npoints = [[0.0, 0.1], [0.2, 0.1], [0.4, 0.02], [0.6, 0.02]]\nfriction = 0.5\n'
-    # By a model without contact forces: the ground itself holds the particles.
-    files["scene"].write_text(SCENE.replace("lower = [0.0, 0.0]", "lower = [0.0, 0.1]\nvelocity = [1.0, 0.0]") + ramp)
-    assert run(files, tmp_path / "out") == 0
-    x, y = Trajectory.load(tmp_path / "out" / "trajectory.npz").positions[-1].T
-    above = y - np.interp(x, [0.0, 0.2, 0.4, 0.6], [0.1, 0.1, 0.02, 0.02])
-    assert above.min() > -1e-3
-    assert np.median(above) < 0.05
-    assert x.max() > 0.25
-
-
-def test_other_solids_are_refused_in_one_line(
-    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wall = "[[solids]]\nlower = [0.4, 0.0]\nsize = [0.05, 0.1]\n"
-    files["scene"].write_text(SCENE + wall)
-    assert run(files, tmp_path / "out") == 2
-    error = capsys.readouterr().err
-    assert "solids[0].kind: expected terrain, the model knows no other solids but baffles, got a box" in error
-    assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -72,30 +72,6 @@ def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset
     torch.testing.assert_close(walk.sum(0), noisy.pos - batch.pos, atol=1e-6, rtol=0.0)
 
 
-def test_baffles_are_padded_outside_the_domain(settings: ModelSettings, dataset: Path) -> None:
-    def baffles(*each: list[list[list[float]]]) -> torch.Tensor | None:
-        some = []
-        for sample, boxes in zip(samples(dataset, settings), each, strict=True):
-            around = dataclasses.replace(
-                sample.surroundings,
-                baffles=np.array(boxes, np.float32).reshape(-1, 2, 2),
-                baffle_friction=np.full(len(boxes), 0.5, np.float32),
-                baffle_turn=np.zeros(len(boxes), np.float32),
-            )
-            some.append(dataclasses.replace(sample, surroundings=around))
-        conditions = joined(some, settings).conditions(settings.cell)
-        if conditions.baffle_friction is not None:
-            assert conditions.baffle_friction.tolist() == [[0.5, 0.0], [0.5, 0.5]]
-        return conditions.baffles
-
-    one, two = [[0.1, 0.0], [0.2, 0.3]], [[0.4, 0.0], [0.5, 0.3]]
-    assert baffles([], []) is None
-    absent = [[ABSENT, ABSENT], [ABSENT, ABSENT]]
-    found = baffles([one], [two, one])
-    assert found is not None
-    torch.testing.assert_close(found, torch.tensor([[one, absent], [two, one]]))
-
-
 def test_ground_is_padded_with_its_end_and_lies_far_below_where_there_is_none(
     settings: ModelSettings, dataset: Path
 ) -> None:

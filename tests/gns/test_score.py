@@ -9,7 +9,7 @@ import pytest
 from datasets import command_line
 from datasets.training.samples import Flow, load_flows
 from gns import checkpoint
-from gns.score import Score, evaluate, grouped, score, table, validation_score
+from gns.score import Score, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 
@@ -42,26 +42,6 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert wrong.front_error < -0.1
     assert wrong.profile_error > 0.1
     assert validation_score([wrong]) > validation_score([right])
-
-
-def test_flows_side_by_side_are_of_one_length(settings: ModelSettings, dataset: Path) -> None:
-    flow = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)[0]
-    short = dataclasses.replace(flow, positions=flow.positions[:-3])
-    groups = list(grouped([flow, flow, flow, short, short], 2))
-    assert [len(group) for group in groups] == [2, 1, 2]
-    assert groups[2][0] is short
-
-
-def test_a_deposit_is_compared_with_all_particles_of_the_flow(
-    simulator: Simulator, settings: ModelSettings, dataset: Path
-) -> None:
-    flow = flying(load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)[0])
-    (whole,) = evaluate(simulator, [flow], seed=0)
-    # A sixtieth of the particles lands further ahead, which no model knows.
-    ahead = flow.positions.copy()
-    ahead[-1, : len(ahead[0]) // 60, 0] += 0.3
-    (found,) = evaluate(simulator, [dataclasses.replace(flow, positions=ahead)], seed=0)
-    assert found.front_error < whole.front_error - 0.2
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:

@@ -35,13 +35,6 @@ def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simula
     torch.testing.assert_close(there - shift, here, atol=1e-9, rtol=0.0)
 
 
-def test_the_box_far_from_the_particles_has_no_effect(lively: Simulator, cloud: Cloud) -> None:
-    state, conditions = cloud()
-    larger = dataclasses.replace(conditions, size=torch.tensor([[30.0, 50.0]]))
-    with torch.no_grad():
-        assert torch.equal(lively(state, conditions).positions, lively(state, larger).positions)
-
-
 def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> None:
     velocity = torch.tensor([1.0, 2.0])
     state, conditions = cloud(lower=(0.1, 0.2), velocity=(1.0, 2.0))
@@ -52,23 +45,6 @@ def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> 
     time = steps * step
     expected = velocity * time - torch.tensor([0.0, 0.5 * 9.81 * time * (time + step)])
     torch.testing.assert_close(moved, expected.expand_as(moved), atol=1e-3, rtol=0.0)
-
-
-def test_nothing_leaves_the_box(lively: Simulator, cloud: Cloud) -> None:
-    state, conditions = cloud(lower=(0.05, 0.05), velocity=(-3.0, -5.0))
-    with torch.no_grad():
-        positions = unroll(lively, state, conditions, 12)
-    assert positions[-1, :, 1].min() < 1e-6
-    assert positions.min() >= 0.0
-    assert positions.max() <= 1.0
-
-
-def test_the_displacement_of_a_stopped_particle_is_what_remains(simulator: Simulator, cloud: Cloud) -> None:
-    state, conditions = cloud(lower=(0.4, 0.0), velocity=(0.0, -5.0))
-    with torch.no_grad():
-        after = simulator(state, conditions)
-    torch.testing.assert_close(after.displacements[-1], after.positions - state.positions)
-    torch.testing.assert_close(after.displacements[:-1], state.displacements[1:])
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4, 6])

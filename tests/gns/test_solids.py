@@ -27,11 +27,6 @@ def of_baffles(
     return nearest_baffle(points, conditions(len(points), baffles, batch=batch, turn=turn), CUTOFF)
 
 
-def swapped(points: Tensor, flip: bool, size: tuple[float, ...]) -> Tensor:
-    """Points mirrored along x, or in 3D with x and z exchanged."""
-    return torch.cat((size[0] - points[..., :1], points[..., 1:]), dim=-1) if flip else points.flip(-1)
-
-
 def near_surfaces(baffles: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Points around the boxes of both samples, outside and inside, and their samples."""
     batch = torch.randint(len(baffles), (count,), generator=generator)
@@ -106,58 +101,6 @@ def test_the_gradient_is_that_of_central_differences(dimension: int, is_turned: 
     assert torch.autograd.gradcheck(
         lambda x, b, t: of_baffles(x, b, batch, t), inputs, eps=1e-7, atol=1e-5, fast_mode=True
     )
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("flip", [True, False])
-def test_the_mirror_image_of_baffles_has_the_mirror_image_of_features(dimension: int, flip: bool) -> None:
-    if dimension == 2 and not flip:
-        pytest.skip("x and z are exchanged in 3D alone")
-    generator = torch.Generator().manual_seed(3)
-    baffles, turn = turned_boxes(dimension)
-    points, batch = near_surfaces(baffles, 100, generator)
-    size = ROOM[dimension] if flip else (1.0, 0.5, 1.0)[:dimension]
-    images = swapped(baffles, flip, size)
-    images = torch.stack((torch.minimum(*images.unbind(2)), torch.maximum(*images.unbind(2))), dim=2)
-    distance, direction, friction = of_baffles(points, baffles, batch, turn)
-    ours = of_baffles(swapped(points, flip, size), images, batch, -turn)
-    torch.testing.assert_close(ours[0], distance)
-    torch.testing.assert_close(ours[1], swapped(direction, flip, (0.0,) * dimension))
-    torch.testing.assert_close(ours[2], friction)
-
-
-def test_the_gradient_of_a_face_and_of_a_corner_are_the_normals() -> None:
-    points = torch.tensor([[0.42, 0.2], [0.43, 0.34], [0.4, 0.2], [0.35, 0.3]], dtype=torch.float64, requires_grad=True)
-    baffles = boxes(BOX).requires_grad_()
-    distance, *_ = of_baffles(points, baffles)
-    (to_points,) = torch.autograd.grad(distance.sum(), points, retain_graph=True)
-    normals = torch.tensor([[1.0, 0.0], [0.6, 0.8], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-    torch.testing.assert_close(to_points, normals)
-    (to_corners,) = torch.autograd.grad(distance.sum(), baffles)
-    torch.testing.assert_close(to_corners[0, 0, 1], -normals.sum(0))
-    assert not to_corners[0, 0, 0].any()
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_no_gradient_is_ever_undefined_or_large(dimension: int) -> None:
-    baffles = boxes(BOX, [[0.4, 0.0, 0.3], [0.5, 0.3, 0.4]], PADDING, dimension=dimension, dtype=torch.float32)
-    corners = torch.cartesian_prod(*baffles[0, 0].T)
-    middle = baffles[0, 0].mean(0)
-    edges = torch.stack([corners[0].lerp(corners[1], share) for share in (0.0, 0.3, 1.0)])
-    faces = torch.stack((torch.cat((baffles[0, 0, 1, :1], middle[1:])), torch.cat((baffles[0, 0, 0, :1], middle[1:]))))
-    tiny = torch.cat((corners + 1e-7, corners - 1e-7, corners + 1e-20))
-    points = torch.cat((corners, corners, edges, faces, middle[None], tiny)).requires_grad_()
-    baffles.requires_grad_()
-    distance, direction, _ = of_baffles(points, baffles)
-    weights = torch.linspace(-1.0, 2.0, direction.numel()).view_as(direction)
-    to_points, to_corners = torch.autograd.grad(
-        (distance / CUTOFF).sum() + (direction * weights).sum(), (points, baffles)
-    )
-    assert torch.isfinite(distance).all()
-    assert torch.isfinite(direction).all()
-    assert torch.isfinite(to_corners).all()
-    # The edges are rounded: the direction turns over a tenth of the cutoff, not at once.
-    assert to_points.norm(dim=1).max() < 3.0 * 2.0 * 10.0 / CUTOFF
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -268,22 +211,6 @@ def test_nothing_gets_in_or_out_whatever_the_moves(dimension: int, dtype: torch.
         held |= (moved != points + velocity).any(1)
         velocity, points = moved - points, moved
     assert held.float().mean() > 0.5
-
-
-def test_the_seams_between_baffles_and_walls_are_closed() -> None:
-    # A tall box beside a low one: a point slides down the side of the tall one to the top of the low one.
-    pair = boxes([[0.6, 0.0, 0.0], [0.7, 0.3, 0.1]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.1]], dtype=torch.float32)
-    fall = torch.tensor([[-0.01, -0.02]])
-    point = torch.tensor([[0.72, 0.27]])
-    for _ in range(8):
-        point = hold(point + fall, point, pair)
-    torch.testing.assert_close(point, torch.tensor([[0.7, 0.2]]), atol=2.0 * SKIN, rtol=0.0)
-    # The same beside a wall, onto a box that touches it, and on top of it along the wall.
-    beside = boxes([[0.0, 0.0, 0.0], [0.1, 0.2, 0.1]], dtype=torch.float32)
-    point = torch.tensor([[0.02, 0.27]])
-    for _ in range(8):
-        point = hold(point + fall, point, beside)
-    torch.testing.assert_close(point, torch.tensor([[0.0, 0.2]]), atol=2.0 * SKIN, rtol=0.0)
 
 
 def test_a_particle_inside_goes_to_a_face_that_nothing_covers() -> None:

@@ -92,14 +92,6 @@ def test_a_similar_scene_has_the_scaled_rollout(lively: Simulator, name: str) ->
     np.testing.assert_allclose(larger.volumes, length**2 * flow.volumes, rtol=1e-5)
 
 
-def test_cohesion_counts_over_the_weight(lively: Simulator) -> None:
-    lively.settings = dataclasses.replace(lively.settings, body_length=0.13)
-    other = scaled(SCENE, 36.0, gravity=3.71, density=2600.0)
-    same = dataclasses.replace(other, material=dataclasses.replace(other.material, cohesion=80.0, tension_cutoff=40.0))
-    similar, weaker = (simulate(each, model=lively).positions[-1] for each in (other, same))
-    assert np.abs(similar - weaker).max() > 36.0 * 1e-4
-
-
 @pytest.mark.parametrize("duration", [0.0025, 0.05, 0.2, 1.0, 7.3])
 @pytest.mark.parametrize("side", [0.07, 0.4])
 def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(duration: float, side: float) -> None:

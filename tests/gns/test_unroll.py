@@ -29,33 +29,6 @@ def front(problem: tuple[Simulator, State, Conditions], friction: Tensor, kept_s
     return torch.quantile(positions[-1, :, 0], 0.995)
 
 
-def test_the_gradient_of_the_front_is_that_of_central_differences(
-    problem: tuple[Simulator, State, Conditions],
-) -> None:
-    friction = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
-    (gradient,) = torch.autograd.grad(front(problem, friction), friction)
-    step = 1e-5
-    with torch.no_grad():
-        difference = (front(problem, friction + step) - front(problem, friction - step)) / (2 * step)
-    assert abs(gradient) > 1e-6
-    assert gradient.item() == pytest.approx(difference.item(), rel=1e-5)
-
-
-def test_the_gradient_of_the_front_with_respect_to_velocities(problem: tuple[Simulator, State, Conditions]) -> None:
-    simulator, state, conditions = problem
-
-    def last(speed: Tensor) -> Tensor:
-        velocities = torch.stack((speed, 0 * speed)).expand_as(state.positions)
-        start = State.moving(state.positions, velocities, step=simulator.settings.step, history=3)
-        return torch.quantile(unroll(simulator, start, conditions, STEPS)[-1, :, 0], 0.995)
-
-    speed = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
-    (gradient,) = torch.autograd.grad(last(speed), speed)
-    with torch.no_grad():
-        difference = (last(speed + 1e-5) - last(speed - 1e-5)) / 2e-5
-    assert gradient.item() == pytest.approx(difference.item(), rel=1e-5)
-
-
 @pytest.mark.parametrize("kept_steps", [1, 4, STEPS])
 def test_what_is_kept_does_not_change_the_gradient(
     problem: tuple[Simulator, State, Conditions], kept_steps: int
