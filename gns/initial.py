@@ -207,12 +207,19 @@ def tensors_of(
     boxes, raster: pad to so many baffles and to ground of this shape, which lies far below where there is none; as many
     as there are unless given. turned: whether turns are among them; where any is not zero unless given.
     """
-    count = len(around.baffles) if boxes is None else boxes
-    baffles, friction = padded_baffles(around, count)
-    turn = np.pad(around.baffle_turn, (0, count - len(around.baffle_turn)))
+    own, dimension = len(around.baffles), len(around.size)
+    count = own if boxes is None else boxes
+    baffles = np.full((count, 2, dimension), ABSENT, np.float32)
+    friction, turn = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    baffles[:own], friction[:own], turn[:own] = around.baffles, around.baffle_friction, around.baffle_turn
     turned = bool(turn.any()) if turned is None else turned
-    own = NO_GROUND if around.ground is None else around.ground[0].shape
-    elevation, roughness = padded_ground(around, own if raster is None else raster)
+    if around.ground is None:
+        raster = raster or NO_GROUND
+        elevation, roughness = np.full(raster, ABSENT, np.float32), np.zeros(raster, np.float32)
+    else:
+        shape = around.ground[0].shape
+        ends = [(0, count - own) for count, own in zip(raster or shape, shape, strict=True)]
+        elevation, roughness = (np.pad(field, ends, mode="edge") for field in around.ground)
     values: dict[str, Floats | float] = {
         "box": around.size,
         "gravity": around.gravity,
@@ -262,21 +269,3 @@ def conditions_of(
         else None,
         units=units or Units(),
     )
-
-
-def padded_baffles(around: Surroundings, boxes: int) -> tuple[Floats, Floats]:
-    """Corners [boxes, 2, D] and friction [boxes] of baffles, and of absent ones."""
-    baffles = np.full((boxes, 2, len(around.size)), ABSENT, np.float32)
-    friction = np.zeros(boxes, np.float32)
-    baffles[: len(around.baffles)] = around.baffles
-    friction[: len(around.baffles)] = around.baffle_friction
-    return baffles, friction
-
-
-def padded_ground(around: Surroundings, raster: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Elevation and friction of the ground over a raster; where a sample has none it lies far below."""
-    if around.ground is None:
-        return np.full(raster, ABSENT, np.float32), np.zeros(raster, np.float32)
-    ends = [(0, count - own) for count, own in zip(raster, around.ground[0].shape, strict=True)]
-    elevation, friction = (np.pad(field, ends, mode="edge") for field in around.ground)
-    return elevation, friction

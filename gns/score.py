@@ -1,10 +1,8 @@
 """How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`."""
 
 import dataclasses
-import itertools
 import sys
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,12 +27,8 @@ ERRORS = ("profile_error", "kinetic_error")
 class Score:
     """Errors of one rollout against the MPM, on the same thinned particles."""
 
-    name: str
-    """The flow's file."""
     released: bool
     """Whether the flow starts at rest."""
-    friction_deg: float
-    """Mean angle of friction [deg]."""
     front_error: float
     """Front of the deposit beyond the MPM's, over the deposit's extent from its rear to its front [-].
 
@@ -44,62 +38,42 @@ class Score:
     """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
     kinetic_error: float
     """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
-    seconds: float
-    """Processor time of the rollout [s]; of several at once each has the same share."""
 
 
-def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int, at_once: int = 4) -> list[Score]:
-    """Roll out `flows` from their starts, those of one length that follow each other `at_once` side by side.
-
-    The deposits are compared with all particles that the flows have, whichever of them the model follows.
-    """
+def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> list[Score]:
+    """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
     from gns.samples import batched, stretch
     from gns.unroll import unroll
 
-    settings = simulator.settings
-    rng = np.random.default_rng(seed)
+    settings, rng = simulator.settings, np.random.default_rng(seed)
     scores: list[Score] = []
-    for group in grouped(flows, at_once):
-        steps = len(group[0].positions) - 1
-        samples = [stretch(flow, settings, now=0, steps=steps, rng=rng) for flow in group]
-        batch = batched(samples, step=settings.step, history=settings.history)
+    for flow in flows:
+        steps = len(flow.positions) - 1
+        sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
+        batch = batched([sample], step=settings.step, history=settings.history)
         batch = batch.to(simulator.displacement_scale.device)
-        clock = time.process_time()
         with torch.no_grad():
             moved = unroll(simulator, batch.state, batch.conditions(settings.cell), steps)[1:].cpu().numpy()
-        seconds = (time.process_time() - clock) / len(group)
-        ends = np.cumsum([len(sample.friction) for sample in samples])[:-1]
-        for flow, sample, positions in zip(group, samples, np.split(moved, ends, axis=1), strict=True):
-            deposit = flow.positions[-1]
-            start, end = np.array(measures.ends(flow.positions[0])), np.array(measures.ends(deposit))
-            extent = float(end[1] - end[0])
-            # Outwards on both sides; the end that ran farther is the front.
-            outward = np.array([-1.0, 1.0])
-            side = int(np.argmax(outward * (end - start)))
-            off = outward * (np.array(measures.ends(positions[-1])) - end)
-            apart = measures.transport_distance(positions[-1], sample.volume, deposit, flow.volume)
-            scores.append(
-                Score(
-                    name=flow.name,
-                    released=flow.released,
-                    friction_deg=float(np.degrees(np.arctan(flow.friction.mean()))),
-                    front_error=float(off[side]) / extent,
-                    profile_error=apart / extent,
-                    kinetic_error=kinetic_error(positions, sample, settings.step),
-                    seconds=seconds,
-                )
+        deposit = flow.positions[-1]
+        start, end = np.array(measures.ends(flow.positions[0])), np.array(measures.ends(deposit))
+        extent = float(end[1] - end[0])
+        # Outwards on both sides; the end that ran farther is the front.
+        outward = np.array([-1.0, 1.0])
+        side = int(np.argmax(outward * (end - start)))
+        off = outward * (np.array(measures.ends(moved[-1])) - end)
+        apart = measures.transport_distance(moved[-1], sample.volume, deposit, flow.volume)
+        scores.append(
+            Score(
+                released=flow.released,
+                front_error=float(off[side]) / extent,
+                profile_error=apart / extent,
+                kinetic_error=kinetic_error(moved, sample, settings.step),
             )
+        )
     return scores
-
-
-def grouped(flows: Iterable[Flow], at_once: int) -> Iterator[list[Flow]]:
-    """Runs of at most `at_once` flows of one length."""
-    for _, alike in itertools.groupby(flows, key=lambda flow: len(flow.positions)):
-        while group := list(itertools.islice(alike, at_once)):
-            yield group
 
 
 def kinetic_error(positions: Floats, sample: Sample, step: float) -> float:

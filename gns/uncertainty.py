@@ -55,52 +55,11 @@ FLOORS = np.geomspace(1.0e-4, 1.0, 161)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ensemble:
-    """A model, whose prediction counts, and the members whose spread says how far it may be off."""
-
-    model: Simulator
-    members: tuple[Simulator, ...]
-
-    @staticmethod
-    def load(path: Path) -> "Ensemble":
-        """The model at `path` and its members beside it. Raises InputError where there are less than two."""
-        paths = library.members(path)
-        if len(paths) < 2:
-            message = f"expected at least two members, such as {library.member_path(path, 1).name}, got {len(paths)}"
-            raise InputError(message, where=str(path))
-        model, *others = (checkpoint.load(each).simulator for each in (path, *paths))
-        for each, other in zip(paths, others, strict=True):
-            if other.settings != model.settings:
-                raise InputError(f"expected the settings of {path.name}", where=str(each), key="settings")
-        return Ensemble(model=model, members=tuple(others))
-
-    def outcome(self, state: State, conditions: Conditions, steps: int) -> "Outcome":
-        """Roll out all of them from one state of a single flow."""
-        volume = conditions.volume.numpy()
-        with torch.no_grad():
-            model, *others = (
-                unroll(each, state, conditions, steps)[-1].numpy() for each in (self.model, *self.members)
-            )
-        front = measures.front(model)
-        fronts = np.array([measures.front(deposit) for deposit in others])
-        apart = [measures.transport_distance(deposit, volume, model, volume) for deposit in others]
-        return Outcome(
-            deposit=model,
-            volume=volume,
-            front=front,
-            extent=front - float(state.positions[:, 0].min()),
-            spreads={"front": float(fronts.std(ddof=1)), "transport": float(np.sqrt(np.mean(np.square(apart))))},
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What an ensemble predicts of a flow."""
 
     deposit: NDArray[np.float32]
     """By the model itself [m], shape [n, D]."""
-    volume: NDArray[np.float32]
-    """Initial volume of its particles [m^D], shape [n]."""
     front: float
     """Front of that deposit [m]."""
     extent: float
@@ -108,6 +67,35 @@ class Outcome:
     spreads: Mapping[str, float]
     """`front`: standard deviation of the members' fronts [m]; `transport`: rms over the members of how far the parts of
     their deposits lie from those of the model's [m]."""
+
+
+def ensemble(path: Path) -> list[Simulator]:
+    """The model at `path`, whose prediction counts, and the members beside it. Raises InputError for less than two."""
+    paths = library.members(path)
+    if len(paths) < 2:
+        message = f"expected at least two members, such as {library.member_path(path, 1).name}, got {len(paths)}"
+        raise InputError(message, where=str(path))
+    models = [checkpoint.load(each).simulator for each in (path, *paths)]
+    for each, other in zip(paths, models[1:], strict=True):
+        if other.settings != models[0].settings:
+            raise InputError(f"expected the settings of {path.name}", where=str(each), key="settings")
+    return models
+
+
+def outcome_of(models: Sequence[Simulator], state: State, conditions: Conditions, steps: int) -> Outcome:
+    """Roll out an ensemble from one state of a single flow."""
+    volume = conditions.volume.numpy()
+    with torch.no_grad():
+        model, *others = (unroll(each, state, conditions, steps)[-1].numpy() for each in models)
+    front = measures.front(model)
+    apart = [measures.transport_distance(deposit, volume, model, volume) for deposit in others]
+    spread = np.std([measures.front(deposit) for deposit in others], ddof=1)
+    return Outcome(
+        deposit=model,
+        front=front,
+        extent=front - float(state.positions[:, 0].min()),
+        spreads={"front": float(spread), "transport": float(np.sqrt(np.mean(np.square(apart))))},
+    )
 
 
 def uncertain(spread: Floats | float, extent: Floats | float, floor: float) -> Floats:
@@ -156,18 +144,18 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
 
     Returns a table of the bands in Markdown. Raises InputError.
     """
-    known, ensemble = card.read(path), Ensemble.load(path)
+    known, models = card.read(path), ensemble(path)
     if known is None:
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
-    settings, rng = ensemble.model.settings, np.random.default_rng(seed)
+    settings, rng = models[0].settings, np.random.default_rng(seed)
     found: dict[str, list[tuple[float, float, float]]] = {"front": [], "transport": []}
     for flow in tqdm(flows, desc="bands", unit="flow"):
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         batch = batched([sample], step=settings.step, history=settings.history)
-        outcome = ensemble.outcome(batch.state, batch.conditions(settings.cell), steps)
+        outcome = outcome_of(models, batch.state, batch.conditions(settings.cell), steps)
         deposit = flow.positions[-1]
-        apart = measures.transport_distance(outcome.deposit, outcome.volume, deposit, flow.volume)
+        apart = measures.transport_distance(outcome.deposit, sample.volume, deposit, flow.volume)
         for name, error in (("front", outcome.front - measures.front(deposit)), ("transport", apart)):
             found[name].append((error, outcome.spreads[name], outcome.extent))
     calibrations, rows = {}, []
@@ -212,9 +200,9 @@ def predict(
     if described is None or described.calibration is None:
         message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
         raise InputError(message, where=str(card.card_path(path)), key="calibration")
-    known, ensemble = described.calibration, Ensemble.load(path)
-    initial = initial_state(scene, ensemble.model.settings, seed=seed)
-    outcome = ensemble.outcome(initial.state, initial.conditions, initial.steps)
+    known, models = described.calibration, ensemble(path)
+    initial = initial_state(scene, models[0].settings, seed=seed)
+    outcome = outcome_of(models, initial.state, initial.conditions, initial.steps)
     front, transport = (
         float(half_width(known[name], outcome.spreads[name], outcome.extent, level)) for name in ("front", "transport")
     )
