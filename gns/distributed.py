@@ -8,7 +8,6 @@ import datetime
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import torch
 from torch import distributed
@@ -20,59 +19,49 @@ TIMEOUT = datetime.timedelta(hours=6)
 """How long a process waits for the others: the first validates while they wait."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Processes:
-    """The processes that train together, and the device of this one."""
+def rank() -> int:
+    """Which process this is; the first, 0, validates, logs and saves."""
+    return distributed.get_rank() if distributed.is_initialized() else 0
 
-    device: torch.device
-    """Where this process computes."""
-    rank: int = 0
-    """Which of them this is."""
-    count: int = 1
-    """How many there are."""
 
-    @property
-    def first(self) -> bool:
-        """Whether this is the process that validates, logs and saves."""
-        return self.rank == 0
-
-    def sums(self, *values: float) -> list[float]:
-        """Each of `values`, summed over the processes."""
-        if self.count == 1:
-            return list(values)
-        tensor = torch.tensor(values, dtype=torch.float64, device=self.device)
+def sums(*values: float) -> list[float]:
+    """Each of `values`, summed over the processes."""
+    tensor = torch.tensor(values, dtype=torch.float64)
+    if distributed.is_initialized():
+        tensor = tensor.to("cuda" if distributed.get_backend() == "nccl" else "cpu")
         distributed.all_reduce(tensor)
-        return [float(value) for value in tensor.tolist()]
+    return [float(value) for value in tensor.tolist()]
 
-    def share(self, particles: int) -> float:
-        """Weight of this process's mean over its `particles` in the mean over the processes [-].
 
-        Averaged with these weights, means over the particles of each are the mean over all, and so are their
-        gradients: as those of one process with all samples.
-        """
-        return self.count * particles / self.sums(particles)[0]
+def share(particles: int) -> float:
+    """Weight of this process's mean over its `particles` in the mean over the processes [-].
+
+    Averaged with these weights, means over the particles of each are the mean over all, and so are their gradients: as
+    those of one process with all samples.
+    """
+    total, count = sums(particles, 1.0)
+    return count * particles / total
 
 
 @contextmanager
-def joined(device: str | None) -> Iterator[Processes]:
-    """The processes that torchrun started, or this one alone, on `device`: a GPU where there is one unless given.
+def joined(device: str | None) -> Iterator[torch.device]:
+    """Join the processes that torchrun started, if any; the device of this one, a GPU where there is one unless given.
 
     Raises InputError.
     """
     kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="device")
-    count = int(os.environ.get("WORLD_SIZE", "1"))
     where = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0"))) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
         torch.cuda.set_device(where)
-    if count == 1:
-        yield Processes(device=where)
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield where
         return
     # Orphans of torchrun would train on.
     end_with_parent()
     distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=TIMEOUT)
     try:
-        yield Processes(device=where, rank=distributed.get_rank(), count=count)
+        yield where
     finally:
         distributed.destroy_process_group()

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.distributed import is_initialized
 from torch.nn import functional
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
@@ -40,7 +41,7 @@ from datasets.reading import reading
 from datasets.training.samples import Flow, Flows
 from gns import card, checkpoint
 from gns.checkpoint import Model
-from gns.distributed import joined
+from gns.distributed import joined, rank, share, sums
 from gns.samples import Particles, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
@@ -149,13 +150,13 @@ def fit(
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     with ExitStack() as stack:
-        processes = stack.enter_context(joined(device))
-        if processes.first:
+        where, first = stack.enter_context(joined(device)), rank() == 0
+        if first:
             stack.enter_context(locked(out))
-        flows, valid = load(datasets, model, training, progress=processes.first)
+        flows, valid = load(datasets, model, training, progress=first)
         torch.manual_seed(seed)
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model)
-        simulator = simulator.to(processes.device)
+        simulator = simulator.to(where)
         average = AveragedModel(simulator, avg_fn=lambda old, new, count: averaged(old, new, int(count), training))
         matrices = [weight for weight in simulator.parameters() if weight.dim() == 2]
         others = [weight for weight in simulator.parameters() if weight.dim() != 2]
@@ -164,7 +165,7 @@ def fit(
             torch.optim.Adam(others),
         )
         loss_of: nn.Module = UnrolledLoss(simulator, training)
-        if processes.count > 1:
+        if is_initialized():
             loss_of = DistributedDataParallel(loss_of)
         sampler = Sampler(flows, model, training)
         parts = {"weights": simulator, "average": average, "muon": optimisers[0], "adam": optimisers[1]}
@@ -176,24 +177,20 @@ def fit(
             "datasets": [str(path) for path in datasets],
             "training": asdict(training),
         }
-        board = (
-            stack.enter_context(closing(summary_writer(out, position.updates)))
-            if tensorboard and processes.first
-            else None
-        )
-        bar = stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not processes.first))
+        board = stack.enter_context(closing(summary_writer(out, position))) if tensorboard and first else None
+        bar = stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
         clock = time.process_time if training.clock == "cpu" else time.perf_counter
         begun, losses = clock() - position.seconds, list[float]()
         while True:
             position.seconds = clock() - begun
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
-            own = (position.progress(training), position.due(training)) if processes.first else (0.0, 0.0)
-            progress, due, stops = processes.sums(*own, stop())
+            own = (position.progress(training), position.due(training)) if first else (0.0, 0.0)
+            progress, due, stops = sums(*own, stop())
             if stops or (progress >= 1.0 and not due):
                 break
             if due:
-                if processes.first:
+                if first:
                     # Saved before, so that a stop costs no updates, and after.
                     save(out / LAST, model, parts, position)
                     with stop.at_once():
@@ -206,13 +203,13 @@ def fit(
                 losses.clear()
                 position.seconds = position.scored_seconds = clock() - begun
                 position.scored_updates = position.updates
-                if processes.first:
+                if first:
                     save(out / LAST, model, parts, position)
                 continue
             steps, rate = unrolled_steps(training.unroll, progress), learning_rate(training, progress, position.updates)
-            batch = sampler.batch(steps, np.random.default_rng([seed, processes.rank, position.updates]))
-            loss = loss_of(batch.to(processes.device))
-            (processes.share(len(batch.pos)) * loss).backward()
+            batch = sampler.batch(steps, np.random.default_rng([seed, rank(), position.updates]))
+            loss = loss_of(batch.to(where))
+            (share(len(batch.pos)) * loss).backward()
             norm = nn.utils.clip_grad_norm_(simulator.parameters(), training.clip)
             if not math.isfinite(norm):
                 number = position.updates + 1
@@ -230,11 +227,11 @@ def fit(
                 board.add_scalar("training/learning_rate", rate, position.updates)
             bar.set_description_str(f"{steps} steps, loss {np.mean(losses[-RECENT:]):.4f}", refresh=False)
             bar.update(100.0 * position.progress(training) - bar.n)
-        if processes.first:
+        if first:
             save(out / LAST, model, parts, position)
         if stops:
             raise stop.interrupt
-        if processes.first:
+        if first:
             print(described(out / "best.safetensors", datasets, (out / "scores.md").read_text()))
 
 
@@ -328,11 +325,11 @@ def restored(path: Path, settings: ModelSettings, parts: Mapping[str, Any]) -> P
         return Position(**found["position"])
 
 
-def summary_writer(out: Path, updates: int) -> Any:
+def summary_writer(out: Path, position: Position) -> Any:
     """TensorBoard's, which is another package. Raises InputError."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         message = "expected the package tensorboard to be installed: pip install tensorboard"
         raise InputError(message, key="tensorboard") from None
-    return SummaryWriter(log_dir=str(out / "tensorboard"), purge_step=updates + 1)
+    return SummaryWriter(log_dir=str(out / "tensorboard"), purge_step=position.updates + 1)

@@ -13,7 +13,7 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.training.samples import Sample, cut
-from gns.distributed import Processes, joined
+from gns.distributed import joined, rank, share, sums
 from gns.samples import batched, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -24,25 +24,31 @@ ROOT = Path(__file__).parents[2]
 STEPS = 3
 
 
-def gradients(simulator: Simulator, samples: list[Sample], processes: Processes) -> dict[str, torch.Tensor]:
+def gradients(simulator: Simulator, samples: list[Sample]) -> dict[str, torch.Tensor]:
     """Those of one update, in double precision; one step keeps its activations, the others are checkpointed."""
     settings = simulator.settings
     batch = batched(samples, step=settings.step, history=settings.history)
     batch = batch.apply(lambda values: values.double() if values.is_floating_point() else values)
     model: torch.nn.Module = UnrolledLoss(simulator, TrainingSettings(memory_gib=2e-3))
-    if processes.count > 1:
+    if torch.distributed.is_initialized():
         model = DistributedDataParallel(model)
-    (processes.share(len(batch.pos)) * model(batch)).backward()
+    (share(len(batch.pos)) * model(batch)).backward()
     return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
 
 
-def worker(rank: int, port: int, simulator: Simulator, samples: list[Sample], out: Path) -> None:
+def worker(number: int, port: int, simulator: Simulator, samples: list[Sample], out: Path) -> None:
     """One of two processes, as torchrun starts them."""
-    environment = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    environment = {
+        "RANK": number,
+        "LOCAL_RANK": number,
+        "WORLD_SIZE": 2,
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": port,
+    }
     os.environ.update({key: str(value) for key, value in environment.items()})
-    with joined("cpu") as processes:
-        assert (processes.rank, processes.count, processes.first) == (rank, 2, rank == 0)
-        torch.save(gradients(simulator, samples, processes), out / f"{rank}.pt")
+    with joined("cpu"):
+        assert rank() == number
+        torch.save(gradients(simulator, samples), out / f"{number}.pt")
 
 
 def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
@@ -68,7 +74,7 @@ def test_two_processes_give_the_gradient_of_one_with_the_joined_batch(
     for each in workers:
         each.join(60.0)
     assert [each.exitcode for each in workers] == [0, 0]
-    one = gradients(simulator, samples, Processes(device=torch.device("cpu")))
+    one = gradients(simulator, samples)
     first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in (0, 1))
     assert one.keys() == first.keys()
     for name, value in one.items():
@@ -91,7 +97,5 @@ def test_torchrun_trains_and_resumes(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_without_torchrun_there_is_one_process() -> None:
-    with joined("cpu") as processes:
-        assert (processes.rank, processes.count) == (0, 1)
-        assert processes.sums(1.0, 2.0) == [1.0, 2.0]
-        assert processes.share(7) == 1.0
+    with joined("cpu"):
+        assert (rank(), sums(1.0, 2.0), share(7)) == (0, [1.0, 2.0], 1.0)
