@@ -99,17 +99,6 @@ def test_a_file_grows_by_frames_and_appears_at_the_end(flow: Trajectory, tmp_pat
     assert [each.name for each in tmp_path.iterdir()] == ["flow.h5"]
 
 
-def test_what_cannot_be_mapped_is_read(tmp_path: Path, trajectory: Trajectory) -> None:
-    trajectory.save(tmp_path / "flow.npz")
-    arrays = dict(np.load(tmp_path / "flow.npz"))
-    np.savez_compressed(tmp_path / "small.npz", **arrays)
-    np.savez(tmp_path / "double.npz", **{**arrays, "positions": arrays["positions"].astype(np.float64)})
-    for name in ("small.npz", "double.npz"):
-        positions = open_trajectory(tmp_path / name).positions
-        assert positions.dtype == np.float32
-        np.testing.assert_array_equal(positions, trajectory.positions)
-
-
 @pytest.mark.parametrize(("key", "change"), [("time", None), ("scene", np.zeros(3)), ("positions", np.zeros((3, 5)))])
 def test_a_broken_file_is_one_line(trajectory: Trajectory, tmp_path: Path, key: str, change: np.ndarray | None) -> None:
     trajectory.save(tmp_path / "flow.h5")

@@ -15,7 +15,6 @@ from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.maps.__main__ import command, write_maps, write_profile
 from datasets.maps.files import LOCAL, Georeference, outline, write_raster
-from datasets.maps.pictures import draw_map
 from datasets.maps.plan import map_edges, maps_of, station_edges
 from datasets.material import Material
 from datasets.particles import initial_particles
@@ -187,22 +186,6 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: p
 def deposits(folder: Path) -> list[Any]:
     features = json.loads((folder / "outline.geojson").read_text())["features"]
     return [feature for feature in features if feature["properties"]["name"] == "deposit"]
-
-
-def test_pictures_show_the_deposit_on_the_ground(tmp_path: Path, flow: Trajectory) -> None:
-    write_maps(flow, maps_of(flow, map_edges(flow.scene, 0.05)), tmp_path, ("png",), LOCAL)
-    assert {path.name for path in tmp_path.iterdir()} == {"thickness.png", "depth.png", "velocity.png", "maps.json"}
-    image = imread(tmp_path / "thickness.png")[..., :3]
-    coloured = image.max(axis=2) - image.min(axis=2) > 0.3
-    rows, columns = np.nonzero(coloured[:, : int(0.85 * image.shape[1])])
-    # The deposit lies right of the middle and above it; the relief is grey.
-    assert np.median(columns) > 0.45 * image.shape[1]
-    assert np.median(rows) < 0.5 * image.shape[0]
-    level = dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(), baffles=()))
-    maps = maps_of(level, map_edges(flow.scene, 0.05))
-    draw_map(tmp_path / "level.png", maps, maps.thickness, level.scene, LOCAL, label="", colours="YlOrBr", title="")
-    # Without relief there is no grey but that of the lines.
-    assert np.median(imread(tmp_path / "level.png")[..., :3]) > np.median(image)
 
 
 def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:

@@ -109,18 +109,6 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     assert maps.threshold == pytest.approx(0.025)
 
 
-def test_what_has_left_the_box_is_counted() -> None:
-    scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
-    start = initial_particles(scene)
-    end = start.positions.copy()
-    end[:10, 0], end[10:15] = 1.2, np.nan
-    maps = maps_of(still(scene, start.positions, end), map_edges(scene, 0.05))
-    each = start.volume[0]
-    assert maps.left == pytest.approx(15 * each)
-    assert maps.volume == pytest.approx(start.volume.sum() - 15 * each)
-    assert volume_in(maps) == pytest.approx(maps.volume, rel=1e-12)
-
-
 def test_the_ground_of_terrain_and_baffles() -> None:
     heights = ((0.3, 0.3), (0.1, 0.1))
     scene = dataclasses.replace(

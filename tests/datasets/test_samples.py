@@ -40,10 +40,6 @@ def test_a_flow_takes_every_so_many_frames(trajectory: Trajectory) -> None:
             Flow.from_trajectory(trajectory, step, "a")
 
 
-def test_moving_times_are_those_before_it_rests(flow: Flow) -> None:
-    assert [time for time in range(9) if flow.moves(time)] == [0, 1, 2, 3, 4, 5]
-
-
 @pytest.mark.parametrize(("now", "given"), [(0, [0]), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
 def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[int]) -> None:
     sample = cut(flow, now=now, steps=3, history=3, cell=0.01, kept=4, rng=np.random.default_rng(0))

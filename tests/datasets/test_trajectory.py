@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.scene import Baffle, Solid
-from datasets.trajectory import Trajectory, solid_names
+from datasets.scene import Baffle
+from datasets.trajectory import Trajectory
 
 
 def test_volumes_and_the_time_between_frames(tmp_path: Path, trajectory: Trajectory) -> None:
@@ -70,12 +70,6 @@ def test_the_mass_of_each_particle(tmp_path: Path, trajectory: Trajectory) -> No
         Trajectory.load(path)
 
 
-def test_the_names_of_solids_are_baffles_first(with_baffles: Trajectory) -> None:
-    wall = Solid(name="wall", lower=(0.19, 0.0), size=(0.01, 0.02))
-    scene = dataclasses.replace(with_baffles.scene, solids=(wall, dataclasses.replace(wall, name=None)))
-    assert solid_names(scene) == ("baffles[0]", "baffles[1]", "wall", "solids[1]")
-
-
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
@@ -106,15 +100,6 @@ def refused(path: Path) -> InputError:
     assert caught.value.where == str(path)
     assert "\n" not in str(caught.value)
     return caught.value
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_truncated_file(tmp_path: Path, trajectory: Trajectory, share: float) -> None:
-    path = tmp_path / "trajectory.npz"
-    trajectory.save(path)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    assert "whole NPZ" in refused(path).message
 
 
 class Intruder:

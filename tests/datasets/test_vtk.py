@@ -162,21 +162,6 @@ def test_two_dimensions(tmp_path: Path, flow: Trajectory) -> None:
     assert (tmp_path / "solids.vtp").exists()
 
 
-def test_active_vectors_and_units(tmp_path: Path, flow: Trajectory) -> None:
-    for folder, known in (("deep", flow), ("flat", flat(flow))):
-        write_vtk(known, tmp_path / folder)
-        points, baffles, _ = read(tmp_path / folder)[0.04]
-        assert points.point_data.active_vectors_name == "velocity"
-        for part in (points, baffles):
-            for name in (*part.point_data, *part.cell_data):
-                assert len(part.field_data[f"{name}_units"]) == 1
-        assert points.field_data["velocity_units"][0] == "m/s"
-    baffles = read(tmp_path / "deep")[0.04][1]
-    assert baffles.cell_data.active_vectors_name == "force"
-    assert (baffles.field_data["force_units"][0], baffles.field_data["impulse_units"][0]) == ("N", "N s")
-    assert vtk.Meshes(flat(flow)).unit("force") == "N/m"
-
-
 def grounded(flow: Trajectory) -> Trajectory:
     """The same above a terrain that falls along x and a wall without slip, which took momentum too."""
     ground = Solid(

@@ -14,7 +14,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from validation.report import rendering
-from validation.report.rendering import Colour, Picture, write_movie
+from validation.report.rendering import Colour, Picture
 from validation.vtk import command
 
 
@@ -150,22 +150,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def frames_of(path: Path) -> list[np.ndarray]:
     with av.open(str(path)) as file:
         return [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
-
-
-@opengl
-@pytest.mark.parametrize("first", range(len(rendering.ENCODERS)))
-def test_a_movie_by_any_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: int) -> None:
-    there = rendering.ENCODERS[first:]
-    monkeypatch.setattr(rendering, "ENCODERS", (("no such codec", ".avi", "rgb24"), *there))
-    path = write_movie(tmp_path / "movie.mp4", slide(2), Colour.VELOCITY, [0, 1, 2], rate=10)
-    assert path.suffix == there[0][1]
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
-    movie = frames_of(path)
-    assert len(movie) == 3
-    with Picture(slide(2), Colour.VELOCITY) as picture:
-        for frame, shown in enumerate(movie):
-            assert np.abs(shown.astype(float) - picture.at(frame)).mean() < 14.0
-    assert np.abs(movie[0].astype(float) - movie[2]).mean() > 2.0
 
 
 def test_no_opengl_is_one_line_after_the_series(
