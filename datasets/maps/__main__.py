@@ -172,13 +172,12 @@ def command(
     formats
         Any of tif, asc, png and geojson, in 2D of csv and png, separated by commas; all unless given.
     """
-    from datasets.maps.plan import map_edges, maps_of, station_edges
+    from datasets.maps.plan import cell_edges, maps_of
 
     flow = read_trajectory(trajectory)
     known = FORMATS[flow.scene.dimension]
     chosen = known if formats is None else listed(formats, known, "--formats")
-    length = flow.scene.domain.cell if cell is None else cell
-    edges = station_edges(flow.scene, length) if flow.scene.dimension == 2 else map_edges(flow.scene, length)
+    edges = cell_edges(flow.scene, flow.scene.domain.cell if cell is None else cell)
     make_folder(out)
     location = georeference(flow.scene)
     maps = maps_of(flow, edges, threshold=threshold, progress=True)

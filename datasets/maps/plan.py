@@ -17,6 +17,7 @@ of a cell is the mean over its depth,
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,13 @@ from datasets.measures import profile_stations
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 Floats = NDArray[np.float64]
 
 WIDTH = 2.0
 """Of a particle's pyramid to each side, in its own spacing: neighbours a spacing apart then make an even layer."""
-CHUNK = 4_000_000
-"""Cells that particles are spread over at once: bounds the memory."""
 UPRIGHT = 1.0e-12
 """Area in plan of a face over that of the square around it, below which it stands upright."""
 ON_EDGE = 1.0e-9
@@ -92,26 +94,19 @@ def coordinates_in(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
     return middles
 
 
-def map_edges(scene: Scene, cell: float) -> tuple[Floats, ...]:
-    """Edges of the square cells of a map of a scene in 3D [m], from x = z = 0 on; the last may go beyond the box.
+def cell_edges(scene: Scene, length: float) -> tuple[Floats, ...]:
+    """Edges of square cells of this length [m] over the plan of a scene in 3D, the last may go beyond the box.
 
-    Raises InputError for a cell that is not positive or longer than a side of the box.
+    In 2D those around the stations of a profile, about `length` apart; those at the walls stand for a half. Raises
+    InputError for a length that is not positive or longer than a side of the box.
     """
-    lengths = [scene.domain.size[axis] for axis in plan_axes(scene)]
-    if not 0.0 < cell <= min(lengths):
-        raise InputError(f"expected a length of at most {min(lengths):g} m, the box, got {cell:g} m", key="--cell")
-    return tuple(np.arange(math.ceil(side / cell - 1e-6) + 1, dtype=np.float64) * cell for side in lengths)
-
-
-def station_edges(scene: Scene, spacing: float) -> tuple[Floats, ...]:
-    """Edges around the stations of a profile in 2D [m], about `spacing` apart; those at the walls stand for a half.
-
-    Raises InputError for a spacing that is not positive or longer than the box.
-    """
-    if not 0.0 < spacing <= scene.domain.size[0]:
-        raise InputError(f"expected a length of at most {scene.domain.size[0]:g} m, the box", key="--cell")
-    stations = profile_stations(scene, spacing)
-    return (np.concatenate([[stations[0]], 0.5 * (stations[1:] + stations[:-1]), [stations[-1]]]),)
+    sides = [scene.domain.size[axis] for axis in plan_axes(scene)]
+    if not 0.0 < length <= min(sides):
+        raise InputError(f"expected a length of at most {min(sides):g} m, the box, got {length:g} m", key="--cell")
+    if scene.dimension == 2:
+        stations = profile_stations(scene, length)
+        return (np.concatenate([stations[:1], 0.5 * (stations[1:] + stations[:-1]), stations[-1:]]),)
+    return tuple(np.arange(math.ceil(side / length - 1e-6) + 1, dtype=np.float64) * length for side in sides)
 
 
 def plan_axes(scene: Scene) -> tuple[int, ...]:
@@ -119,50 +114,26 @@ def plan_axes(scene: Scene) -> tuple[int, ...]:
     return (0,) if scene.dimension == 2 else (0, 2)
 
 
-class Spread:
-    """The particles of one frame, spread over the cells: sums over them of anything that each carries."""
+def axis_shares(coordinates: Floats, sizes: Floats, edges: Floats, wall: float) -> "csr_array":
+    """Shares of the cells along an axis, C of them, of tents around `coordinates` [m], shape [N, C]; rows add up to 1.
 
-    def __init__(self, positions: Floats, sizes: Floats, edges: tuple[Floats, ...], walls: tuple[float, ...]) -> None:
-        """positions: in plan [m], [N, A]; sizes: half-widths of the pyramids [m], [N]; walls: sides of the box [m]."""
-        shape = tuple(len(along) - 1 for along in edges)
-        self.shape = shape
-        first, share = axis_shares(positions[:, 0], sizes, edges[0], walls[0])
-        self.cell, self.weight = first[:, None] + np.arange(share.shape[1]), share
-        if len(edges) == 2:
-            start, across = axis_shares(positions[:, 1], sizes, edges[1], walls[1])
-            columns = start[:, None] + np.arange(across.shape[1])
-            inside = np.minimum(self.cell, shape[0] - 1)[:, :, None] * shape[1]
-            self.cell = inside + np.minimum(columns, shape[1] - 1)[:, None, :]
-            self.weight = share[:, :, None] * across[:, None, :]
-        self.cell = np.minimum(self.cell, int(np.prod(shape)) - 1).reshape(len(positions), -1)
-        self.weight = self.weight.reshape(len(positions), -1)
-
-    def total(self, carried: Floats) -> Floats:
-        """The sum in each cell of what the particles carry, shape [N]."""
-        size = int(np.prod(self.shape))
-        found = np.bincount(self.cell.ravel(), (carried[:, None] * self.weight).ravel(), minlength=size)
-        return np.asarray(found.reshape(self.shape), np.float64)
-
-
-def axis_shares(
-    coordinates: Floats, sizes: Floats, edges: Floats, wall: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """First cell, shape [N], and shares of the cells from there on, shape [N, n], of tents around `coordinates` [m].
-
-    sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m]. Shares of a tent add
-    up to 1; those of cells beyond the last are 0.
+    sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m].
     """
-    first = np.searchsorted(edges, coordinates - sizes, side="right") - 1
-    first = np.clip(first, 0, len(edges) - 2)
-    last = np.clip(np.searchsorted(edges, coordinates + sizes, side="left"), first + 1, len(edges) - 1)
-    count = int((last - first).max())
-    bounds = edges[np.minimum(first[:, None] + np.arange(count + 1), len(edges) - 1)]
+    from scipy.sparse import csr_array
+
+    cells = len(edges) - 1
+    first = np.clip(np.searchsorted(edges, coordinates - sizes, side="right") - 1, 0, cells - 1)
+    last = np.clip(np.searchsorted(edges, coordinates + sizes, side="left"), first + 1, cells)
+    count = int((last - first).max(initial=1))
+    cell = first[:, None] + np.arange(count + 1)
     # Beyond the walls there is nothing: what would be there is that of the tent's mirror images within.
-    bounds = np.minimum(bounds, wall)
+    bounds = np.minimum(edges[np.minimum(cell, cells)], wall)
     share = np.zeros((len(coordinates), count))
     for image in (coordinates, -coordinates, 2.0 * wall - coordinates):
         share += np.diff(tent_below((bounds - image[:, None]) / sizes[:, None]), axis=1)
-    return first, share
+    column = np.minimum(cell[:, :-1], cells - 1)
+    rows = count * np.arange(len(coordinates) + 1)
+    return csr_array((share.ravel(), column.ravel(), rows), shape=(len(coordinates), cells))
 
 
 def tent_below(r: Floats) -> Floats:
@@ -193,29 +164,31 @@ class Mapper:
     def at(self, frame: int) -> tuple[Floats, Floats | None]:
         """Thickness [m] at `frame`, and velocity [m/s] where known; shapes of the map."""
         velocity, positions = self.meshes.velocity(frame), self.trajectory.positions[frame]
-        # Volume, and where known momentum, that each particle carries.
-        carried = self.volumes[:, None]
-        if velocity is not None:
-            carried = np.concatenate([carried, carried * velocity], axis=1)
-        total = np.zeros((carried.shape[1], *self.shape))
-        present = np.flatnonzero(self.inside(frame))
-        each = math.prod(2 + int(2.0 * self.sizes.max() / np.diff(along).min()) for along in self.edges)
-        length = max(1, CHUNK // each)
-        for begin in range(0, len(present), length):
-            chosen = present[begin : begin + length]
-            coordinates = np.clip(positions[chosen][:, self.axes].astype(np.float64), 0.0, self.walls)
-            spread = Spread(coordinates, self.sizes[chosen], self.edges, self.walls)
-            for number, values in enumerate(carried[chosen].T):
-                total[number] += spread.total(values)
-        volume, speed = total[0], np.linalg.norm(total[1:], axis=0)
+        inside = self.inside(frame)
+        places, sizes = np.clip(positions[inside][:, self.axes], 0.0, self.walls), self.sizes[inside]
+        shares = [
+            axis_shares(places[:, axis].astype(np.float64), sizes, *each)
+            for axis, each in enumerate(zip(self.edges, self.walls, strict=True))
+        ]
+
+        def total(carried: Floats) -> Floats:
+            """The sum in each cell of what the particles carry, shape [N]."""
+            if len(shares) == 1:
+                return np.asarray(shares[0].T @ carried)
+            return np.asarray((shares[0].T @ shares[1].multiply(carried[:, None])).toarray())
+
+        volume, carried = total(self.volumes[inside]), self.volumes[inside]
+        if velocity is None:
+            return volume / areas_of(self.edges), None
+        speed = np.linalg.norm([total(carried * each) for each in velocity[inside].T], axis=0)
         fast = np.divide(speed, volume, out=np.zeros_like(speed), where=volume > 0.0)
-        return volume / areas_of(self.edges), None if velocity is None else fast
+        return volume / areas_of(self.edges), fast
 
 
 def maps_of(
     trajectory: Trajectory, edges: tuple[Floats, ...], *, threshold: float | None = None, progress: bool = False
 ) -> PlanMaps:
-    """The maps of `trajectory` over cells with these `edges` (`map_edges`, in 2D `station_edges`).
+    """The maps of `trajectory` over cells with these `edges` (`cell_edges`).
 
     threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
     layers the simulation does not resolve. Raises InputError for one that is not positive.

@@ -15,7 +15,7 @@ from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.maps.__main__ import command, write_maps, write_profile
 from datasets.maps.files import LOCAL, Georeference, outline, write_raster
-from datasets.maps.plan import map_edges, maps_of, station_edges
+from datasets.maps.plan import cell_edges, maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -76,7 +76,7 @@ def band(path: Path) -> tuple[np.ndarray, Any]:
 @pytest.mark.parametrize("kind", ["tif", "asc"])
 @pytest.mark.parametrize("georeference", [LOCAL, ALPS])
 def test_a_raster_read_back(tmp_path: Path, flow: Trajectory, kind: Any, georeference: Georeference) -> None:
-    maps = maps_of(flow, map_edges(flow.scene, 0.025))
+    maps = maps_of(flow, cell_edges(flow.scene, 0.025))
     write_raster(tmp_path / f"map.{kind}", maps.thickness, 0.025, georeference, kind=kind, name="thickness", unit="m")
     values, profile = band(tmp_path / f"map.{kind}")
     assert values.shape == (20, 40)
@@ -116,7 +116,7 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
 
 
 def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
-    maps = maps_of(flow, map_edges(flow.scene, 0.05), threshold=0.02)
+    maps = maps_of(flow, cell_edges(flow.scene, 0.05), threshold=0.02)
     write_maps(flow, maps, tmp_path, ("tif", "asc", "geojson"), ALPS)
     names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "asc", "prj")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"outline.geojson", "maps.json"}
@@ -178,7 +178,7 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: p
         ((west, south, east, north),) = [shape(each["geometry"]).bounds for each in deposits(tmp_path)]
     assert (west, east) == pytest.approx((690_012.0, 690_016.0), abs=1.0)
     assert (south, north) == pytest.approx((5_300_027.0, 5_300_033.0), abs=1.0)
-    maps = maps_of(flow, map_edges(scene, 1.0))
+    maps = maps_of(flow, cell_edges(scene, 1.0))
     # Half a metre of fall for every metre; the raster's own values at the middles of its cells.
     np.testing.assert_allclose(maps.ground, np.tile(elevation[0, 10:30], (30, 1)).T, atol=1e-9)
 
@@ -190,7 +190,7 @@ def deposits(folder: Path) -> list[Any]:
 
 def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
     flow = flat(flow)
-    maps = maps_of(flow, station_edges(flow.scene, 0.05))
+    maps = maps_of(flow, cell_edges(flow.scene, 0.05))
     write_profile(flow, maps, tmp_path, ("csv", "png"))
     rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
     assert rows.dtype.names == ("x", "height", "surface", "ground", "largest_depth", "largest_velocity")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datasets.maps.__main__ import write_profile
-from datasets.maps.plan import maps_of, station_edges
+from datasets.maps.plan import cell_edges, maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
@@ -34,7 +34,7 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
         friction=start.friction,
         scene=scene,
     )
-    maps = maps_of(flow, station_edges(scene, spacing))
+    maps = maps_of(flow, cell_edges(scene, spacing))
     write_profile(flow, maps, tmp_path, ("csv",))
     path = tmp_path / "profile.csv"
     profile = profile_of(
