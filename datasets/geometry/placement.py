@@ -102,8 +102,11 @@ def shapes_overlap(mass: Mass, solid: Solid, key: str, domain: Domain) -> bool:
         box = shapely.box(*mass.lower, *np.add(mass.lower, mass.size))
         shape = shapely.Polygon(mass.vertices) if mass.kind == "polygon" else box
         return bool(shape.buffer(-margin).intersects(shapely.Polygon(ring_of(solid, key, domain).points)))
-    body, other = mass_manifold(mass), solid_manifold(solid, key, domain)
-    return bool((body ^ other).volume() > margin * body.surface_area())
+    from datasets.geometry import spatial
+
+    other = spatial.body_of(solid, key, domain)
+    body = mass_manifold(mass)
+    return bool((body ^ spatial.manifold(other.vertices, other.triangles)).volume() > margin * body.surface_area())
 
 
 def mass_manifold(mass: Mass) -> Any:
@@ -115,15 +118,6 @@ def mass_manifold(mass: Mass) -> Any:
         return spatial.manifold(vertices, spatial.CUBE_TRIANGLES)
     vertices = np.array(mass.vertices)
     return spatial.manifold(vertices, spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses"))
-
-
-@lru_cache(maxsize=64)
-def solid_manifold(solid: Solid, key: str, domain: Domain) -> Any:
-    """A solid in 3D for these operations."""
-    from datasets.geometry import spatial
-
-    body = spatial.body_of(solid, key, domain)
-    return spatial.manifold(body.vertices, body.triangles)
 
 
 def lattice_of(scene: Scene, mass: Mass) -> Floats:
