@@ -9,7 +9,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from datasets.errors import WorkFailed as WorkFailed
-from datasets.processes import Terminated, end_with_stated_parent, terminable
+from datasets.processes import Terminated, terminable
 
 DISK_ERRORS = {
     getattr(errno, name)
@@ -37,7 +37,6 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     # Whoever needs an exception alone waits for no parser of flags.
     from cyclopts import App, CycloptsError
 
-    end_with_stated_parent()
     # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
     app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
     app.default(command)

@@ -59,11 +59,6 @@ def height_profile(
     return np.asarray(height / length)
 
 
-def profile_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
-    """Area between two height profiles over that under the wanted one [-]: 0 is equal, 2 disjoint."""
-    return float(np.abs(found - expected).sum() / expected.sum())
-
-
 def ends(positions: Positions) -> tuple[float, float]:
     """The x [m] that 0.5 % and that 99.5 % of the particles are behind: the rear and the front of a deposit."""
     rear, front = np.quantile(positions[:, 0].astype(np.float64), (1.0 - FRONT_QUANTILE, FRONT_QUANTILE))

@@ -27,17 +27,6 @@ def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_old_file_stands_until_the_block_ends(tmp_path: Path) -> None:
-    path = tmp_path / "result.txt"
-    path.write_text("old")
-    with replacing(path) as part:
-        part.write_text("new")
-        assert path.read_text() == "old"
-        assert part.suffix == ".txt"
-    assert path.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine may die at any moment: the file is flushed, then moved, then its name is."""
     path, order = tmp_path / "result.txt", []
@@ -100,11 +89,6 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(
     # Once it has been moved the name is the new file's.
     assert path.read_text() == ("new" if number == 3 else "old")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_folders_are_made(tmp_path: Path) -> None:
-    write_text(tmp_path / "a" / "b.md", "phi = 21°")
-    assert (tmp_path / "a" / "b.md").read_text(encoding="utf-8") == "phi = 21°"
 
 
 def test_json_has_no_nan(tmp_path: Path) -> None:

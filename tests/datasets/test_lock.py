@@ -63,13 +63,6 @@ def test_the_lock_of_a_dead_process_is_free_and_its_parts_go(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_is_free_after_a_failure(tmp_path: Path) -> None:
-    for _ in range(2):
-        with pytest.raises(ZeroDivisionError), locked(tmp_path / "new"):
-            raise ZeroDivisionError
-    assert list((tmp_path / "new").iterdir()) == []
-
-
 def test_many_processes_are_in_one_after_another(tmp_path: Path) -> None:
     """Each adds one to a number, again and again where it is refused; the file of the lock comes and goes."""
     (tmp_path / "number").write_text("0")

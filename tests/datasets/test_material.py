@@ -1,7 +1,6 @@
 """Materials: what may be combined, and the constants that follow."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.material import TENSION_SHARE, Material
-from datasets.records import from_mapping
 
 
 def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:
@@ -59,14 +57,6 @@ def test_the_default_cutoff_stays_after_softening_below_the_residual_apex() -> N
     assert Material(**soft, residual_tension_cutoff=1.0).residual_tension_limit_at(2.0) == 1.0
     with pytest.raises(InputError, match=r"material\.residual_tension_cutoff: .*at most 3"):
         Material(**soft, residual_tension_cutoff=3.1)
-
-
-@pytest.mark.parametrize("cutoff", [None, 0.0, 20.0])
-def test_the_cutoff_stays_as_written(cutoff: float | None) -> None:
-    """Through JSON an absent one stays absent, and an explicit 0 is not the default."""
-    soil = Material(friction_deg=30.0, cohesion=1.0e3, tension_cutoff=cutoff)
-    assert from_mapping(Material, json.loads(json.dumps(dataclasses.asdict(soil)))) == soil
-    assert soil.tension_limit == (3.0 if cutoff is None else cutoff)
 
 
 def test_the_residual_material() -> None:

@@ -10,7 +10,6 @@ from datasets.measures import (
     height_profile,
     kinetic_energy,
     potential_energy,
-    profile_error,
     runout,
     toe,
     transport_distance,
@@ -58,13 +57,6 @@ def test_profile_is_continuous() -> None:
     profiles = np.array([height_profile(np.array([[each, 0.0]]), 1.0, stations) for each in x])
     steepest = np.abs(np.diff(profiles, axis=0)).max() / (x[1] - x[0])
     assert steepest == pytest.approx(2.0 / 0.1**2, rel=1e-6)
-
-
-def test_profile_error_of_equal_shorter_and_disjoint_deposits() -> None:
-    expected = np.array([2.0, 2.0, 0.0, 0.0])
-    assert profile_error(expected, expected) == 0.0
-    assert profile_error(np.array([4.0, 0.0, 0.0, 0.0]), expected) == 1.0
-    assert profile_error(expected[::-1], expected) == 2.0
 
 
 def test_equal_shares_of_a_uniform_block() -> None:

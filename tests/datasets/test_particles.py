@@ -12,17 +12,6 @@ from datasets.particles import initial_particles, particle_count, particle_volum
 from datasets.scene import Domain, Mass, Scene
 
 
-@pytest.mark.parametrize("name", ["column-tall-21", "layers-10"])
-def test_points_lie_inside_their_masses(name: str) -> None:
-    scene = read_scene(name)
-    points = initial_particles(scene)
-    inside = np.zeros(len(points.positions), int)
-    for mass in scene.masses:
-        lower = np.array(mass.lower)
-        inside += np.all((points.positions > lower) & (points.positions < lower + mass.size), axis=1)
-    assert np.all(inside == 1)
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
     stream = np.random.default_rng(3)

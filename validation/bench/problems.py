@@ -13,7 +13,6 @@ from typing import Any
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import write_text
-from datasets.processes import parent_environment
 from datasets.records import Record, from_mapping, read_json, read_toml
 from gns.library import shipped
 from inverse.found import Verdict
@@ -172,7 +171,7 @@ def ran(problem: Problem, folder: Path) -> bool:
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
-    if subprocess.run([sys.executable, *arguments], check=False, env=parent_environment()).returncode not in ENDED:
+    if subprocess.run([sys.executable, *arguments], check=False).returncode not in ENDED:
         return False
     write_text(folder / KEY, made_of(problem))
     return True

@@ -11,10 +11,8 @@ from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.material import Material
 from datasets.particles import (
     initial_particles,
-    mass_centroids,
     mass_volumes,
     particle_count,
-    released_volume,
 )
 from datasets.scene import Domain, Mass, Scene, Solid
 from tests.datasets.geometry.test_nearest import sphere
@@ -245,11 +243,3 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     cell = Domain(size=(2.0, 1.0, 1.0), cell=0.05)
     deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3, domain=cell)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)
-
-
-def test_centroids() -> None:
-    scene = scene_of(Mass(lower=(1.2, 0.0), size=(0.4, 0.2)), Mass(kind="polygon", vertices=TRIANGLE))
-    box, triangle = mass_centroids(scene)
-    np.testing.assert_allclose(box, (1.4, 0.1))
-    np.testing.assert_allclose(triangle, (0.5 + 0.5 / 3.0, 0.1 + 0.5 / 3.0), atol=0.01)
-    assert released_volume(scene) == pytest.approx(0.08 + 0.125, rel=1e-12)
