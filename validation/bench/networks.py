@@ -10,7 +10,6 @@ from datasets.scene import Domain, Mass, Scene
 from gns.initial import initial_state
 from gns.library import models
 from validation.report.measuring import seconds_of, spread
-from validation.report.page import Row
 
 LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
 """Of the body [m], by dimension: a step costs per node, and a longer body has as many neighbours for each."""
@@ -30,7 +29,7 @@ def body(dimension: int, length: float) -> Scene:
     )
 
 
-def network_rows(*, rounds: int = 3, sizes: int = 3) -> list[Row]:
+def network_rows(*, rounds: int = 3, sizes: int = 3) -> list[dict[str, str]]:
     """A row for each model that ships and each of so many sizes; one thread, medians of rounds."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

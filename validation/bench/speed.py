@@ -1,7 +1,6 @@
 """`python -m validation.bench speed`: rates of the MPM, price of a gradient by the adjoint, a step of the network."""
 
 import statistics
-import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,8 +20,7 @@ from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
-from validation.bench.networks import network_rows
-from validation.report.measuring import Spread, isolated, peak, reset_peak, resident, seconds_of, spread, turns
+from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, ORANGE, figure, pane
 
@@ -145,7 +143,7 @@ def price(scene: Scene, repeats: int) -> Price:
     simulate(short, record=LAST, threads=1)
     gradient(short, mean_x, threads=1)
     reset_peak()
-    before = resident() or peak()
+    before = resident()
     work = {
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1)),
@@ -156,7 +154,7 @@ def price(scene: Scene, repeats: int) -> Price:
         steps=int(simulate(scene, record=LAST, threads=1).summary["steps"]),
         run=statistics.median(found["run"]),
         gradient=statistics.median(found["gradient"]),
-        memory=max(0, peak() - before),
+        memory=max(0, resident(peak=True) - before),
     )
 
 
@@ -174,35 +172,36 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
+    # It loads PyTorch, which `--help` need not wait for.
+    from validation.bench.networks import network_rows
+
     if rounds < 1:
         raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     rounds = 1 if quick else rounds
     cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
-    began = time.perf_counter()
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
-    rates = {
-        key: spread(found) for key, found in turns({key: partial(rate, *key) for key in keys}, rounds, "rates").items()
-    }
-    scales = ((0.5, 0.1),) if quick else SCALES
-    prices = [isolated(price, enlarged(*each), rounds) for each in scales]
-    command = f"python -m validation.bench speed --rounds {rounds}"
-    text = page(rates, prices, network_rows(sizes=1 if quick else 3), command=command, quick=quick)
+    timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
+    rates = {key: spread(found) for key, found in timed.items()}
+    prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
+    networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
     draw(out / "speed.png", rates, prices)
-    text.text(f"Measured in {time.perf_counter() - began:.0f} s.")
-    return text.write(out / "speed.md")
+    command = f"python -m validation.bench speed --rounds {rounds}"
+    return page(rates, prices, networks, command=command, quick=quick).write(out / "speed.md")
 
 
 def page(
     rates: Rates,
     prices: Sequence[Price],
-    networks: Sequence[Row],
+    networks: Sequence[Mapping[str, str]],
     *,
     command: str,
     quick: bool = False,
 ) -> Page:
     """The page, from what was measured."""
-    text = Page("Speed", command=command, conclusion=conclusion(rates, prices), packages=MPM | GNS, quick=quick)
+    text = Page(
+        "Speed", command=command, conclusion=conclusion(rates, prices, networks), packages=MPM | GNS, quick=quick
+    )
     text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
     text.section("Million particle-steps a second of the MPM")
     text.text(f"""
@@ -221,7 +220,7 @@ def page(
     text.text(f"""
         A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that
         it begins with: a run with checkpoints, its replay and its reverse; one thread, each in a process of its own.
-        Memory is the greatest resident size above that before. It grows with the root of the steps.
+        Memory is the greatest resident size above that before.
     """)
     text.table(
         [(p.particles, p.steps, p.run, p.gradient, p.ratio, p.memory / 2**20) for p in prices],
@@ -234,15 +233,14 @@ def page(
             "memory [MiB]": ".0f",
         },
     )
-    if networks:
-        text.section("A step of the network")
-        text.text("Seconds of one step of the shipped models on a column of sand, over its nodes; one thread.")
-        text.table(networks)
+    text.section("A step of the network")
+    text.text("Seconds of one step of the shipped models on a body of sand, over its nodes; one thread.")
+    text.table(networks)
     return text
 
 
-def conclusion(rates: Rates, prices: Sequence[Price]) -> list[str]:
-    """Rates by dimension, the price of a gradient."""
+def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
+    """Rates by dimension, the price of a gradient, the network's step."""
     found = []
     for dimension in dict.fromkeys(case.dimension for case, _ in rates):
         best = best_rates(rates, dimension)
@@ -256,6 +254,8 @@ def conclusion(rates: Rates, prices: Sequence[Price]) -> list[str]:
         f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
         f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps)."
     )
+    steps = between([float(each["µs per node"]) for each in networks], ".0f")
+    found.append(f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.")
     return found
 
 
@@ -280,7 +280,7 @@ def rate_rows(rates: Rates) -> list[Row]:
     for case in sorted({case for case, _ in rates}, key=lambda case: (case.dimension, case.particles, case.scenes)):
         row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
         cells = {
-            f"{precision}, {threads} threads": rates.get((case, (precision, threads)))
+            f"{precision}, {threads} thread{'s' if threads > 1 else ''}": rates.get((case, (precision, threads)))
             for _, (precision, threads) in rates
         }
         rows.append(row | {head: each.written(1) if each else "-" for head, each in sorted(cells.items())})

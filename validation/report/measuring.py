@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import re
-import resource
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -78,34 +77,16 @@ def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> 
             raise WorkFailed("killed, out of memory") from None
 
 
-def resident() -> int | None:
-    """Memory that this process holds now [bytes], where Linux records it."""
-    return status_bytes("VmRSS")
+def resident(*, peak: bool = False) -> int:
+    """Memory of this process [bytes]: now, or the most since `reset_peak`; 0 where Linux does not tell."""
+    key = "VmHWM" if peak else "VmRSS"
+    found = re.search(rf"^{key}:\s+(\d+) kB$", STATUS.read_text(), re.MULTILINE) if STATUS.exists() else None
+    return int(found[1]) * 1024 if found else 0
 
 
-def peak() -> int:
-    """The most that this process ever held, or held since `reset_peak` [bytes].
-
-    Elsewhere than on Linux by getrusage, which a process begins with the peak of the one that began it.
-    """
-    return status_bytes("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def status_bytes(key: str) -> int | None:
-    """A size in Linux's description of this process [bytes]."""
-    if not STATUS.exists():
-        return None
-    found = re.search(rf"^{key}:\s+(\d+) kB$", STATUS.read_text(encoding="utf-8"), re.MULTILINE)
-    return int(found[1]) * 1024 if found else None
-
-
-def reset_peak() -> bool:
-    """Give back what is free and begin the record of the peak anew; whether the system could."""
+def reset_peak() -> None:
+    """Give back what is free, which would hide the same amount in use later, and begin the record of the peak anew."""
     gc.collect()
-    try:
-        # Free memory that the process keeps would hide the same amount in use later.
+    if CLEAR.exists():
         ctypes.CDLL(None).malloc_trim(0)
-        CLEAR.write_text(RESET_PEAK, encoding="utf-8")
-    except (AttributeError, OSError):
-        return False
-    return True
+        CLEAR.write_text(RESET_PEAK)
