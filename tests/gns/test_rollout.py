@@ -87,17 +87,6 @@ def test_energies_of_a_fall() -> None:
     np.testing.assert_allclose(tilted["potential"], 3.0 * 8.0 * height - 2.0 * 6.0 * 3.0 * time, rtol=1e-4, atol=1e-4)
 
 
-def test_the_summary_has_the_energies(files: dict[str, Path], tmp_path: Path) -> None:
-    assert run(files, tmp_path / "rest") == 0
-    energy = json.loads((tmp_path / "rest" / "summary.json").read_text())["energy"]
-    assert [len(energy[name]) for name in ("kinetic", "potential")] == [26, 26]
-    assert energy["kinetic"][0] == 0.0
-    assert max(energy["kinetic"]) > 0.0
-    # A column of 0.12 x 0.16 m of 1,800 kg/m^3.
-    assert energy["potential"][0] == pytest.approx(1800.0 * 0.12 * 0.16 * 9.81 * 0.08, rel=0.02)
-    assert energy["potential"][-1] < energy["potential"][0]
-
-
 @pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
 def test_the_shipped_model_is_that_of_the_dimension(
     scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from datasets.training.samples import Flows, Sample, Surroundings, cut
-from gns.initial import ABSENT
 from gns.samples import Particles, Sampler, batched, flows_of, perturbed, statistics, turned
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -70,26 +69,6 @@ def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset
     walk = noisy.displacements - batch.displacements
     assert 0.8e-3 < walk[-1].std() < 1.2e-3
     torch.testing.assert_close(walk.sum(0), noisy.pos - batch.pos, atol=1e-6, rtol=0.0)
-
-
-def test_ground_is_padded_with_its_end_and_lies_far_below_where_there_is_none(
-    settings: ModelSettings, dataset: Path
-) -> None:
-    some = samples(dataset, settings)
-    assert joined(some, settings).conditions(settings.cell).ground is None
-    for index, heights in enumerate(([0.3, 0.2], [0.3, 0.2, 0.1])):
-        ground = np.array(heights, np.float32), np.array(heights, np.float32) + 0.1
-        around = dataclasses.replace(some[index].surroundings, ground=ground)
-        some[index] = dataclasses.replace(some[index], surroundings=around)
-    ground = joined(some, settings).conditions(0.25).ground
-    assert ground is not None
-    assert ground.spacing == 0.25
-    torch.testing.assert_close(ground.elevation, torch.tensor([[0.3, 0.2, 0.2], [0.3, 0.2, 0.1]]))
-    torch.testing.assert_close(ground.friction, ground.elevation + 0.1)
-    bare = dataclasses.replace(some[0], surroundings=dataclasses.replace(some[0].surroundings, ground=None))
-    found = joined([bare, some[1]], settings).conditions(0.25).ground
-    assert found is not None
-    assert found.elevation[0].tolist() == [ABSENT] * 3
 
 
 def test_conditions_are_those_of_each_sample(settings: ModelSettings, dataset: Path) -> None:

@@ -104,16 +104,6 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     assert speeds[1] < 0.05 * speeds[0]
 
 
-def test_three_dimensions_are_a_setting() -> None:
-    torch.manual_seed(0)
-    simulator = Simulator(SMALL_3D, NORMALISATION)
-    state, conditions = cloud_3d()
-    with torch.no_grad():
-        moved = unroll(simulator, state, conditions, 5)[-1] - state.positions
-    fall = torch.tensor([0.0, -9.81 * 15 * SMALL_3D.step**2, 0.0])
-    torch.testing.assert_close(moved, fall.expand_as(moved), atol=5e-4, rtol=0.0)
-
-
 def box(*corners: tuple[float, float, float]) -> torch.Tensor:
     """One baffle of one sample, [1, 1, 2, 3]."""
     return torch.tensor(corners).view(1, 1, 2, 3)

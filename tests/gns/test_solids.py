@@ -134,15 +134,6 @@ def test_features_without_baffles_are_those_far_from_any(dimension: int) -> None
     assert not features[:, 2 * dimension + 1 :].any()
 
 
-def test_baffles_of_other_samples_have_no_effect() -> None:
-    both = torch.cat((boxes(BOX), boxes(PADDING)))
-    point = torch.tensor([[0.42, 0.2], [0.42, 0.2]], dtype=torch.float64)
-    distance, direction, _ = of_baffles(point, both, torch.tensor([0, 1]))
-    torch.testing.assert_close(distance, torch.tensor([0.02, CUTOFF], dtype=torch.float64))
-    assert direction[0].any()
-    assert not direction[1].any()
-
-
 MOVES = [
     # from, towards, where to: the box is 0.3 to 0.4 m wide and 0.1 to 0.3 m high
     ((0.29, 0.2), (0.31, 0.22), (0.3, 0.22)),  # into a face, sliding along it
