@@ -89,7 +89,7 @@ class Reader:
         """A solid with what its files hold."""
         kind = entry.get("kind", "box")
         if kind in ("terrain", "mesh") and isinstance(entry.get("file"), str):
-            path, how = self.taken(entry, "file", key)
+            path, how = self.file_of(entry, "file", key)
             with at_key(f"{key}.file"):
                 if kind == "mesh":
                     found = placed_mesh(path, how)
@@ -111,7 +111,7 @@ class Reader:
             refuse(entry, ("lower", "size"), key, f"no such key of a {kind}")
         name = "thickness" if kind == "layer" else "file"
         if kind in HOW and isinstance(entry.get(name), str):
-            path, how = self.taken(entry, name, key)
+            path, how = self.file_of(entry, name, key)
             with at_key(f"{key}.{name}"):
                 if kind == "mesh":
                     found = placed_mesh(path, how)
@@ -123,8 +123,8 @@ class Reader:
         refuse(entry, ("scale", "at", "unit"), key)
         return entry
 
-    def taken(self, entry: Entry, name: str, key: str) -> tuple[Path, Entry]:
-        """The path of an entry's file, and how it is read, taken out of it. Raises InputError."""
+    def file_of(self, entry: Entry, name: str, key: str) -> tuple[Path, Entry]:
+        """The path of an entry's file, and how it is read; both are taken out of it. Raises InputError."""
         path, allowed = self.folder / str(entry.pop(name)), HOW[entry["kind"]]
         how: Entry = {}
         for part in ("scale", "at", "unit"):

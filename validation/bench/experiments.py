@@ -183,12 +183,12 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     )
 
 
-def run(wanted: Sequence[tuple[Shipped, MeasuredScene, int, float]], simulate: Simulate) -> Deposits:
+def run(asked: Sequence[tuple[Shipped, MeasuredScene, int, float]], simulate: Simulate) -> Deposits:
     """Cases on their coarse (0) or fine (1) cells at angles of friction [deg]."""
-    scenes = [each.scene(case.scene, each.cells(case)[number], deg) for each, case, number, deg in wanted]
+    scenes = [each.scene(case.scene, each.cells(case)[number], deg) for each, case, number, deg in asked]
     return {
         (each.name, case.name, deg): partial(quantity, scene=scene, positions=deposit)
-        for (each, case, _, deg), scene, deposit in zip(wanted, scenes, simulate(scenes), strict=True)
+        for (each, case, _, deg), scene, deposit in zip(asked, scenes, simulate(scenes), strict=True)
     }
 
 

@@ -94,14 +94,14 @@ def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surroga
         mpm_runs=runs,
         posterior=state.posterior,
         further=tuple(further(outcome)),
-        notes=(note(state),),
+        notes=(statement(state),),
         surrogate={"asked": predictions is not None, "reason": reason},
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
         command="python -m validation.loop",
     )
 
 
-def note(state: Search) -> str:
+def statement(state: Search) -> str:
     """What the posterior is made of, in sentences."""
     found = state.posterior
     return (
