@@ -74,7 +74,9 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         (folder / f"{name}.toml").write_text(getattr(breaking, name.upper()))
     generate = ["-m", "mpm.generate", str(folder / "blocks.toml"), "--jobs", "2"]
     if request.param == "train":
-        assert start([*generate, "--out", str(folder / "dataset")]).wait(breaking.LIMIT) == 0
+        made = start([*generate, "--out", str(folder / "dataset")])
+        made.communicate(timeout=breaking.LIMIT)
+        assert made.returncode == 0
 
     def train(out: Path) -> list[str]:
         resume = ["--resume"] if (out / "last.pt").exists() else []
