@@ -18,7 +18,7 @@ from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import depends, found_reverse
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.transfer import gather_motion
-from mpm.arrays.layout import Contact, Property, Setting, Worker
+from mpm.arrays.layout import Contact, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
@@ -72,39 +72,24 @@ def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
 
 
 @ti.func
-def push_reverse(worker, scene, block, scratch, volume, unit, dt, arrays: ti.template()):
-    """Bars of the contact and the stress of a block from those of its force on the nodes, gathered in `scratch`.
-
-    unit: 4 / dx^2, times dt where forces are momentum at once; with `prepare_contact` in `scratch`. Returns the bar of
-    the volume.
-    """
+def push_reverse(
+    worker, block, scratch, stress: ti.template(), pushed_bar: ti.template(), volume, dt, arrays: ti.template()
+):
+    """Bars of the contact, the stress and the volume of a block from those of its `surface_force`."""
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    sums, force = scratch + layout.sums, ti.static(features.force if features.forces else 0)
-    dx = arrays.settings[scene, Setting.CELL]
-    volume_bar = 0.0 * arrays.scratch[sums]
     if touches(block, arrays):
-        first = block * features.block + features.stress
-        stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
         pushed = ti.static([Pullback(surface_force, (stress, contact_of(block, arrays)), (size,))])[0]
-        push, arm = ti.static(pushed.values[:size], pushed.values[size:])
+        bar = [pushed_bar[k] for k in ti.static(range(2 * size))]
         if ti.static(layout.impulses):
             gather_impulse_adjoints(block, scratch, worker, arrays)
-        bar = [volume_bar for _ in ti.static(range(2 * size))]
-        for i in ti.static(range(size)):
-            bar[i] = unit * dx * dx * 0.25 * arrays.scratch[sums + force + i]
-            if ti.static(layout.impulses):
-                bar[i] = bar[i] - dt * present(block, arrays) * arrays.scratch[scratch + layout.before + i]
-            for j in ti.static(range(size)):
-                gathered = unit * arrays.scratch[sums + (1 + j) * features.node + force + i]
-                bar[i] = bar[i] - gathered * arm[j]
-                bar[size + j] = bar[size + j] - volume * gathered * push[i]
-            volume_bar = volume_bar + bar[i] * push[i]
-            bar[i] = volume * bar[i]
+            for i in ti.static(range(size)):
+                given = dt * present(block, arrays) * arrays.scratch[scratch + layout.before + i]
+                bar[i] = bar[i] - volume * given
+                add_property_bar(block, Property.VOLUME, 0.0 - given * pushed.values[i], arrays)
         stress_bar, contacts_bar = ti.static(pushed(bar))
         add_bars(block * layout.width + features.stress, stress_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
-    return volume_bar
 
 
 @ti.func

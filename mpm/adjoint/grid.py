@@ -28,74 +28,73 @@ from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.grid import (
-    SLOW,
-    TINY,
-    covers,
-    shared_box,
-    store_node_velocity,
-    summed_node,
-    velocity_after,
-    velocity_before,
-)
+from mpm.physics.grid import SLOW, TINY, covers, shared_box, summed_node
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
 
 
 @ti.func
-def update_kept_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """As `mpm.physics.grid.update_grid`, but momentum, mass and force are kept in `arrays.kept`; bars become 0."""
-    if ti.static(arrays.features.shared):
-        update_kept_shared_nodes(worker, scene, dt, kappa, strides, arrays)
-    else:
-        update_kept_nodes(worker, scene, dt, kappa, strides, arrays)
-
-
-@ti.func
-def update_kept_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """As `mpm.physics.grid.update_own_nodes`."""
-    features = arrays.features
-    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
-    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
-        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
-            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
-                node = arrays.grid[first + k]
-                arrays.kept[first + k] = node
-                arrays.grid_adjoints[first + k] = zero
-                if node[features.dimension] > 0.0:
-                    old = velocity_before(node, arrays)
-                    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                    store_node_velocity(first + k, new, old, kappa, arrays)
-
-
-@ti.func
-def update_kept_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """As `mpm.physics.grid.update_shared_nodes`; what is kept lies where the first worker's grid does."""
-    features = arrays.features
-    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
-    count = arrays.workers.shape[0]
-    low, high = shared_box(arrays)
+def keep_nodes(worker, strides, arrays: ti.template()):
+    """Keep momentum, mass and force of the nodes of a worker, or of its share of all; their bars become 0."""
+    zero = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
+    low, high = own_box(worker, arrays)
     for i in range(low[0], high[0]):
-        if i % count == worker:
+        if shares_row(i, worker, arrays):
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
                     n = i * strides[0] + j * strides[1] + k
-                    node = summed_node(arrays.grid, n, i, j, k, arrays)
-                    arrays.kept[arrays.workers[0, Worker.NODE] + n] = node
-                    for other in range(count):
-                        if covers(other, i, j, k, arrays):
-                            arrays.grid_adjoints[arrays.workers[other, Worker.NODE] + n] = zero
-                    if node[features.dimension] > 0.0:
-                        old = velocity_before(node, arrays)
-                        new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                        for other in range(count):
-                            if covers(other, i, j, k, arrays):
-                                own = arrays.workers[other, Worker.NODE] + n
-                                store_node_velocity(own, new, old, kappa, arrays)
-                                if ti.static(features.volume_correction):
-                                    arrays.grid[own][features.dimension] = node[features.dimension]
+                    arrays.kept[first_kept(worker, arrays) + n] = node_of(arrays.grid, n, i, j, k, worker, arrays)
+                    put_node(arrays.grid_adjoints, zero, n, i, j, k, worker, arrays)
+
+
+@ti.func
+def own_box(worker, arrays: ti.template()):
+    """The nodes in the support of a worker's particles, of those of all workers of a shared scene, [low, high)."""
+    if ti.static(arrays.features.shared):
+        return shared_box(arrays)
+    else:
+        low = ti.Vector([arrays.workers[worker, Worker.LOW_X + k] for k in ti.static(range(3))])
+        high = ti.Vector([arrays.workers[worker, Worker.HIGH_X + k] for k in ti.static(range(3))])
+        return low, high
+
+
+@ti.func
+def shares_row(i, worker, arrays: ti.template()):
+    """Whether the nodes of row i are a worker's to compute, who is one of several in a shared scene."""
+    result = 1
+    if ti.static(arrays.features.shared):
+        result = ti.cast(i % arrays.workers.shape[0] == worker, ti.i32)
+    return result
+
+
+@ti.func
+def first_kept(worker, arrays: ti.template()):
+    """The first of a worker's nodes in `kept`; workers of a shared scene keep theirs where the first one does."""
+    if ti.static(arrays.features.shared):
+        return arrays.workers[0, Worker.NODE]
+    else:
+        return arrays.workers[worker, Worker.NODE]
+
+
+@ti.func
+def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
+    """Node (i, j, k), the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
+    if ti.static(arrays.features.shared):
+        return summed_node(array, n, i, j, k, arrays)
+    else:
+        return array[arrays.workers[worker, Worker.NODE] + n]
+
+
+@ti.func
+def put_node(array: ti.template(), value, n, i, j, k, worker, arrays: ti.template()):
+    """Put what `node_of` reads; in a shared scene all workers in whose support it is have the sum."""
+    if ti.static(arrays.features.shared):
+        for other in range(arrays.workers.shape[0]):
+            if covers(other, i, j, k, arrays):
+                array[arrays.workers[other, Worker.NODE] + n] = value
+    else:
+        array[arrays.workers[worker, Worker.NODE] + n] = value
 
 
 @ti.func
@@ -180,60 +179,25 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
 def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
     """Bars of the nodes of a worker, or of its share of all, in place; add what they share to `arrays.sums`."""
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
-    if ti.static(arrays.features.shared):
-        total = shared_nodes_reverse(worker, scene, dt, kappa, strides, arrays)
-    else:
-        total = own_nodes_reverse(worker, scene, dt, kappa, strides, arrays)
+    low, high = own_box(worker, arrays)
+    for i in range(low[0], high[0]):
+        if shares_row(i, worker, arrays):
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    n = i * strides[0] + j * strides[1] + k
+                    node = arrays.kept[first_kept(worker, arrays) + n]
+                    if node[arrays.features.dimension] > 0.0:
+                        bar = node_of(arrays.grid_adjoints, n, i, j, k, worker, arrays)
+                        bar, shared = node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays)
+                        for number in ti.static(range(SUMS)):
+                            total[number] += ti.cast(shared[number], ti.f64)
+                        put_node(arrays.grid_adjoints, bar, n, i, j, k, worker, arrays)
     columns = ti.static(
         (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
     )
     for number in ti.static(range(SUMS - 1)):
         arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
     add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
-
-
-@ti.func
-def own_nodes_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Bars of the nodes of a worker that has the scene to itself; the sum of the SUMS."""
-    features = arrays.features
-    total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
-    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
-        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
-            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
-                node = arrays.kept[first + k]
-                if node[features.dimension] > 0.0:
-                    bar, shared = node_reverse(
-                        node, arrays.grid_adjoints[first + k], i, j, k, worker, scene, dt, kappa, arrays
-                    )
-                    arrays.grid_adjoints[first + k] = bar
-                    for number in ti.static(range(SUMS)):
-                        total[number] += ti.cast(shared[number], ti.f64)
-    return total
-
-
-@ti.func
-def shared_nodes_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Sum the bars of nodes over the grids of all workers and give each what they become; a share of the rows each."""
-    features = arrays.features
-    total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
-    count = arrays.workers.shape[0]
-    low, high = shared_box(arrays)
-    for i in range(low[0], high[0]):
-        if i % count == worker:
-            for j in range(low[1], high[1]):
-                for k in range(low[2], high[2]):
-                    n = i * strides[0] + j * strides[1] + k
-                    node = arrays.kept[arrays.workers[0, Worker.NODE] + n]
-                    if node[features.dimension] > 0.0:
-                        together = summed_node(arrays.grid_adjoints, n, i, j, k, arrays)
-                        bar, shared = node_reverse(node, together, i, j, k, worker, scene, dt, kappa, arrays)
-                        for number in ti.static(range(SUMS)):
-                            total[number] += ti.cast(shared[number], ti.f64)
-                        for other in range(count):
-                            if covers(other, i, j, k, arrays):
-                                arrays.grid_adjoints[arrays.workers[other, Worker.NODE] + n] = bar
-    return total
 
 
 @ti.func

@@ -4,7 +4,7 @@
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
 A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
-velocities of the nodes (`mpm.adjoint.grid.update_kept_grid`), then bars of particles to bars of nodes, of nodes before
+velocities of the nodes, then bars of particles to bars of nodes, of nodes before
 their forces, and of particles (`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`: many scenes on a
 thread each, or one large scene on all threads.
 """
@@ -16,7 +16,7 @@ from functools import cache
 import taichi as ti
 
 from mpm.adjoint.faces import found_reverse
-from mpm.adjoint.grid import update_grid_reverse, update_kept_grid
+from mpm.adjoint.grid import keep_nodes, update_grid_reverse
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
 from mpm.arrays.access import maximum, minimum, node_strides
@@ -132,7 +132,8 @@ def reverse(worker, arrays: ti.template()):
         clear(worker, strides, arrays)
         particles_to_grid(worker, scene, dt, strides, arrays)
         synchronise(arrays)
-        update_kept_grid(worker, scene, dt, kappa, strides, arrays)
+        keep_nodes(worker, strides, arrays)
+        update_grid(worker, scene, dt, kappa, strides, arrays)
         synchronise(arrays)
         for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
             after = state_before(step + 1, block, arrays)

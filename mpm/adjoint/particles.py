@@ -9,14 +9,16 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 
 import taichi as ti
 
+from mpm.adjoint.access import add_bars, add_property_bar
 from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
+from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting, component
+from mpm.arrays.layout import PADDING, Offset, Property, Setting
 from mpm.physics.boundary import is_wall
-from mpm.physics.transfer import prepare_contributions, property_of, spline, volume_of
+from mpm.physics.transfer import contributions, prepare_contributions, property_of, spline, volume_of
 
 
 @ti.func
@@ -55,8 +57,7 @@ def update_block_reverse(
             moment = arrays.scratch[scratch + layout.sums + (1 + k) * features.node + size]
             arrays.scratch[scratch + features.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
-    c_bar = affine_reverse(block, scratch, per_dx, kappa, arrays)
-    kappa_bar = c_bar[ti.static(3 * size * size)]
+    slope_bar, change_bar, affine_bar, kappa_bar = affine_reverse(block, scratch, per_dx, kappa, arrays)
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx
@@ -82,11 +83,11 @@ def update_block_reverse(
             value = value + v_bar
             arrays.adjoints[own + features.velocity + i] = 0.0 * v_bar
         for j in ti.static(range(size)):
-            slope = 4.0 * per_dx * c_bar[i * size + j]
+            slope = 4.0 * per_dx * slope_bar[i * size + j]
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + i] = slope
             if ti.static(features.forces):
-                slope = 4.0 * per_dx * c_bar[ti.static(size * size + i * size + j)]
+                slope = 4.0 * per_dx * change_bar[i * size + j]
                 arrays.scratch[values + (1 + j) * features.node + features.force + i] = slope
                 if ti.static(features.volume_correction):
                     at = values + features.force + i
@@ -107,15 +108,26 @@ def update_block_reverse(
             mass_bar = arrays.scratch[scratch + features.density + 1 + j]
             moved = moved - square * mass_bar * arrays.scratch[scratch + layout.sums + size]
         for i in ti.static(range(size)):
-            moved = moved - square * c_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
+            moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
             if ti.static(features.volume_correction and features.relaxed):
-                change_bar = c_bar[ti.static(size * size + i * size + j)]
-                moved = moved - square * change_bar * arrays.scratch[scratch + layout.sums + features.change + i]
+                moved = (
+                    moved
+                    - square * change_bar[i * size + j] * arrays.scratch[scratch + layout.sums + features.change + i]
+                )
             if ti.static(features.volume_correction):
-                arrays.adjoints[own + features.affine + i * size + j] = c_bar[ti.static(2 * size * size + i * size + j)]
+                arrays.adjoints[own + features.affine + i * size + j] = affine_bar[i * size + j]
         arrays.adjoints[own + j] = moved
     if ti.static(features.relaxed):
         add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
+
+
+def given_of(velocity, affine, stress, volume, density, pushed, dx, dt, features):
+    """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
+    mass, here = volume * density, [0.0 for _ in velocity]
+    momentum, slopes, pull, forces = contributions(
+        velocity, affine, stress, mass, volume, pushed, here, dx, 1.0 / dx, dt, features
+    )
+    return (momentum, mass, pull, slopes, forces) if features.forces else (momentum, mass, slopes)
 
 
 @ti.func
@@ -132,54 +144,43 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     gather_reverse(grid, block, scratch, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)
-    present = arrays.state[first + features.present]
-    mass, per_square = volume * density, 4.0 / (dx * dx)
-    sums, force = scratch + layout.sums, ti.static(features.force if features.forces else 0)
-    # Where forces are added to the momentum at once, their bar is dt times that of momentum.
-    scale = volume * per_square
-    if ti.static(not features.forces):
-        scale = dt * scale
-    mass_bar = arrays.scratch[sums + size]
-    force_work = 0.0 * mass_bar
-    for i in ti.static(range(size)):
-        v_bar = arrays.scratch[sums + i]
-        at = own + features.velocity + i
-        mass_bar = mass_bar + arrays.state[first + features.velocity + i] * v_bar
-        arrays.adjoints[at] = arrays.adjoints[at] + mass * v_bar
-        for j in ti.static(range(size)):
-            affine = arrays.scratch[sums + (1 + j) * features.node + i]
-            mass_bar = mass_bar + arrays.state[first + features.affine + i * size + j] * affine
-            at = own + features.affine + i * size + j
-            if ti.static(features.volume_correction):
-                arrays.adjoints[at] = arrays.adjoints[at] + mass * affine
-            else:
-                arrays.adjoints[at] = mass * affine
+    present, sums = arrays.state[first + features.present], scratch + layout.sums
+    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(size))]
+    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * size * int(features.contact)))]
+    numbers = ti.static((velocity, affine, stress, volume, density, pushed))
+    given = ti.static([Pullback(given_of, numbers, (dx, dt, features))])[0]
+    # Of what is given at the particle itself, then of its slopes per cell.
+    places = ti.static(
+        [
+            (1 + k % size) * features.node + k // size + number
+            for number in (0, features.force)[: 1 + int(features.forces)]
+            for k in range(size * size)
+        ]
+    )
+    bars = [arrays.scratch[sums + k] for k in ti.static(range(features.used))] + [
+        arrays.scratch[sums + n] / dx for n in ti.static(places)
+    ]
+    velocity_bar, affine_bar, stress_bar, volume_bar, density_bar, pushed_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
-            stress = arrays.state[first + features.stress + ti.static(component(i, k, size))]
-            moved = moved - mass * arrays.state[first + features.affine + i * size + k] * arrays.scratch[sums + i]
-            carried = stress
-            if ti.static(features.contact):
-                push, arm = scratch + features.push + i, scratch + features.push + size + k
-                carried = stress + arrays.scratch[push] * arrays.scratch[arm]
-            moved = moved + scale * carried * arrays.scratch[sums + force + i]
-            pull = arrays.scratch[sums + (1 + k) * features.node + force + i]
-            force_work = force_work + stress * pull
-            at = own + features.stress + ti.static(component(i, k, size))
-            arrays.adjoints[at] = arrays.adjoints[at] - scale * pull
+            number = ti.static(features.used + i * size + k)
+            moved = moved - given.values[number] * bars[i] / dx
+            if ti.static(features.forces):
+                moved = moved - given.values[number + size * size] * bars[features.force + i] / dx
         arrays.adjoints[own + k] = moved
-    at = own + layout.properties
-    unit = per_square
-    if ti.static(not features.forces):
-        unit = dt * per_square
-    arrays.adjoints[at + Property.DENSITY] = arrays.adjoints[at + Property.DENSITY] + present * volume * mass_bar
+    if ti.static(not features.volume_correction):
+        for k in ti.static(range(size * size)):
+            arrays.adjoints[own + features.affine + k] = 0.0 * affine_bar[k]
+    add_bars(own + features.velocity, velocity_bar, arrays)
+    add_bars(own + features.affine, affine_bar, arrays)
+    add_bars(own + features.stress, stress_bar, arrays)
+    add_property_bar(block, Property.VOLUME, volume_bar, arrays)
+    add_property_bar(block, Property.DENSITY, density_bar, arrays)
     if ti.static(features.contact):
-        pushed = push_reverse(worker, scene, block, scratch, volume, unit, dt, arrays)
-        arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * pushed
-    arrays.adjoints[at + Property.VOLUME] = arrays.adjoints[at + Property.VOLUME] + present * (
-        density * mass_bar - unit * force_work
-    )
+        push_reverse(worker, block, scratch, stress, pushed_bar, volume, dt, arrays)
     bounded = 0.0 * present
     for k in ti.static(range(size)):
         v_bar = arrays.adjoints[own + features.velocity + k]

@@ -17,6 +17,7 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 
 import taichi as ti
 
+from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, magnitude, maximum, no_overflow
 from mpm.arrays.layout import PADDING, Setting
 from mpm.physics.principal import TINY
@@ -265,48 +266,39 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
         arrays.scratch_lanes[at + k * lanes] = total
 
 
+def held_affine(slopes, changes, affine, kappa, stress, gap, dimension):
+    """C as `mpm.physics.transfer.store_affine` leaves it, from the slopes of the grid's velocity and change; traced."""
+    before_squared, now_squared, bears = 0.0 * kappa, 0.0 * kappa, 0.0 * kappa
+    for k in range(dimension * dimension):
+        old, new = kappa * affine[k], slopes[k] - changes[k]
+        before_squared, now_squared = before_squared + old * old, now_squared + new * new
+    for k in range(3):
+        bears = bears + magnitude(stress[k])
+    held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
+    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / maximum(now_squared, TINY)), 0.0)
+    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in range(dimension * dimension)]
+
+
 @ti.func
 def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
     """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
 
-    From that of C after it. Only where volume correction holds a loose particle back, C is not the slope of u alone
-    (`mpm.physics.transfer`): with N = C' of the velocity kept, B = kappa C before and e = (1 - |B| / |N|)_+
-
-        C = slope(u) - e N,    e' = -N : C',    N' = -e C' + e' (|B| / |N|^3) N,    B' = -e' B / (|B| |N|)
+    From that of C after it. Only where volume correction holds a loose particle back, C is not the slope of u alone.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     own, first = block * layout.width, no_overflow(block * features.block)
     bar = [arrays.adjoints[own + features.affine + k] for k in ti.static(range(size * size))]
-    zero = 0.0 * bar[0]
     if ti.static(features.volume_correction and features.relaxed):
-        square = 4.0 * per_dx * per_dx
-        kept, before = [zero for _ in ti.static(range(size * size))], [zero for _ in ti.static(range(size * size))]
-        before_squared, now_squared, excess_bar = zero, zero, zero
-        for i, j in ti.static(ti.ndrange(size, size)):
-            at = scratch + layout.sums + (1 + j) * features.node + i
-            n = square * (arrays.scratch[at] - arrays.scratch[at + features.change])
-            b = kappa * arrays.state[first + features.affine + i * size + j]
-            kept[i * size + j], before[i * size + j] = n, b
-            before_squared, now_squared = before_squared + b * b, now_squared + n * n
-            excess_bar = excess_bar - n * bar[i * size + j]
-        bears = zero
-        for k in ti.static(range(3)):
-            bears = bears + magnitude(arrays.state[first + features.stress + k])
-        loose = (arrays.state[first + features.gap] > 0.0) | (bears == 0.0)
-        held = loose & (now_squared > before_squared)
-        ratio = ti.sqrt(before_squared / maximum(now_squared, TINY))
-        excess = ti.select(held, 1.0 - ratio, zero)
-        excess_bar = ti.select(held, excess_bar, zero)
-        per_now = excess_bar * ratio / maximum(now_squared, TINY)
-        per_before = excess_bar / maximum(ti.sqrt(before_squared * now_squared), TINY)
-        n_bar = [per_now * kept[k] - excess * bar[k] for k in ti.static(range(size * size))]
-        kappa_bar = zero
-        for k in ti.static(range(size * size)):
-            kappa_bar = kappa_bar - per_before * before[k] * arrays.state[first + features.affine + k]
-        u_bar = [bar[k] + n_bar[k] for k in ti.static(range(size * size))]
-        change_bar = [0.0 - n_bar[k] for k in ti.static(range(size * size))]
-        old_bar = [0.0 - kappa * per_before * before[k] for k in ti.static(range(size * size))]
-        return u_bar + change_bar + old_bar + [kappa_bar]
+        at = [scratch + layout.sums + (1 + k % size) * features.node + k // size for k in ti.static(range(size * size))]
+        slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
+        changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
+        affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
+        stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
+        constants = ti.static((stress, arrays.state[first + features.gap], size))
+        held = ti.static([Pullback(held_affine, (slopes, changes, affine, kappa), constants)])[0]
+        slopes_bar, changes_bar, affine_bar, kappa_bar = ti.static(held(bar))
+        return slopes_bar, changes_bar, affine_bar, kappa_bar
     else:
-        return bar + [zero for _ in ti.static(range(2 * size * size + 1))]
+        zero = [0.0 * bar[0] for _ in ti.static(range(size * size))]
+        return bar, zero, zero, 0.0 * bar[0]

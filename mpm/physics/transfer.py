@@ -144,7 +144,8 @@ def prepare_contributions(scene, block, scratch, dt, arrays: ti.template()):
     first = no_overflow(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
-    mass = volume * property_of(scene, block, Property.DENSITY, arrays) + 0.0 * arrays.state[first]
+    zero = 0.0 * arrays.state[first]
+    mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
     x_cells = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     low = [ti.floor(p - 0.5) for p in ti.static(x_cells)]
     f = [x_cells[k] - low[k] for k in ti.static(range(features.dimension))]
@@ -153,38 +154,73 @@ def prepare_contributions(scene, block, scratch, dt, arrays: ti.template()):
         w = spline(f[k])
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
-    # Lengths on the grid are in cells: times dx.
-    force_scale = -4.0 * volume * per_dx
     values = scratch + features.values
+    pushed = [zero for _ in ti.static(range(2 * features.dimension))]
     if ti.static(features.contact):
         prepare_contact(block, scratch, arrays)
+        for k in ti.static(range(2 * features.dimension)):
+            pushed[k] = arrays.scratch[scratch + features.push + k]
+    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
+    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    momentum, slopes, pull, forces = contributions(
+        velocity, affine, stress, mass, volume, pushed, f, dx, per_dx, dt, features
+    )
     for i in ti.static(range(features.dimension)):
-        momentum = mass * arrays.state[first + features.velocity + i]
-        pull = 0.0 * mass
-        if ti.static(features.contact):
-            push = volume * arrays.scratch[scratch + features.push + i]
-            if ti.static(features.forces):
-                pull = push
-            else:
-                momentum = momentum + dt * push
-        for j in ti.static(range(features.dimension)):
-            slope = mass * dx * arrays.state[first + features.affine + i * features.dimension + j]
-            stress = arrays.state[first + features.stress + ti.static(component(i, j, features.dimension))]
-            if ti.static(features.contact):
-                arm = arrays.scratch[scratch + features.push + features.dimension + j]
-                stress = stress + arrays.scratch[scratch + features.push + i] * arm
-            force = force_scale * stress
-            if ti.static(features.forces):
-                pull = pull - force * f[j]
-                arrays.scratch[values + (1 + j) * features.node + features.force + i] = force
-            else:
-                slope = slope + dt * force
-            momentum = momentum - slope * f[j]
-            arrays.scratch[values + (1 + j) * features.node + i] = slope
-        arrays.scratch[values + i] = momentum
+        arrays.scratch[values + i] = momentum[i]
         if ti.static(features.forces):
-            arrays.scratch[values + features.force + i] = pull
+            arrays.scratch[values + features.force + i] = pull[i]
+        for j in ti.static(range(features.dimension)):
+            at = values + (1 + j) * features.node + i
+            arrays.scratch[at] = slopes[i * features.dimension + j]
+            if ti.static(features.forces):
+                arrays.scratch[at + features.force] = forces[i * features.dimension + j]
     arrays.scratch[values + features.dimension] = mass
+
+
+@ti.func
+def contributions(
+    velocity: ti.template(),
+    affine: ti.template(),
+    stress: ti.template(),
+    mass,
+    volume,
+    pushed: ti.template(),
+    f: ti.template(),
+    dx,
+    per_dx,
+    dt,
+    features: ti.template(),
+):
+    """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
+
+    and where nodes hold forces apart from momentum, the force and its slopes. pushed: `surface_force` of solids.
+    """
+    # Lengths on the grid are in cells: times dx.
+    force_scale = -4.0 * volume * per_dx
+    momentum = [mass * velocity[i] for i in ti.static(range(features.dimension))]
+    pull = [0.0 * mass for _ in ti.static(range(features.dimension))]
+    slopes = [mass * dx * affine[k] for k in ti.static(range(features.dimension**2))]
+    forces = [force_scale * stress[0] for _ in ti.static(range(features.dimension**2))]
+    for i in ti.static(range(features.dimension)):
+        if ti.static(features.contact):
+            push = volume * pushed[i]
+            if ti.static(features.forces):
+                pull[i] = push
+            else:
+                momentum[i] = momentum[i] + dt * push
+        for j in ti.static(range(features.dimension)):
+            at = ti.static(i * features.dimension + j)
+            carried = stress[ti.static(component(i, j, features.dimension))]
+            if ti.static(features.contact):
+                carried = carried + pushed[i] * pushed[features.dimension + j]
+            forces[at] = force_scale * carried
+            if ti.static(features.forces):
+                pull[i] = pull[i] - forces[at] * f[j]
+            else:
+                slopes[at] = slopes[at] + dt * forces[at]
+            momentum[i] = momentum[i] - slopes[at] * f[j]
+    return momentum, slopes, pull, forces
 
 
 @ti.func
