@@ -26,9 +26,8 @@ from inverse.observations.joint import Joint
 from inverse.observations.observation import brackets
 from inverse.problem import Problem
 from mpm import simulate_many
-from mpm.adjoint.checks import check
 from mpm.adjoint.gradient import Gradient, pull_back_all
-from mpm.adjoint.tape import FlowAdjoints, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape, check
 from mpm.arrays.batch import particles_of
 from mpm.arrays.features import features_of
 

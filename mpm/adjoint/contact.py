@@ -17,7 +17,7 @@ from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import depends, found_reverse
 from mpm.adjoint.pullback import Pullback
-from mpm.adjoint.transfer import gather_motion
+from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.layout import Contact, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -125,7 +125,7 @@ def jump_before(
     arrays: ti.template(),
 ):
     """As `mpm.physics.contact.jump_at_contact`; leaves the motion of the grid in the first sums of `scratch`."""
-    gather_motion(grid, block, scratch, strides, arrays)
+    gather_moments(grid, block, scratch, strides, arrays)
     velocity = grid_motion(scratch, arrays)
     return jump_at_contact(velocity, affine, stress, contact, dt, arrays.features.dimension)
 

@@ -198,40 +198,18 @@ def gradient(
     """
     tape = Tape([scene], [scene.frames - 1] if frames is None else frames, **options)
     value, positions, velocities = objective(tape.positions(), tape.velocities())
-    (slope,) = pull_back(tape, [positions], None if velocities is None else [velocities])
+    ((slope,),) = pull_back_all(tape, [[FlowAdjoints(positions, velocities)]])
     return value, slope
 
 
-def pull_back(
-    tape: Tape,
-    positions: Sequence[Floats],
-    velocities: Sequence[Floats] | None = None,
-    impulses: Sequence[Floats] | None = None,
-    index: int = 0,
-) -> list[Gradient]:
-    """Vector-Jacobian products: for each objective k the gradient whose bars at the observed frames are
-
-    `positions[k]` and `velocities[k]`, shape [T, N, D] each, and `impulses[k]`, shape [T, solids, D], of scene `index`
-    of the tape.
-    """
-    still = [np.zeros(tape.positions(index).shape)] * len(positions) if velocities is None else velocities
-    momenta = [None] * len(positions) if impulses is None else impulses
-    nothing = [np.zeros(tape.positions(other).shape) for other in range(len(tape.batch.scenes))]
-    adjoints = [
-        [FlowAdjoints(*given) if other == index else FlowAdjoints(zeros, zeros) for other, zeros in enumerate(nothing)]
-        for given in zip(positions, still, momenta, strict=True)
-    ]
-    return [gradients[index] for gradients in pull_back_all(tape, adjoints)]
-
-
 def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
-    """For each objective and each scene of the tape its gradient, from the bars of each flow."""
+    """Vector-Jacobian products: the gradient of each objective and scene of the tape, from the bars of each flow."""
     features, layout = tape.features, tape.layout
     found = []
     for ours in tape.reverse(adjoints):
         own = []
         for index, scene in enumerate(tape.batch.scenes):
-            here = tape.particles(index)
+            here, (faces, nodes) = tape.particles(index), tape.solids(index)
 
             def numbers(first: int, count: int, blocks: Any = ours.blocks, here: slice = here) -> Floats:
                 return tape.vectors(blocks, first, count)[here].astype(np.float64)
@@ -247,9 +225,9 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     stress=numbers(features.stress, features.stresses),
                     properties=numbers(layout.properties, features.columns),
                     settings=ours.settings[index].copy(),
-                    faces=ours.faces[tape.faces(index)],
+                    faces=ours.faces[faces],
                     cut=float(ours.cut[index]),
-                    node_contacts=ours.node_contacts[tape.node_contacts(index)],
+                    node_contacts=ours.node_contacts[nodes],
                 )
             )
         found.append(own)

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
+from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm import runtime
-from mpm.adjoint.checks import check, checked_frames, lone_particle_step
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of
-from mpm.arrays.features import features_of
+from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import Phase
@@ -50,6 +50,32 @@ SPARE = 1.25
 """More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
 
 
+def check(features: Features) -> None:
+    """Raise InputError where the adjoint does not know something that scenes with `features` have."""
+    if features.volume_correction and features.softens and features.cohesive:
+        what = "volume_correction of a cohesive material that softens"
+        raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
+
+
+def lone_particle_step(material: Material, dimension: int) -> float:
+    """The largest stable `step_fraction` of a particle that has its nodes to itself, compressed alike along all axes.
+
+    Its C and stress swing as dC/dt = -4 p / (rho dx^2), dp/dt = (D lambda + 2 mu) C per axis, whatever its place in the
+    cell, and explicit steps follow that up to 2 / omega; waves in a body are slower than this.
+    """
+    swinging = dimension * material.lame + 2.0 * material.shear_modulus
+    return math.sqrt((material.lame + 2.0 * material.shear_modulus) / swinging)
+
+
+def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
+    """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
+    shortest = min(scene.frames for scene in scenes)
+    found = sorted(set(frames))
+    if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
+        raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
+    return found
+
+
 class Adjoints(NamedTuple):
     """Bars of what a run of scenes begins with."""
 
@@ -70,8 +96,8 @@ class FlowAdjoints(NamedTuple):
 
     positions: Array
     """Of N particles [J / m], shape [T, N, D]."""
-    velocities: Array
-    """[J s / m], shape [T, N, D]."""
+    velocities: Array | None = None
+    """[J s / m], shape [T, N, D]; none where J does not depend on them."""
     impulses: Array | None = None
     """Of the momentum that solids have taken [J / (N s)], shape [T, solids, D]; none where J does not depend on it."""
 
@@ -82,7 +108,8 @@ class Tape:
     scene on all threads.
 
     frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
-    beside the arrays of the run itself; outputs: objectives that are reversed together; exact: as
+    beside the arrays of the run itself; outputs: objectives that are reversed together, for whose bars memory is
+    counted; exact: as
     `mpm.adjoint.layout.Layout.exact`, for tests; particles: those of each scene at the start, where a run begins with
     others than the scene's. Raises InputError where a scene has what the adjoint does not know, where
     scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
@@ -233,23 +260,12 @@ class Tape:
         first = int(self.batch.offsets[index, Offset.BLOCK]) * self.features.lanes
         return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
 
-    def faces(self, index: int) -> slice:
-        """Where the faces of scene `index` lie among those of all; nowhere without solids."""
-        return self.rows([first.face for first in self.batch.first_obstacles], len(self.batch.faces), index)
-
-    def node_contacts(self, index: int) -> slice:
-        """Where the nodes that solids hold in scene `index` lie among those of all."""
-        counts = (
-            [len(obstacles_in(scene).node_contacts) for scene in self.batch.scenes] if self.features.contact else []
-        )
-        return self.rows([0, *np.cumsum(counts)[:-1]], int(sum(counts)), index)
-
-    def rows(self, firsts: Sequence[int], count: int, index: int) -> slice:
-        """Of `count` rows those of scene `index`, where `firsts` are the first ones of each."""
-        if not self.features.contact:
-            return slice(0, 0)
-        ends = [*firsts[1:], count]
-        return slice(int(firsts[index]), int(ends[index]))
+    def solids(self, index: int) -> tuple[slice, slice]:
+        """Where the faces of scene `index`, and the nodes that its solids hold, lie among those of all scenes."""
+        obstacles = [obstacles_in(scene) for scene in self.batch.scenes] if self.features.contact else []
+        counts = np.array([(len(each.faces), len(each.node_contacts)) for each in obstacles] or [(0, 0)] * (index + 1))
+        first, last = counts[:index].sum(axis=0), counts[: index + 1].sum(axis=0)
+        return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:
         """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
@@ -264,15 +280,10 @@ class Tape:
         return self.batch.impulses(index)[self.frames]
 
     def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[Adjoints]:
-        """Bars of what the run began with for each of any number of objectives, `outputs` of them at a time.
+        """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Raises WorkFailed where a gradient grows without bound.
         """
-        groups = [flow_adjoints[at : at + self.outputs] for at in range(0, len(flow_adjoints), self.outputs)]
-        return [each for group in groups for each in self.reverse_together(group)]
-
-    def reverse_together(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[Adjoints]:
-        """As `reverse`, in one pass: segments are replayed once for all."""
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
         history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)
@@ -280,59 +291,57 @@ class Tape:
             raise InputError(
                 f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
             )
-        memory: dict[str, Any] = vars(batch) | {
+        shared: dict[str, Any] = vars(batch) | {
             "kept": aligned(batch.grid.shape, real),
             "grid_adjoints": aligned(batch.grid.shape, real),
             "history": history,
             "step_times": np.zeros((len(batch.scenes), len(history)), real),
             "step_counts": np.zeros(len(batch.scenes), np.int32),
         }
-        adjoints = [aligned((len(batch.state), layout.width, lanes), real) for _ in flow_adjoints]
-        sums = [np.zeros((len(batch.workers), len(Setting))) for _ in flow_adjoints]
-        faces = [np.zeros(batch.faces.shape) for _ in flow_adjoints]
-        node_contacts = [np.zeros(batch.node_contacts.shape) for _ in flow_adjoints]
-        impulses = [np.zeros(len(batch.impulse), real) for _ in flow_adjoints]
-        cuts = [self.cuts(per_scene).astype(real) for per_scene in flow_adjoints]
+        objectives = [
+            {
+                "adjoints": aligned((len(batch.state), layout.width, lanes), real),
+                "sums": np.zeros((len(batch.workers), len(Setting))),
+                "face_adjoints": np.zeros(batch.faces.shape),
+                "node_contact_adjoints": np.zeros(batch.node_contacts.shape),
+                "impulse_adjoints": np.zeros(len(batch.impulse), real),
+                "cuts": self.cuts(per_scene).astype(real),
+            }
+            for per_scene in flow_adjoints
+        ]
         forced = any(each.impulses is not None for per_scene in flow_adjoints for each in per_scene)
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
 
-        def call(number: int, first: int, last: int, direction: Pass) -> None:
+        def call(own: dict[str, Array], first: int, last: int, direction: Pass) -> None:
             batch.arrivals[:] = 0
-            own = {
-                "adjoints": adjoints[number],
-                "face_adjoints": faces[number],
-                "node_contact_adjoints": node_contacts[number],
-                "impulse_adjoints": impulses[number],
-                "cuts": cuts[number],
-                "sums": sums[number],
-            }
-            walk(*arguments(STEP | ADJOINT, memory | own, lanes).values(), first, last, direction)
+            walk(*arguments(STEP | ADJOINT, shared | own, lanes).values(), first, last, direction)
 
         opened = batch.retained[:, Retained.OPENED].copy()
         for segment in reversed(range(len(self.checkpoints))):
             first, last = self.boundaries[segment : segment + 2]
             self.restore(self.checkpoints[segment])
             batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
-            call(0, first + 1, last + 1, Pass.REPLAY)
-            for number, per_scene in enumerate(flow_adjoints):
+            call(objectives[0], first + 1, last + 1, Pass.REPLAY)
+            for own, per_scene in zip(objectives, flow_adjoints, strict=True):
                 if last in self.frames:
-                    slot = self.frames.index(last)
-                    self.add_motion_adjoints(adjoints[number], per_scene, slot)
-                    self.add_impulse_adjoints(impulses[number], per_scene, slot)
-                call(number, first + 1, last + 1, Pass.REVERSE)
+                    self.add_adjoints(own, per_scene, self.frames.index(last))
+                call(own, first + 1, last + 1, Pass.REVERSE)
         batch.retained[:, Retained.OPENED] = opened
-        for number in range(len(adjoints)):
-            call(number, 0, 0, Pass.START)
-        if 0 in self.frames:
-            for number, per_scene in enumerate(flow_adjoints):
-                self.add_motion_adjoints(adjoints[number], per_scene, 0)
-        steps = self.steps.sum(axis=0) * self.batch.offsets[:, Offset.PARTICLES]
-        shares = [cut[:, 1] / steps for cut in cuts]
+        for own, per_scene in zip(objectives, flow_adjoints, strict=True):
+            call(own, 0, 0, Pass.START)
+            if 0 in self.frames:
+                self.add_adjoints(own, per_scene, 0)
+        steps = self.steps.sum(axis=0) * batch.offsets[:, Offset.PARTICLES]
+        shares = [own["cuts"][:, 1] / steps for own in objectives]
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
                 raise WorkFailed(self.unbounded(index, share))
-        settings = [self.of_scenes(each) for each in sums]
-        return [Adjoints(*each) for each in zip(adjoints, settings, faces, node_contacts, shares, strict=True)]
+        return [
+            Adjoints(
+                own["adjoints"], self.of_scenes(own["sums"]), own["face_adjoints"], own["node_contact_adjoints"], share
+            )
+            for own, share in zip(objectives, shares, strict=True)
+        ]
 
     def of_scenes(self, sums: Array) -> Array:
         """What each worker has summed, shape [workers, ...], of all workers of each scene, shape [scenes, ...]."""
@@ -345,7 +354,9 @@ class Tape:
         found = np.zeros((len(per_scene), 2))
         for index, own in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
-            usual = np.abs(own.positions).max() * time + np.abs(own.velocities).max()
+            usual = np.abs(own.positions).max() * time
+            if own.velocities is not None:
+                usual += np.abs(own.velocities).max()
             if own.impulses is not None:
                 particles = self.batch.particles[index]
                 usual += float((particles.density * particles.volume).max()) * np.abs(own.impulses).sum()
@@ -362,20 +373,17 @@ class Tape:
             f"the scene has {scene.step_fraction:g}"
         )
 
-    def add_impulse_adjoints(self, impulses: Array, per_scene: Sequence[FlowAdjoints], slot: int) -> None:
-        """Add to the bars of the impulses of all scenes those at the observed frame number `slot`."""
-        for index, own in enumerate(per_scene):
-            if own.impulses is not None:
-                for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
-                    first = int(worker[Worker.IMPULSE])
-                    impulses[first : first + own.impulses[slot].size] += own.impulses[slot].ravel()
-
-    def add_motion_adjoints(self, adjoints: Array, per_scene: Sequence[FlowAdjoints], slot: int) -> None:
-        """Add to the bars of the blocks those of positions and velocities at the observed frame number `slot`."""
-        for index, own in enumerate(per_scene):
+    def add_adjoints(self, own: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
+        """Add to the bars of blocks and impulses those of what is observed at frame number `slot`."""
+        for index, observed in enumerate(per_scene):
             here = self.particles(index)
-            for first, values in ((0, own.positions), (self.features.velocity, own.velocities)):
-                flat = self.vectors(adjoints, first)
-                flat[here] += values[slot]
-                columns = flat.reshape(len(adjoints), self.features.lanes, -1)
-                adjoints[:, first : first + self.features.dimension] = np.moveaxis(columns, 1, 2)
+            for first, values in ((0, observed.positions), (self.features.velocity, observed.velocities)):
+                if values is not None:
+                    flat = self.vectors(own["adjoints"], first)
+                    flat[here] += values[slot]
+                    columns = np.moveaxis(flat.reshape(len(self.batch.state), self.features.lanes, -1), 1, 2)
+                    own["adjoints"][:, first : first + self.features.dimension] = columns
+            if observed.impulses is not None:
+                for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
+                    at = int(worker[Worker.IMPULSE])
+                    own["impulse_adjoints"][at : at + observed.impulses[slot].size] += observed.impulses[slot].ravel()

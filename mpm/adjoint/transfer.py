@@ -61,16 +61,7 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
                 at = no_overflow(n + a * stride_x)
-                here = value
-                row, product, y_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-                for b in ti.static(range(3)):
-                    node = arrays.grid[at + b]
-                    add(arrays.grid_adjoints, at + b, (wx[a] * wy[b]) * here, arrays)
-                    both = node * here
-                    row = row + wy[b] * node
-                    product = product + wy[b] * both
-                    y_product = y_product + dy[b] * both
-                    here = here + slope_y
+                row, product, y_product = scatter_line(at, wx[a], wy, dy, value, slope_y, arrays)
                 around = around + wx[a] * row
                 x_force = x_force + dx[a] * product
                 y_force = y_force + wx[a] * y_product
@@ -84,16 +75,7 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
                 along = value
                 for b in ti.static(range(3)):
                     at = no_overflow(n + a * stride_x + b * stride_y)
-                    here = along
-                    row, product, z_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-                    for c in ti.static(range(3)):
-                        node = arrays.grid[at + c]
-                        add(arrays.grid_adjoints, at + c, (wx[a] * wy[b] * wz[c]) * here, arrays)
-                        both = node * here
-                        row = row + wz[c] * node
-                        product = product + wz[c] * both
-                        z_product = z_product + dz[c] * both
-                        here = here + slope_z
+                    row, product, z_product = scatter_line(at, wx[a] * wy[b], wz, dz, along, slope_z, arrays)
                     around = around + (wx[a] * wy[b]) * row
                     x_force = x_force + (dx[a] * wy[b]) * product
                     y_force = y_force + (wx[a] * dy[b]) * product
@@ -102,6 +84,25 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
                 value = value + slope_x
             store_forces((x_force, y_force, z_force), scratch, lane, arrays)
         store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
+def scatter_line(at, weight, w: ti.template(), slopes: ti.template(), given, step, arrays: ti.template()):
+    """Add what is `given` to three nodes along the last axis, growing by `step`, times `weight` w to their bars.
+
+    Returns sums of the nodes times w, and of their products with what is given times w, times the slopes of w.
+    """
+    row, product, slope_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+    here = given
+    for c in ti.static(range(3)):
+        node = arrays.grid[at + c]
+        add(arrays.grid_adjoints, at + c, (weight * w[c]) * here, arrays)
+        both = node * here
+        row = row + w[c] * node
+        product = product + w[c] * both
+        slope_product = slope_product + slopes[c] * both
+        here = here + step
+    return row, product, slope_product
 
 
 @ti.func
@@ -121,26 +122,6 @@ def node_adjoint(arrays: ti.template(), scratch, group: ti.template(), lane):
         )
     else:
         return node_vector(arrays, scratch, group, lane)
-
-
-@ti.func
-def gather_motion(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
-    """Leave sum_i w_ip n_i of what lies at the nodes: the velocity of the grid at each particle, and its change."""
-    features, lanes = arrays.features, arrays.features.lanes
-    size = ti.static(features.dimension)
-    for lane in range(lanes):
-        n = lowest_node(arrays, scratch, lane, grid, strides)
-        weight = no_overflow(scratch * lanes + lane)
-        around = zero_node(arrays)
-        for a, b in ti.static(ti.ndrange(3, 3)):
-            w = arrays.scratch_lanes[weight + a * lanes] * arrays.scratch_lanes[weight + (3 + b) * lanes]
-            at = n + a * strides[0] + b * strides[1]
-            if ti.static(size == 2):
-                around = around + w * arrays.grid[at]
-            else:
-                for c in ti.static(range(3)):
-                    around = around + (w * arrays.scratch_lanes[weight + (6 + c) * lanes]) * arrays.grid[at + c]
-        store_sum(around, 0, scratch, lane, arrays)
 
 
 @ti.func
@@ -192,17 +173,7 @@ def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.temp
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
                 at = no_overflow(n + a * stride_x)
-                here = value
-                row, y_row = zero_node(arrays), zero_node(arrays)
-                product, y_product = zero_node(arrays), zero_node(arrays)
-                for b in ti.static(range(3)):
-                    node = arrays.grid_adjoints[at + b]
-                    both = node * here
-                    row = row + wy[b] * node
-                    y_row = y_row + ly[b] * node
-                    product = product + wy[b] * both
-                    y_product = y_product + dy[b] * both
-                    here = here + slope_y
+                row, y_row, product, y_product = gather_line(at, wy, ly, dy, value, slope_y, arrays)
                 around = around + wx[a] * row
                 x_sum = x_sum + lx[a] * row
                 y_sum = y_sum + wx[a] * y_row
@@ -218,17 +189,7 @@ def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.temp
                 along = value
                 for b in ti.static(range(3)):
                     at = no_overflow(n + a * stride_x + b * stride_y)
-                    here = along
-                    row, z_row = zero_node(arrays), zero_node(arrays)
-                    product, z_product = zero_node(arrays), zero_node(arrays)
-                    for c in ti.static(range(3)):
-                        node = arrays.grid_adjoints[at + c]
-                        both = node * here
-                        row = row + wz[c] * node
-                        z_row = z_row + lz[c] * node
-                        product = product + wz[c] * both
-                        z_product = z_product + dz[c] * both
-                        here = here + slope_z
+                    row, z_row, product, z_product = gather_line(at, wz, lz, dz, along, slope_z, arrays)
                     around = around + (wx[a] * wy[b]) * row
                     x_sum = x_sum + (lx[a] * wy[b]) * row
                     y_sum = y_sum + (wx[a] * ly[b]) * row
@@ -243,6 +204,25 @@ def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.temp
         store_sum(around, 0, scratch, lane, arrays)
         store_sum(x_sum, 1, scratch, lane, arrays)
         store_sum(y_sum, 2, scratch, lane, arrays)
+
+
+@ti.func
+def gather_line(at, w: ti.template(), levers: ti.template(), slopes: ti.template(), given, step, arrays: ti.template()):
+    """Of three nodes along the last axis: sums of their bars times w, times levers; of products with what is `given`
+
+    to them, growing by `step`, times w, times the slopes of w.
+    """
+    row, lever_row, product, slope_product = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
+    here = given
+    for c in ti.static(range(3)):
+        node = arrays.grid_adjoints[at + c]
+        both = node * here
+        row = row + w[c] * node
+        lever_row = lever_row + levers[c] * node
+        product = product + w[c] * both
+        slope_product = slope_product + slopes[c] * both
+        here = here + step
+    return row, lever_row, product, slope_product
 
 
 @ti.func

@@ -1,19 +1,20 @@
 """Small flows for the tests of the adjoint, what is observed of them, and central differences."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Domain, Mass, Scene
-from mpm.adjoint.tape import Tape
+from mpm.adjoint.gradient import Gradient, pull_back_all
+from mpm.adjoint.tape import FlowAdjoints, Tape
 
 Floats = NDArray[np.float64]
+Change = Callable[[Particles], Particles]
 
 SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
 """Carries enough tension for a start without stress to be inside the yield surface, where the flow is smooth."""
@@ -36,32 +37,45 @@ def room(material: Material = SOIL, **changes: Any) -> Scene:
     return Scene(domain=Domain(size=(0.8, 0.8, 0.8), cell=0.04), material=material, **(settings | changes))
 
 
-def parameters(scenes: Iterable[str], slow: Iterable[str]) -> list[Any]:
-    """Names of scenes as parameters of a test; those whose kernels take long to compile are slow."""
-    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in scenes]
-
-
 class Weighted:
-    """An objective that every particle's position and velocity enters with its own weight."""
+    """An objective of the end that every position, velocity and impulse of a solid enters with its own weight."""
 
-    def __init__(self, scene: Scene, frames: int = 1) -> None:
+    def __init__(self, scene: Scene) -> None:
         random = np.random.default_rng(0)
         count = len(initial_particles(scene).positions)
-        self.positions = random.normal(size=(frames, count, scene.dimension))
+        self.positions = random.normal(size=(1, count, scene.dimension))
         self.velocities = 0.01 * random.normal(size=self.positions.shape)
+        solids = len(scene.baffles) + len(scene.solids)
+        self.impulses = random.normal(size=(1, solids, scene.dimension)) if solids else None
 
-    def value(self, positions: Floats, velocities: Floats) -> float:
-        return float((self.positions * positions).sum() + (self.velocities * velocities).sum())
+    def value(self, positions: Floats, velocities: Floats, impulses: Floats | None = None) -> float:
+        momentum = 0.0 if impulses is None or self.impulses is None else float((self.impulses * impulses).sum())
+        return float((self.positions * positions).sum() + (self.velocities * velocities).sum()) + momentum
 
     def __call__(self, positions: Floats, velocities: Floats) -> tuple[float, Floats, Floats]:
         return self.value(positions, velocities), self.positions, self.velocities
 
 
-def value_of(scene: Scene, objective: Weighted, change: Callable[[Particles], Particles] | None = None) -> float:
-    """The objective of a run in double precision, of particles that `change` moves."""
+def tape_of(scene: Scene, change: Change | None = None, *, exact: bool = False) -> Tape:
+    """A run in double precision, of particles that `change` moves, observed at its end."""
     particles = initial_particles(scene)
-    tape = Tape([scene], [scene.frames - 1], threads=1, particles=[particles if change is None else change(particles)])
-    return objective.value(tape.positions(), tape.velocities())
+    changed = [particles if change is None else change(particles)]
+    return Tape([scene], [scene.frames - 1], threads=1, particles=changed, exact=exact)
+
+
+def value_of(scene: Scene, objective: Weighted, change: Change | None = None) -> float:
+    """The objective of such a run."""
+    tape = tape_of(scene, change)
+    return objective.value(
+        tape.positions(), tape.velocities(), tape.impulses() if objective.impulses is not None else None
+    )
+
+
+def exact_gradient(scene: Scene, objective: Weighted, change: Change | None = None) -> Gradient:
+    """Its gradient, without what keeps that of a long damped flow bounded."""
+    adjoints = FlowAdjoints(objective.positions, objective.velocities, objective.impulses)
+    ((slope,),) = pull_back_all(tape_of(scene, change, exact=scene.damping > 0.0), [[adjoints]])
+    return slope
 
 
 def central(function: Callable[[float], float], step: float) -> float:
@@ -76,10 +90,16 @@ def central(function: Callable[[float], float], step: float) -> float:
     return float(np.median(threes[np.argmin(np.ptp(threes, axis=1))]))
 
 
-def moved(name: str, direction: Floats) -> Callable[[float], Callable[[Particles], Particles]]:
+def moved(name: str, direction: Floats) -> Callable[[float], Change]:
     """What moves one of the arrays of the particles by h along `direction`."""
 
-    def by(h: float) -> Callable[[Particles], Particles]:
+    def by(h: float) -> Change:
         return lambda particles: dataclasses.replace(particles, **{name: getattr(particles, name) + h * direction})
 
     return by
+
+
+def shaken(particles: Particles) -> Particles:
+    """Particles that move at random as well: a rigid flight of sand without stress is at the apex, a corner."""
+    random = np.random.default_rng(4).normal(size=particles.velocities.shape)
+    return dataclasses.replace(particles, velocities=particles.velocities + 0.1 * random)
