@@ -17,6 +17,7 @@ taken as not put back.
 
 import taichi as ti
 
+from mpm.adjoint.access import lane_numbers, put_lane_numbers
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.arrays.layout import Contact, Setting, Worker
 from mpm.arrays.properties import GAP_CUTOFF
@@ -47,19 +48,19 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         contact = then + layout.history_contacts * lanes
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
         x_bar, v_bar = (
-            bar_vector(own * lanes + lane, arrays),
-            bar_vector((own + features.velocity) * lanes + lane, arrays),
+            lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays),
+            lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays),
         )
         shear_to = (Contact.NORMAL + size) * lanes
-        q_bar = bar_vector(at + shear_to, arrays)
+        q_bar = lane_numbers(arrays.adjoint_lanes, at + shear_to, arrays)
         mass_bar = 0.0 * present
         if depends(then, scene, arrays) and present > 0.0:
-            x = history_vector(then, arrays)
-            n = history_vector(contact + Contact.NORMAL * lanes, arrays)
+            x = lane_numbers(arrays.history_lanes, then, arrays)
+            n = lane_numbers(arrays.history_lanes, contact + Contact.NORMAL * lanes, arrays)
             distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
             friction = arrays.history_lanes[contact + Contact.FRICTION * lanes]
             face = ti.cast(arrays.history_lanes[contact + Contact.FACE * lanes], ti.i32)
-            n_bar = bar_vector(at + Contact.NORMAL * lanes, arrays)
+            n_bar = lane_numbers(arrays.adjoint_lanes, at + Contact.NORMAL * lanes, arrays)
             friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
             add_face(face, features.face_adhesion, arrays.adjoint_lanes[at + Contact.ADHESION * lanes], arrays)
             share = ti.min(distance / width, 1.0)
@@ -68,8 +69,8 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             ] * (12.0 / (width * width)) * share * (share - 1.0)
             back = False
             if ti.static(put_back):
-                before = scratch_vector((scratch + layout.before) * lanes + lane, arrays)
-                q = scratch_vector((scratch + layout.before + size) * lanes + lane, arrays)
+                before = lane_numbers(arrays.scratch_lanes, (scratch + layout.before) * lanes + lane, arrays)
+                q = lane_numbers(arrays.scratch_lanes, (scratch + layout.before + size) * lanes + lane, arrays)
                 if delta == 0.0:
                     q_bar = 0.0 * q_bar
                 n_bar = n_bar - q.dot(n) * q_bar - n.dot(q_bar) * q
@@ -83,7 +84,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                                 (block * features.block + features.contacts + Contact.IMPULSE) * lanes + lane
                             ]
                             first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
-                            stopped = history_vector(then + features.velocity * lanes, arrays)
+                            stopped = lane_numbers(arrays.history_lanes, then + features.velocity * lanes, arrays)
                             for k in ti.static(range(size)):
                                 momentum_bar[k] = mass * arrays.impulse_adjoints[first + k]
                                 mass_bar += arrays.impulse_adjoints[first + k] * (before[k] - stopped[k])
@@ -96,9 +97,9 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             x_bar = x_bar + foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays)
         elif ti.static(put_back):
             q_bar = 0.0 * q_bar
-        put_bar_vector(own * lanes + lane, x_bar, arrays)
-        put_bar_vector((own + features.velocity) * lanes + lane, v_bar, arrays)
-        put_bar_vector(at + shear_to, q_bar, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, own * lanes + lane, x_bar, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, v_bar, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, at + shear_to, q_bar, arrays)
         for column in ti.static(range(len(Contact) - 1 + size)):
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
         if ti.static(layout.impulses and put_back):
@@ -218,31 +219,3 @@ def weight_slope(face, part, k: ti.template(), arrays: ti.template()):
 def add_face(face, column, value, arrays: ti.template()):
     """Add to the bar of a number of a face."""
     arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
-
-
-@ti.func
-def bar_vector(first, arrays: ti.template()):
-    """D bars of a lane that begin at `first`, one per vector of its block."""
-    features = arrays.features
-    return ti.Vector([arrays.adjoint_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def put_bar_vector(first, value, arrays: ti.template()):
-    """Put D bars where `bar_vector` reads them."""
-    for k in ti.static(range(arrays.features.dimension)):
-        arrays.adjoint_lanes[first + k * arrays.features.lanes] = value[k]
-
-
-@ti.func
-def history_vector(first, arrays: ti.template()):
-    """D numbers of a lane in the history."""
-    features = arrays.features
-    return ti.Vector([arrays.history_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def scratch_vector(first, arrays: ti.template()):
-    """D numbers of a lane in the scratch."""
-    features = arrays.features
-    return ti.Vector([arrays.scratch_lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])

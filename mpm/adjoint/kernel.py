@@ -50,7 +50,7 @@ def keep_state(worker, scene, step, arrays: ti.template()):
         copy(arrays.history, at, arrays.state, own, layout.history_contacts)
         if ti.static(features.contact):
             contacts = at + ti.static(layout.history_contacts)
-            copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), layout.contact)
+            copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), features.contact_vectors)
         if ti.static(features.outflow):
             arrays.history[at + ti.static(layout.history_present)] = arrays.state[own + features.present]
 
@@ -82,7 +82,7 @@ def restore_state(worker, scene, step, arrays: ti.template()):
         copy(arrays.state, own, arrays.history, at, layout.history_contacts)
         if ti.static(features.contact):
             contacts = at + ti.static(layout.history_contacts)
-            copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, layout.contact)
+            copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, features.contact_vectors)
         if ti.static(features.outflow):
             arrays.state[own + features.present] = arrays.history[at + ti.static(layout.history_present)]
         for k in ti.static(range(features.dimension)):

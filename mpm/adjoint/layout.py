@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Contact
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Layout:
     @property
     def history_present(self) -> int:
         """Vector of a block's history that holds whether particles are in the box, where `outflow`."""
-        return self.history_contacts + self.contact
+        return self.history_contacts + self.features.contact_vectors
 
     @property
     def history_contacts(self) -> int:
@@ -40,19 +39,14 @@ class Layout:
         return self.features.properties
 
     @property
-    def contact(self) -> int:
-        """Vectors of a block that describe its contact with solids."""
-        return len(Contact) + 2 * self.features.dimension - 1 if self.features.contact else 0
-
-    @property
     def properties(self) -> int:
-        """First of the vectors of bars of `mpm.arrays.layout.Property`."""
+        """First of the vectors of bars of `mpm.arrays.layout.Property`, behind those of the state."""
         return self.features.properties
 
     @property
     def width(self) -> int:
         """Vectors of bars in a block."""
-        return self.contacts + self.contact
+        return self.contacts + self.features.contact_vectors
 
     @property
     def contacts(self) -> int:

@@ -191,6 +191,6 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         arrays.cuts[scene, 1] += ti.cast(cut, float)
     for k in range(ti.static(features.velocity if features.outflow else 0), ti.static(features.properties)):
         arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)
-    for k in range(ti.static(layout.contact)):
+    for k in range(ti.static(features.contact_vectors)):
         at = own + layout.contacts + k
         arrays.adjoints[at] = ti.select(within, present * arrays.adjoints[at], 0.0 * present)
