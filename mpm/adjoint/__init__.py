@@ -4,22 +4,21 @@
     slope.velocities, slope.material("friction_deg"), slope.setting("floor_friction"), slope.along(scene_at, 0.0)
 
 The adjoint of a quantity x is its bar, dJ/dx, in names `x_bar` (Griewank & Walther, Evaluating derivatives, 2008).
-Every term of a step has its reverse by hand, in the file of the same name as in `mpm.physics`, in the same vectors of
-lanes:
 
-    transfer            both transfers, with the motion of the weights
-    grid, boundary      gravity, damping, AFLIP's change of velocity; barriers; walls with Coulomb friction, open sides
-    stress, principal, mohr_coulomb     elastic trial, axes, the plastic return on each of its pieces, softening
-    contact, faces      traction, friction and position of baffles, ground and obstacles
-    volume_correction   the gap that follows the grid's density, and the stress of cracks
-    particles, properties, kernel       a block of particles, bars of materials; replay and reverse of a segment
-    tape, gradient      checkpoints within a budget of memory; what a user calls
+    pullback                    what is local to a particle (stress, plastic return, cracks, gaps, softening, tractions,
+                                the foot on a face) is traced from the functions of `mpm.physics` themselves
+    stress, contact, faces      of a block of particles: the turn into principal axes; what a step keeps of solids
+    transfer, particles         both transfers by hand, with the motion of the weights
+    grid, boundary              gravity, damping, AFLIP's change of velocity; barriers; walls with Coulomb friction
+    kernel, tape, gradient      replay and reverse of a segment; checkpoints within a budget of memory; what a user calls
 
 Scenes and threads are the solver's: several scenes side by side, or one large scene on all threads. The particles of a
 very large scene are not sorted as the solver does, so that sums differ in their last bits.
 
-Taichi 1.7.4 differentiates a kernel that reads one array and writes another, vectors of lanes included. Where a loop
-overwrites what it has read, as each of our steps does, it silently takes the last value for all; hence the reverse by
-hand. There is no tangent: a Jacobian of M numbers is one replay with M reverses, and for few unknowns differences and
-secants cost less than either (docs/efficiency.md).
+Taichi's own reverse mode (1.7.4) is as accurate for what is local to a particle, but it differentiates a whole kernel,
+and only Python can launch that: not the loop of a thread, in which all steps of a scene are reversed. A launch for every
+step and piece costs as much as a step, and vectors of lanes and local lists would have to become arrays.
+
+There is no tangent: a Jacobian of M numbers is one replay with M reverses, and for few unknowns differences and secants
+cost less than either (docs/efficiency.md).
 """

@@ -1,27 +1,23 @@
 """The reverse of finding contact: distance, normal and friction at the nearest face, and being put onto it.
 
-For a particle whose nearest point lies inside a face with corner a, d = (x - a) . n, so d' moves x along n and a
-against it, and n' is the face's. At a corner c (in 3D also an edge with direction t and weights w_k of its ends)
-d = |x - c| and
-
-    dn = (I - n n^T - t t^T) (dx - sum_k w_k dc_k) / d - t (n . (dc_2 - dc_1)) / length
+Distance d, normal n and friction at the nearest face are those of the point of it that is nearest to x. Whether that
+lies inside the face, on an edge or at a corner is given: so they are closed forms, which are traced (`at_face`).
 
 A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
 `after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
 alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
 in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the bar is that of one
-side. Friction that differs along a face, mu = sum_k w_k mu_k, has a slope grad mu in it, by which x moves along and
-corner k by -w_k against it. A particle that is put back beyond the end of the face that it crossed, over a ridge, is
-taken as not put back.
+side. A particle that is put back beyond the end of the face that it crossed, over a ridge, is taken as not put back.
 """
 
 import taichi as ti
 
 from mpm.adjoint.access import lane_numbers, put_lane_numbers
 from mpm.adjoint.boundary import after_contact_reverse
+from mpm.adjoint.pullback import Pullback
 from mpm.arrays.layout import Contact, Setting, Worker
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.solids.face_lookup import face_vector, foot_on_segment, foot_on_triangle, solid_of
+from mpm.solids.face_lookup import foot_on_segment, foot_on_triangle, solid_of
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
@@ -130,89 +126,77 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.templa
     """
     features = arrays.features
     size = ti.static(features.dimension)
-    w, part = 0.0 * x, 0
-    if ti.static(size == 2):
-        w, part = foot_on_segment(x, face, arrays)
-    else:
-        w, part = foot_on_triangle(x, face, arrays)
-    if back:
-        part = 0
-    result = d_bar * n
+    part = 0
+    if not back:
+        if ti.static(size == 2):
+            _, part = foot_on_segment(x, face, arrays)
+        else:
+            _, part = foot_on_triangle(x, face, arrays)
+    corners = [arrays.faces[face, k] for k in ti.static(range(size * size))]
+    normal = [arrays.faces[face, features.face_normal + k] for k in ti.static(range(size))]
+    frictions = [arrays.faces[face, features.face_friction + k] for k in ti.static(range(size))]
+    numbers = ti.static(([x[k] for k in range(size)], corners, normal, frictions))
+    found = ti.static([Pullback(at_face, numbers, (part, [n[k] for k in range(size)], size))])[0]
+    bars = [friction_bar, d_bar] + [n_bar[k] for k in ti.static(range(size))]
+    x_bar, corners_bar, normal_bar, frictions_bar = ti.static(found(bars))
+    for k in ti.static(range(size * size)):
+        add_face(face, k, corners_bar[k], arrays)
     for k in ti.static(range(size)):
-        add_face(face, features.face_friction + k, w[k] * friction_bar, arrays)
-    if part == 0:
-        corner = face_vector(face, 0, arrays)
-        for k in ti.static(range(size)):
-            add_face(face, k, 0.0 - d_bar * n[k], arrays)
-            add_face(face, features.face_normal + k, d_bar * (x[k] - corner[k]) + n_bar[k], arrays)
-    else:
-        offset, along, length = x, 0.0 * x, 0.0 * d_bar + 1.0
-        for k in ti.static(range(size)):
-            offset = offset - w[k] * face_vector(face, k * size, arrays)
-        first, second = 0, 0
-        if ti.static(size == 3):  # noqa: SIM102 (only of edges is there a part above 3)
-            if part > 3:
-                first, second = part - 4, (part - 3) % 3
-                along = face_vector(face, second * size, arrays) - face_vector(face, first * size, arrays)
-                length = along.norm()
-                along = along / length
-        square = offset.norm()
-        if square > TINY:
-            across = (n_bar - n_bar.dot(n) * n - n_bar.dot(along) * along) / offset.dot(n)
-            result = result + across
-        turn = n_bar.dot(along) / length
-        for k in ti.static(range(size)):
-            for i in ti.static(range(size)):
-                add_face(face, k * size + i, 0.0 - w[k] * result[i], arrays)
-        if ti.static(size == 3):  # noqa: SIM102 (only of edges is there a part above 3)
-            if part > 3:
-                for i in ti.static(range(size)):
-                    add_face(face, second * size + i, 0.0 - turn * n[i], arrays)
-                    add_face(face, first * size + i, turn * n[i], arrays)
-    return result + friction_reverse(x, n, w, face, part, friction_bar, arrays)
+        add_face(face, features.face_normal + k, normal_bar[k], arrays)
+        add_face(face, features.face_friction + k, frictions_bar[k], arrays)
+    return ti.Vector([x_bar[k] for k in ti.static(range(size))])
 
 
-@ti.func
-def friction_reverse(x, n, w, face, part, bar, arrays: ti.template()):
-    """Bar of the position `x` [m] from that of the friction between the corners of its face, shape [D].
+def at_face(x, corners, normal, frictions, part, side, dimension):
+    """Friction, distance [m] and normal at the point of a face nearest to `x` [m]; traced.
 
-    w, part: as `foot_on_triangle` has them. Adds the bars of the corners: along the face the foot moves by -w_k of what
-    corner k does, and where a corner moves by h along n the face turns, by which the foot moves by d h grad w_k.
+    part: as `mpm.solids.face_lookup.foot_on_triangle` has it; side: roughly the normal.
     """
-    features = arrays.features
-    size = ti.static(features.dimension)
-    slope, distance = 0.0 * x, x.dot(n)
-    for k in ti.static(range(size)):
-        slope += arrays.faces[face, features.face_friction + k] * weight_slope(face, part, k, arrays)
-        distance -= w[k] * face_vector(face, k * size, arrays).dot(n)
-    for k in ti.static(range(size)):
-        turned = distance * slope.dot(weight_slope(face, part, k, arrays))
-        for i in ti.static(range(size)):
-            add_face(face, k * size + i, bar * (turned * n[i] - w[k] * slope[i]), arrays)
-    return bar * slope
+    points = [corners[k * dimension : (k + 1) * dimension] for k in range(dimension)]
+    weights = foot_weights(x, points, part, dimension)
+    foot = [dot(weights, [point[i] for point in points]) for i in range(dimension)]
+    offset = between(foot, x)
+    length = ti.sqrt(dot(offset, offset))
+    signed = ti.select(dot(offset, side) < 0.0, 0.0 - length, ti.select(length > TINY, length, 1.0))
+    inside = (part == 0) | (length <= TINY)
+    distance = ti.select(part == 0, dot(between(points[0], x), normal), signed)
+    n = [ti.select(inside, normal[i], offset[i] / signed) for i in range(dimension)]
+    return dot(weights, frictions), distance, n
 
 
-@ti.func
-def weight_slope(face, part, k: ti.template(), arrays: ti.template()):
-    """grad w_k [1/m] of corner k of a face along it, at its inside or on an edge; 0 at a corner; shape [D]."""
-    size = ti.static(arrays.features.dimension)
-    this = face_vector(face, k * size, arrays)
-    after = face_vector(face, ti.static((k + 1) % size) * size, arrays)
-    slope = 0.0 * this
-    if ti.static(size == 2):
-        if part == 0:
-            slope = (this - after) / (this - after).norm_sqr()
+def foot_weights(x, points, part, dimension):
+    """Weights of the corners of a face at the point nearest to `x`, which lies in its `part`; traced."""
+    from_corner = [between(point, x) for point in points]
+    edges = [between(points[k], points[(k + 1) % dimension]) for k in range(dimension)]
+    along = [dot(from_corner[k], edges[k]) / dot(edges[k], edges[k]) for k in range(dimension)]
+    if dimension == 2:
+        inside = [1.0 - along[0], along[0]]
     else:
-        last = face_vector(face, ti.static((k + 2) % size) * size, arrays)
-        if part == 0:
-            n = face_vector(face, arrays.features.face_normal, arrays)
-            slope = n.cross(last - after) / (after - this).cross(last - this).dot(n)
-        # The edge from this corner to the one after it, then that from the one before it.
-        if part == 4 + k:
-            slope = (this - after) / (this - after).norm_sqr()
-        if part == 4 + (k + 2) % 3:
-            slope = (this - last) / (this - last).norm_sqr()
-    return slope
+        across = between(points[0], points[2])
+        d = [(dot(edges[0], each), dot(across, each)) for each in from_corner]
+        areas = [d[k - 2][0] * d[k - 1][1] - d[k - 1][0] * d[k - 2][1] for k in range(3)]
+        inside = [area / (areas[0] + areas[1] + areas[2]) for area in areas]
+    weights = []
+    for k in range(dimension):
+        weight = ti.select(part == 0, inside[k], ti.select(part == 1 + k, 1.0, 0.0 * inside[k]))
+        if dimension == 3:
+            before = (k + 2) % 3
+            weight = ti.select(part == 4 + before, along[before], ti.select(part == 4 + k, 1.0 - along[k], weight))
+        weights.append(weight)
+    return weights
+
+
+def dot(a, b):
+    """The product of two vectors, as lists; traced."""
+    value = a[0] * b[0]
+    for k in range(1, len(a)):
+        value = value + a[k] * b[k]
+    return value
+
+
+def between(a, b):
+    """From a to b; traced."""
+    return [b[k] - a[k] for k in range(len(a))]
 
 
 @ti.func

@@ -64,6 +64,11 @@ class Number:
 
     __radd__, __rmul__ = __add__, __mul__
 
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: Any) -> Any:
+        return expr_init(self.value == plain(other))
+
     def __gt__(self, other: Any) -> Any:
         return expr_init(self.value > plain(other))
 
@@ -106,7 +111,7 @@ def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
     """The Python of a function of Taichi, with `OPERATIONS` for Taichi's and the Python of those that it calls."""
     python: Any = getattr(function, "__wrapped__", function)
     used = {name: each for name, each in python.__globals__.items() if name in names_in(python.__code__)}
-    used = {name: traceable(each) if hasattr(each, "_is_taichi_function") else each for name, each in used.items()}
+    used = {name: traceable(each) if isinstance(each, FunctionType) else each for name, each in used.items()}
     names = {**used, "ti": OPERATIONS, "__builtins__": python.__builtins__}
     return FunctionType(python.__code__, names, python.__name__, python.__defaults__, python.__closure__)
 
@@ -146,7 +151,7 @@ class Pullback:
     def __call__(self, bars: Sequence[Any]) -> list[Any]:
         """Bars of the arguments from those of the values; a value that is None has none."""
         for result, bar in zip(self.results, bars, strict=True):
-            if result is not None:
+            if isinstance(result, Number):
                 result.bar = expr_init(bar if result.bar is None else result.bar + bar)
         for number in reversed(self.tape):
             for operand, rule in number.operands if number.bar is not None else ():
