@@ -28,9 +28,11 @@ class Number:
     """A number of the traced function, or a vector of lanes of them: a variable of the kernel."""
 
     def __init__(self, tape: list["Number"], value: Any, *operands: tuple[Any, Rule], active: bool = False) -> None:
-        self.tape, self.value, self.bar = tape, expr_init(value), None
-        self.operands = [(each, rule) for each, rule in operands if isinstance(each, Number) and each.active]
-        self.active = active or bool(self.operands)
+        self.tape, self.value = tape, expr_init(value)
+        self.operands: list[tuple[Number, Rule]] = [each for each in operands if getattr(each[0], "active", False)]
+        self.active: bool = active or bool(self.operands)
+        """Whether it depends on an argument that has a bar."""
+        self.bar: Any = None
         tape.append(self)
 
     def __add__(self, other: Any) -> "Number":
@@ -52,7 +54,7 @@ class Number:
     def __truediv__(self, other: Any) -> "Number":
         divisor = plain(other)
         own, divided = (self, lambda bar: bar / divisor), (other, lambda bar: 0.0 - bar / divisor * result.value)
-        result = Number(self.tape, self.value / divisor, own, divided)
+        result: Number = Number(self.tape, self.value / divisor, own, divided)
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
@@ -158,4 +160,5 @@ class Pullback:
                 share = rule(number.bar)
                 operand.bar = expr_init(share if operand.bar is None else operand.bar + share)
         none = expr_init(0.0 * bars[0])
-        return mapped(lambda each: none if each.bar is None else each.bar, self.arguments)
+        found: list[Any] = mapped(lambda each: none if each.bar is None else each.bar, self.arguments)
+        return found
