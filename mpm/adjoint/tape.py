@@ -103,16 +103,14 @@ class FlowAdjoints(NamedTuple):
 
 
 class Tape:
-    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start; of one large
+    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
 
-    scene on all threads.
-
-    frames: at whose ends the flow is observed, ascending; the last is where the run ends. memory_mib: what it may take
-    beside the arrays of the run itself; outputs: objectives that are reversed together, for whose bars memory is
-    counted; exact: as
-    `mpm.adjoint.layout.Layout.exact`, for tests; particles: those of each scene at the start, where a run begins with
-    others than the scene's. Raises InputError where a scene has what the adjoint does not know, where
-    scenes differ in it, or where the budget is too small; WorkFailed where a run blows up.
+    Of one large scene on all threads. frames: at whose ends the flow is observed, ascending; the last is where the run
+    ends. memory_mib: what it may take beside the arrays of the run itself; outputs: objectives that are reversed
+    together, for whose bars memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles: those
+    of each scene at the start, where a run begins with others than the scene's. Raises InputError where a scene has
+    what the adjoint does not know, where scenes differ in it, or where the budget is too small; WorkFailed where a run
+    blows up.
     """
 
     def __init__(

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from mpm import runtime
 from mpm.adjoint.pullback import Pullback
-from mpm.adjoint.stress import plastic_return_reverse, principal_axes
+from mpm.adjoint.stress import plastic_return_reverse
 from mpm.arrays.batch import aligned
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Precision
 from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
 
 Array = NDArray[Any]
@@ -102,31 +101,3 @@ def reversed_step(features: Features, inputs: Array, bar: Array) -> Array:
     """Bars of `inputs` from those of the returned stresses, the shape of `inputs`."""
     runtime.start(features.precision, enough=1)
     return call(kernels(features)[1], features, inputs, bar, rows=len(inputs))
-
-
-@cache
-def axes_kernel(precision: Precision) -> Callable[..., None]:
-    """(six components, twelve numbers of `principal_axes`), a block of lanes each."""
-    features = Features(dimension=3, precision=precision)
-    real = ti.f32 if precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
-
-    @ti.kernel
-    def find(x: blocks, y: blocks):
-        for e in range(x.shape[0] // 6):
-            t = [x[6 * e + k] for k in ti.static(range(6))]
-            values, axes = principal_axes(t, precision)
-            for k in ti.static(range(3)):
-                y[12 * e + k] = values[k]
-            for k in ti.static(range(9)):
-                y[12 * e + 3 + k] = axes[k]
-
-    return find
-
-
-def principal(precision: Precision, tensors: Array) -> tuple[Array, Array]:
-    """Principal values [E, 3] and axes as rows [E, 3, 3] of tensors given as components [6, E]."""
-    runtime.start(precision, enough=1)
-    features = Features(dimension=3, precision=precision)
-    found = call(axes_kernel(precision), features, tensors, rows=12)
-    return found[:3].T, found[3:].T.reshape(-1, 3, 3)
