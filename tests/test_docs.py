@@ -112,7 +112,15 @@ def test_the_deposit_is_explained(deposit: Path) -> None:
 @pytest.mark.slow
 def test_the_gradients_of_the_page_agree() -> None:
     """With respect to the floor's friction, by the page's second script, and by the first with that as a parameter."""
-    layer, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
+    sides, layer, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
+    slopes: dict[str, float] = {}
+    sides = sides.replace(
+        "print(type(forward).__name__, ", "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
+    )
+    exec(sides, {"slopes": slopes})
+    # Millimetres per degree: the surrogate's is near the adjoint's.
+    assert slopes["AdjointForward"] == pytest.approx(-0.011, rel=0.2)
+    assert slopes["GnsForward"] == pytest.approx(slopes["AdjointForward"], rel=0.3)
     text = layer.replace('"masses[0].velocity_x"', '"floor_friction"').replace("[30.0, 0.5]", "[42.0, FLOOR]")
     text = text.replace("(positions[-1, :, 0].mean() - 0.3) ** 2", "positions[-1, :, 0].mean()")
     # Both in one precision: slopes of one flow, not of two that part in their last bits.
