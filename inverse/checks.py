@@ -102,14 +102,21 @@ def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence
 
 
 def check_fields(
-    scene: Scene, fields: Sequence[UnknownField], observations: Sequence[ObservationSettings], target: TargetSettings
+    scene: Scene,
+    fields: Sequence[tuple[int, UnknownField]],
+    observations: Sequence[ObservationSettings],
+    target: TargetSettings,
 ) -> None:
-    """Raise InputError for fields that cannot be found by the adjoint, or a twin without their truth."""
+    """Raise InputError for fields, each with its index, that the adjoint cannot find, or a twin without their truth."""
     own = {(each.quantity, each.mass) for each in scene.fields}
-    for each in fields:
-        each.check_bounds(scene)
+    for index, each in fields:
+        try:
+            each.check_bounds(scene)
+        except InputError as error:
+            raise InputError(error.message, key=f"unknowns[{index}].{error.key}") from None
         known = not target.twin or target.draw is not None or (each.settings.quantity, each.settings.mass) in own
-        require(known, "unknowns", f"a scene with a field of {each.name} as the truth, or target.draw", "none")
+        expected = f"a scene with a field of {each.name} as the truth, or target.draw"
+        require(known, f"unknowns[{index}].name", expected, "none")
         if each.settings.quantity == FRICTION:
             expected = "a body without initial stress, whose yield depends on an unknown friction"
             for index, mass in enumerate(scene.masses):

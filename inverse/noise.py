@@ -18,10 +18,10 @@ numbers are dependent: S^2 has the mean 1 all the same, but a wider distribution
 degrees of freedom, R the correlation of r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c those with which the
 scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
 
-Where U parameters were fitted to more numbers and S is above what chance explains once in twenty times, half-widths
-are multiplied by S (M / (M - U))^(1/2): Birge's ratio (R. T. Birge, The calculation of errors by the method of least
-squares, Phys. Rev. 40 (1932) 207-227), as the Particle Data Group scales errors. Whatever the model lacks is treated
-as noise that was stated too small, by one factor for all numbers.
+Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
+multiplied by S: Birge's ratio (R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40
+(1932) 207-227), as the Particle Data Group scales errors. Whatever the model lacks is treated as noise that was stated
+too small, by one factor for all numbers.
 """
 
 import math
@@ -113,22 +113,15 @@ class Fit:
         return self.ratio**2 <= float(f.ppf(CONFIDENCE, *self.freedom))
 
     @property
-    def excess(self) -> float | None:
-        """Birge's ratio; None where no numbers are left over for it."""
-        free = self.numbers - self.parameters
-        return self.ratio * math.sqrt(self.numbers / free) if free > 0 else None
-
-    @property
     def probability(self) -> float:
-        """Of so large an excess or more by chance."""
-        first = max(1.0, self.freedom[0] - self.parameters)
-        return float(f.sf((self.excess or 0.0) ** 2, first, self.freedom[1]))
+        """Of so large an S or more by chance."""
+        return float(f.sf(self.ratio**2, *self.freedom))
 
     @property
     def factor(self) -> float:
         """By which half-widths are multiplied, 1 at least."""
-        excess = self.excess or 1.0
-        return excess if excess > 1.0 and self.probability < RARE else 1.0
+        worse = self.numbers > self.parameters and self.ratio > 1.0 and self.probability < RARE
+        return self.ratio if worse else 1.0
 
 
 def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None = None, parameters: int = 0) -> Fit:

@@ -101,7 +101,8 @@ class Problem:
         checks.check_target(self.scene, self.parameters, self.target)
         checks.check_search(self.parameters, self.observations, self.optimiser, self.loop)
         if any(each.is_field for each in self.parameters):
-            checks.check_fields(self.scene, self.fields, self.observations, self.target)
+            indices = [index for index, each in enumerate(self.parameters) if each.is_field]
+            checks.check_fields(self.scene, [*zip(indices, self.fields, strict=True)], self.observations, self.target)
             if self.target.seed in self.seeds and self.target.twin:
                 expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
                 raise InputError(f"expected {expected}, got {self.target.seed}", key="target.seed")

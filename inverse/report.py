@@ -306,13 +306,10 @@ def uncertainty(found: Found) -> list[str]:
             f"The measured heights scatter about their neighbours by {found.target.roughness:.2g} times the stated "
             "noise: so much noise is counted."
         )
-    fit = found.answers[0].fit
-    if fit is not None and fit.excess is not None:
-        text = (
-            f"The residuals of {fit.numbers} numbers are {fit.excess:.2g} times what noise, scatter and cells explain"
-        )
-        text = f"{text} (p = {fit.probability:.2g})" if fit.factor == 1.0 else f"**{text}** (p = {fit.probability:.1g})"
-        parts.append(f"{text}: {'the half-widths stay' if fit.factor == 1.0 else 'errors are counted so much larger'}.")
+    if (fit := found.answers[0].fit) is not None:
+        chance = f"(p = {fit.probability:.2g})"
+        widths = "the half-widths stay" if fit.factor == 1.0 else "**the half-widths are so much wider**"
+        parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
     if len(found.combinations) > 1:
         lines = [
             f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "

@@ -27,17 +27,17 @@ from datasets.scene import Scene
 from inverse.parameters.baffles import Centre, Extent
 from inverse.parameters.boundaries import SceneConstant, SolidFriction
 from inverse.parameters.kind import UP, Kind, Parts, Vector
-from inverse.parameters.masses import Height, InitialStress, Thickness, Velocity
-from inverse.parameters.material import Cohesion, Friction, Residual, Young
+from inverse.parameters.masses import Height, MassNumber, Velocity
+from inverse.parameters.material import Cohesion, Constant, Friction, Residual
 
 __all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL: dict[str, Callable[[int | None], Kind]] = {
-    "friction_deg": Friction,
-    "cohesion": Cohesion,
-    "young": Young,
-    "residual_friction_deg": lambda mass: Residual(mass, "friction_deg"),
-    "residual_cohesion": lambda mass: Residual(mass, "cohesion"),
+    "friction_deg": lambda mass: Friction(mass, "friction_deg", "deg", 2, 0.05),  # the paper's step
+    "cohesion": lambda mass: Cohesion(mass, "cohesion", "Pa", 1, 1.0),
+    "young": lambda mass: Constant(mass, "young", "Pa", 0, 1.0e5),
+    "residual_friction_deg": lambda mass: Residual(mass, "residual_friction_deg", "deg", 2, 0.5),
+    "residual_cohesion": lambda mass: Residual(mass, "residual_cohesion", "Pa", 1, 10.0),
 }
 _SHARED: dict[str, Kind] = {
     **{name: make(None) for name, make in _MATERIAL.items()},
@@ -53,9 +53,9 @@ _INDEXED: dict[str, Callable[[int], Kind]] = {
     "baffles[].length": lambda baffle: Extent(baffle, 0),
     "baffles[].height": lambda baffle: Extent(baffle, UP),
     "baffles[].width": lambda baffle: Extent(baffle, 2),
-    "masses[].k0": InitialStress,
-    "masses[].height": Height,
-    "masses[].thickness": Thickness,
+    "masses[].k0": lambda mass: MassNumber(mass, "k0", "-", 3, 0.05),
+    "masses[].height": lambda mass: Height(mass, "height", "m", 4, 0.01, changes_volume=True),
+    "masses[].thickness": lambda mass: MassNumber(mass, "thickness", "m", 4, 0.01, changes_volume=True),
     "solids[].friction": SolidFriction,
 }
 

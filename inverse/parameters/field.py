@@ -146,7 +146,7 @@ class UnknownField:
                 dataclasses.replace(scene, fields=(*others, uniform))
             except InputError as error:
                 message = f"expected a bound at which the scene can be simulated, but {error}"
-                raise InputError(message, key=f"unknowns.{self.name}.{key}") from None
+                raise InputError(message, key=key) from None
 
 
 def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:

@@ -1,7 +1,6 @@
 """Constants of a material: strength, stiffness, what is left of the strength after a long slip."""
 
 import dataclasses
-from abc import abstractmethod
 from dataclasses import dataclass
 
 import torch
@@ -15,10 +14,14 @@ from inverse.parameters.kind import Kind, Parts, require_index
 
 
 @dataclass(frozen=True)
-class MaterialKind(Kind):
+class Constant(Kind):
     """A constant of the material of a mass, or for None of the shared one."""
 
     mass: int | None
+    name: str
+    unit: str
+    digits: int
+    step: float
 
     positive = True
 
@@ -37,6 +40,9 @@ class MaterialKind(Kind):
         """The material in question."""
         return scene.material if self.mass is None else scene.material_of(scene.masses[self.mass])
 
+    def read(self, scene: Scene) -> float:
+        return float(getattr(self.material(scene), self.name))
+
     def put(self, parts: Parts, value: float) -> None:
         if self.mass is None:
             parts.material = self.changed(parts.material, value)
@@ -45,25 +51,15 @@ class MaterialKind(Kind):
         material = self.changed(mass.material or parts.material, value)
         parts.masses[self.mass] = dataclasses.replace(mass, material=material)
 
-    @abstractmethod
     def changed(self, material: Material, value: float) -> Material:
         """`material` with this value."""
+        return dataclasses.replace(material, **{self.name: value})
 
 
-@dataclass(frozen=True)
-class Friction(MaterialKind):
+class Friction(Constant):
     """Angle of internal friction [deg]; an input of the surrogate as its tangent."""
 
-    unit = "deg"
-    digits = 2
-    step = 0.05  # the paper's
     differentiable = True
-
-    def read(self, scene: Scene) -> float:
-        return self.material(scene).friction_deg
-
-    def changed(self, material: Material, value: float) -> Material:
-        return dataclasses.replace(material, friction_deg=value)
 
     def enter(self, initial: InitialState, value: Tensor) -> InitialState:
         known = initial.conditions.friction
@@ -71,17 +67,10 @@ class Friction(MaterialKind):
         return initial.with_conditions(friction=torch.where(initial.of_mass(self.mass), friction, known))
 
 
-@dataclass(frozen=True)
-class Cohesion(MaterialKind):
+class Cohesion(Constant):
     """Cohesion [Pa]. The tension cutoff and residual values change with it in proportion."""
 
-    unit = "Pa"
-    digits = 1
-    step = 1.0
     differentiable = True
-
-    def read(self, scene: Scene) -> float:
-        return self.material(scene).cohesion
 
     def changed(self, material: Material, value: float) -> Material:
         # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
@@ -96,42 +85,8 @@ class Cohesion(MaterialKind):
         return initial.with_conditions(cohesion=torch.where(initial.of_mass(self.mass), value.to(known.dtype), known))
 
 
-@dataclass(frozen=True)
-class Young(MaterialKind):
-    """Young's modulus [Pa]."""
-
-    unit = "Pa"
-    digits = 0
-    step = 1.0e5
-
-    def read(self, scene: Scene) -> float:
-        return self.material(scene).young
-
-    def changed(self, material: Material, value: float) -> Material:
-        return dataclasses.replace(material, young=value)
-
-
-@dataclass(frozen=True)
-class Residual(MaterialKind):
-    """A residual strength: `friction_deg` [deg] or `cohesion` [Pa] after a long slip."""
-
-    peak: str
-    """Name of the constant at the peak."""
-
-    @property
-    def unit(self) -> str:  # type: ignore[override]
-        """As it is printed."""
-        return "deg" if self.peak == "friction_deg" else "Pa"
-
-    @property
-    def digits(self) -> int:  # type: ignore[override]
-        """Decimals with which it is printed."""
-        return 2 if self.peak == "friction_deg" else 1
-
-    @property
-    def step(self) -> float:  # type: ignore[override]
-        """Step of a finite difference."""
-        return 0.5 if self.peak == "friction_deg" else 10.0
+class Residual(Constant):
+    """A residual strength: friction angle [deg] or cohesion [Pa] after a long slip."""
 
     @property
     def order(self) -> int:  # type: ignore[override]
@@ -146,8 +101,5 @@ class Residual(MaterialKind):
     def read(self, scene: Scene) -> float:
         material = self.material(scene)
         # Unless they are named, residual values are those of the peak.
-        known = getattr(material, f"residual_{self.peak}")
-        return float(getattr(material, self.peak) if known is None else known)
-
-    def changed(self, material: Material, value: float) -> Material:
-        return dataclasses.replace(material, **{f"residual_{self.peak}": value})
+        known = getattr(material, self.name)
+        return float(getattr(material, self.name.removeprefix("residual_")) if known is None else known)

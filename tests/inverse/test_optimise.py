@@ -95,11 +95,6 @@ def test_an_optimum_beyond_the_bounds_ends_on_the_bound(method: Method) -> None:
     assert lowest(records).parameters[0] == pytest.approx(12.0, abs=0.02)
 
 
-def test_the_budget_is_kept() -> None:
-    settings = OptimiserSettings(max_iterations=3, stop_below=1.0e-12)
-    assert len(minimise(automatic(Formula(), at(42.0)), np.array([30.0]), BOUNDS, settings)) == 3
-
-
 def test_a_forward_gone_to_nan_ends_the_search_and_is_not_its_answer() -> None:
     evaluate = automatic(Formula(), at(42.0))
 

@@ -73,12 +73,3 @@ def test_a_step_stays_in_the_box_and_in_the_trust_region() -> None:
     near_the_bound = np.array([2.9, 1.0])
     step = least_squares_step(target, jacobian, near_the_bound, box(2), 0.1)
     np.testing.assert_allclose(step, [0.025, -0.1], atol=1e-6)
-
-
-def test_a_run_that_failed_is_left_out() -> None:
-    forward = Curved(2)
-    (target,) = forward.observe([np.array([1.0, 0.5])])
-    found = observed(forward, target, [np.zeros(2), np.ones(2), np.array([2.0, 0.0])])
-    broken = observed(forward, np.full(60, np.nan), [np.full(2, 0.4)])
-    assert np.isfinite(lowest([*broken, *found]).loss)
-    np.testing.assert_array_equal(fitted([*found, *broken], found[0], box(2)), fitted(found, found[0], box(2)))

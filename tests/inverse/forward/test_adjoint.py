@@ -122,18 +122,6 @@ def test_the_misfit_and_its_gradient(problem: Problem) -> None:
         assert here.slope[index] == pytest.approx(found, rel=1e-3)
 
 
-def test_the_jacobian_of_a_few_numbers(problem: Problem) -> None:
-    """Row by row by `torch`, from one run with checkpoints."""
-    observation = build(ObservationSettings(kind="toe"), SCENE)
-    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
-    rows = automatic(forward, np.zeros(2), with_jacobian=True)(VALUES[:2]).jacobian
-    assert rows is not None
-    step = 1e-6
-    change = np.array([0.0, step])
-    ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
-    np.testing.assert_allclose(rows[:, 1], (ahead - behind) / (2.0 * step), rtol=1e-4)
-
-
 def test_the_force_on_a_baffle(problem: Problem) -> None:
     """Its largest value and the impulse at two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.05)
@@ -150,21 +138,3 @@ def test_the_force_on_a_baffle(problem: Problem) -> None:
             change = np.where(np.arange(2) == index, step, 0.0)
             ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
             np.testing.assert_allclose(rows[:, index], (ahead - behind) / (2.0 * step), rtol=1e-4)
-
-
-def test_initial_stress_is_an_unknown() -> None:
-    """K0 of a bed that carries its weight, of a material that does not yield: weak beds start at their strength."""
-    bed = Mass(lower=(0.0, 0.0), size=(0.3, 0.1), k0=0.5)
-    strong = dataclasses.replace(SOIL, cohesion=1.0e5, tension_cutoff=1.0e4)
-    scene = dataclasses.replace(SCENE, masses=(bed,), material=strong, duration=0.01)
-    run = Run(scene, names=("masses[0].k0",), precision="f64", threads=1)
-
-    def loss(k0: float) -> torch.Tensor:
-        moved, _ = run(torch.tensor([k0], dtype=torch.float64))
-        return moved[-1, :, 0].mean()
-
-    parameters = torch.tensor([0.5], dtype=torch.float64, requires_grad=True)
-    run(parameters)[0][-1, :, 0].mean().backward()
-    assert parameters.grad is not None
-    found = float(loss(0.5 + 1e-4) - loss(0.5 - 1e-4)) / 2e-4
-    assert float(parameters.grad[0]) == pytest.approx(found, rel=1e-5)

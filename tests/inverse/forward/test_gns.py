@@ -116,12 +116,3 @@ def test_memory_changes_nothing_but_memory(problem: Problem) -> None:
     for evaluation in evaluations[1:]:
         np.testing.assert_allclose(evaluation.observation, evaluations[0].observation, rtol=1e-6)
         np.testing.assert_allclose(evaluation.gradient, evaluations[0].gradient, rtol=1e-3)
-
-
-def test_the_scenes_own_angle_does_not_matter(problem: Problem) -> None:
-    """The angle of the scene that holds the answer must not enter the prediction."""
-    honest = forward_of(problem)
-    another = dataclasses.replace(problem, scene=problem.scene.with_friction_deg(15.0))
-    other = forward_of(another)
-    np.testing.assert_array_equal(honest.observe([np.array([33.0])]), other.observe([np.array([33.0])]))
-    assert honest.observe([np.array([33.0])]) != honest.observe([np.array([20.0])])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
@@ -80,24 +79,6 @@ def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
     assert observation.of_positions
 
 
-def test_the_misfit_is_weighted_by_one_over_the_noise(tmp_path: Path) -> None:
-    asked = problem(
-        tmp_path,
-        '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
-        '[[observations]]\nkind = "passed"\nline = 0.5\nvalue = 0.1\nnoise = 0.02\n',
-    )
-    target = read_target(asked, never)
-    observation = target.observation
-    run = flow(asked.scene)
-    seen = observation.observe(run)
-    deposit = run.positions[-1]
-    residual = [(measures.front(deposit) - 0.7) / np.hypot(0.01, 0.0025)]
-    residual.append((np.mean(deposit[:, 0] > 0.5) - 0.1) / np.hypot(0.02, 0.005))
-    np.testing.assert_allclose(seen - target.values, residual, rtol=1e-6)
-    assert target.covariance is not None
-    np.testing.assert_allclose(np.diag(target.covariance), [1e-4 / (1e-4 + 6.25e-6), 4e-4 / (4e-4 + 2.5e-5)])
-
-
 def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
     asked = problem(
         tmp_path,
@@ -151,16 +132,6 @@ def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, messag
         read_target(problem(tmp_path, text), flow)
     assert caught.value.key == key
     assert message in caught.value.message
-
-
-@pytest.mark.parametrize(
-    "rows", ["time,front\n0.1,0.3\n2.0,0.5\n", "time,front\n0.1,0.3\n0.2,1.5\n", "t,front\n0,1\n0,1\n"]
-)
-def test_a_wrong_csv_names_its_file(tmp_path: Path, rows: str) -> None:
-    (tmp_path / "camera.csv").write_text(rows)
-    with pytest.raises(InputError) as caught:
-        read_target(problem(tmp_path, '[[observations]]\nkind = "front"\ncsv = "camera.csv"\n'), never)
-    assert caught.value.where.endswith("camera.csv")
 
 
 SCENE = Scene(

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from datasets.errors import InputError
 from datasets.scene import Solid
@@ -88,11 +87,6 @@ def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
     assert caught.value.where.endswith("profile.csv")
 
 
-def test_a_surface_may_be_looser_than_what_was_released(tmp_path: Path) -> None:
-    loose = measured(tmp_path, X, 1.15 * HEIGHT, heights=Heights.SURFACE)
-    np.testing.assert_allclose(target_of(loose).values, target_of(measured(tmp_path)).values, atol=1e-9)
-
-
 def test_rows_that_begin_behind_the_wall_are_extrapolated_to_it() -> None:
     profile = closed(np.array([0.02, 0.04, 0.06]), np.array([0.3, 0.2, 0.1]), 1.0)
     np.testing.assert_allclose(profile.x, [0.0, 0.02, 0.04, 0.06, 0.08])
@@ -115,54 +109,6 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
     drawn = np.cov(seen, rowvar=False)
     np.testing.assert_allclose(np.sqrt(np.diag(target.covariance)), np.sqrt(np.diag(drawn)), rtol=0.15)
     np.testing.assert_allclose(target.deviation**2, np.diag(target.covariance))
-
-
-@pytest.mark.parametrize("rows", [9, 25])
-def test_few_rows_cut_off_as_much_of_the_model_as_of_the_measurement(rows: int, tmp_path: Path) -> None:
-    """A profile that is hollow between its rows: refined it would be another deposit than the one that was measured."""
-    rng = np.random.default_rng(3)
-    deposit = np.stack([0.6 * (1.0 - rng.random(200_000) ** (1.0 / 3.0)), np.full(200_000, 0.01)], axis=1)
-    scene = measured(tmp_path).scene
-    x = np.linspace(0.0, 0.56, rows)
-    # Of the height 3 A / L (1 - x / L)^2 with A = 0.08 m^2, L = 0.6 m.
-    problem = measured(tmp_path, x, 0.4 * (1.0 - x / 0.6) ** 2)
-    sampled, refined = operator_of(problem), Profile(scene, 0.02)
-    target = target_of(problem)
-    assert target.profile is not None
-    whole = refined.of_heights(np.interp(refined.stations, *target.profile))
-    off = np.abs(sampled.exact(deposit) - target.values)
-    assert off.max() < 0.004
-    if rows == 9:
-        assert np.abs(refined.exact(deposit) - whole).max() > 2.0 * off.max()
-
-
-def test_a_sampled_profile_is_seen_alike_by_the_surrogate(tmp_path: Path) -> None:
-    observation = operator_of(measured(tmp_path))
-    rng = np.random.default_rng(4)
-    deposit = np.stack([0.5 * rng.random(3200) ** 1.5, 0.1 * rng.random(3200)], axis=1)
-    smooth = observation.smooth(torch.from_numpy(deposit), torch.full((3200,), 1e-5)).numpy()
-    np.testing.assert_allclose(smooth, observation.exact(deposit), rtol=1e-6)
-
-
-@pytest.mark.parametrize("text", ['"3 percent"', '"0%"', '"100%"', '"%"', '"-3%"', '"nan%"'])
-def test_a_noise_that_is_no_percentage_names_the_key(text: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"observations\[0\]\.noise: expected a number or a percentage"):
-        read_problem(str(with_target(tmp_path, f"value = 0.5\nnoise = {text}")))
-
-
-def test_a_percentage_of_a_number_is_its_share(tmp_path: Path) -> None:
-    problem = read_problem(str(with_target(tmp_path, 'value = 0.5\nnoise = "3%"')))
-    assert target_of(problem).deviation == pytest.approx([0.015])
-
-
-def with_target(folder: Path, target: str) -> Path:
-    """A problem file with this target."""
-    path = folder / "problem.toml"
-    path.write_text(
-        'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
-        f'[[observations]]\nkind = "front"\n{target}\n'
-    )
-    return path
 
 
 def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:

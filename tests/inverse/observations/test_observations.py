@@ -5,13 +5,12 @@ import pytest
 import torch
 from scipy.stats.mstats import hdquantiles
 
-from datasets import measures
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from inverse.observations import Observation, build
 from inverse.observations.deposit import Deposit
 from inverse.observations.observation import harrell_davis
-from inverse.observations.profile import SHARES, Profile
+from inverse.observations.profile import SHARES
 from inverse.observations.toe import Toe
 from inverse.settings import ObservationSettings
 
@@ -40,15 +39,6 @@ def test_the_quantile_is_harrell_and_davis(seed: int) -> None:
     assert ours == pytest.approx(float(hdquantiles(values, [0.995])[0]), rel=1e-9)
 
 
-def test_a_point_of_double_volume_counts_as_two_points() -> None:
-    x = torch.linspace(0.0, 1.0, 400, dtype=torch.float64)
-    volumes = torch.ones(400)
-    volumes[-20:] = 2.0
-    twice = harrell_davis(torch.cat([x, x[-20:]]), torch.ones(420), 0.9).item()
-    assert harrell_davis(x, volumes, 0.9).item() == pytest.approx(twice, abs=2e-3)
-    assert harrell_davis(x, torch.ones(400), 0.9).item() < twice - 2e-3
-
-
 @pytest.mark.parametrize(
     ("kind", "within"),
     [("front", 0.005), ("runout", 0.01), ("toe", 0.003), ("passed", 0.005)],
@@ -57,11 +47,6 @@ def test_the_smooth_form_of_all_points_is_near_the_exact_one(kind: str, within: 
     positions = deposit(3200)
     smooth = made(kind).smooth(torch.from_numpy(positions), torch.ones(3200)).numpy()
     assert smooth == pytest.approx(made(kind).exact(positions), abs=within)
-
-
-def test_the_runout_is_never_beyond_the_first_point() -> None:
-    positions = deposit(800)
-    assert made("runout").smooth(torch.from_numpy(positions), torch.ones(800)).item() <= positions[:, 0].max()
 
 
 def test_a_profile_says_behind_which_x_a_share_of_the_points_lies() -> None:
@@ -78,14 +63,6 @@ def test_a_deposit_moved_is_a_profile_moved() -> None:
         np.testing.assert_allclose(moved, distance, atol=1e-3)
 
 
-def test_heights_are_those_of_the_measures() -> None:
-    positions, profile = deposit(800), made("profile")
-    assert isinstance(profile, Profile)
-    np.testing.assert_allclose(
-        profile.heights(positions), measures.height_profile(positions, CELL_VOLUME, profile.stations), rtol=1e-12
-    )
-
-
 def test_the_smooth_profile_is_the_exact_one() -> None:
     positions, profile = deposit(800), made("profile")
     smooth = profile.smooth(torch.from_numpy(positions), torch.full((800,), CELL_VOLUME)).numpy()
@@ -99,12 +76,6 @@ def test_a_profile_weighs_points_by_their_volume() -> None:
     profile = made("profile")
     twice = profile.smooth(torch.cat([x, x[:100]]), torch.ones(500)).numpy()
     np.testing.assert_allclose(profile.smooth(x, volumes).numpy(), twice, rtol=1e-9)
-
-
-def test_the_front_of_a_profile_is_the_front_of_its_area() -> None:
-    profile = made("profile")
-    positions = deposit(3200)
-    assert profile.front(profile.exact(positions)) == pytest.approx(measures.front(positions), abs=0.01)
 
 
 @pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe", "deposit", "passed"])

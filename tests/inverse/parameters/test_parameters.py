@@ -11,7 +11,6 @@ import torch
 from datasets.errors import InputError
 from datasets.geometry.planar import turned
 from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Baffle
 from datasets.training.samples import corners
 from inverse.checks import check_parameters
@@ -84,16 +83,6 @@ def test_a_mass_with_its_own_sand_keeps_it(make_problem: Any, make_simulator: An
     assert (changed[~own] - np.tan(np.radians(20.0))).abs().max() < 1e-12
 
 
-def test_a_material_is_that_of_the_particles_of_its_mass(make_problem: Any) -> None:
-    problem = make_problem(2, "friction_deg")
-    points = initial_particles(problem.scene)
-    first = problem.scene.masses[0]
-    inside = (points.positions[:, 1] < first.size[1]).sum()
-    scene = with_parameters(problem.scene, ["masses[1].friction_deg"], [15.0])
-    assert (initial_particles(scene).friction[inside:] < 0.27).all()
-    assert (initial_particles(scene).friction[:inside] > 0.5).all()
-
-
 def test_the_cutoff_changes_with_the_cohesion(make_problem: Any) -> None:
     scene = make_problem(2, "cohesion").scene
     changed = with_parameters(scene, ["cohesion", "masses[1].cohesion"], [400.0, 900.0])
@@ -138,25 +127,6 @@ def test_bounds_at_which_nothing_could_flow_are_refused(
     unknown = Parameter(name=name, initial=kind(name).read(scene), lower=lower, upper=upper)
     with pytest.raises(InputError, match=key):
         check_parameters(scene, [unknown])
-
-
-def test_a_mass_between_the_bounds_is_refused(make_problem: Any) -> None:
-    """Clear at both ends, not on the way."""
-    scene = make_problem(2, "friction_deg").scene
-    scene = dataclasses.replace(
-        scene, masses=(dataclasses.replace(scene.masses[0], lower=(0.2, 0.0)),), baffles=scene.baffles
-    )
-    unknown = Parameter(name="baffles[0].x", initial=0.1, lower=0.1, upper=0.35)
-    with pytest.raises(InputError, match=r"unknowns: .*clear of masses\[0\]"):
-        check_parameters(scene, [unknown])
-
-
-def test_a_baffle_sweeps_the_bounds_of_its_parameters(make_problem: Any) -> None:
-    scene = make_problem(3, "baffles[0].x").scene
-    names = ["baffles[0].x", "baffles[0].length", "friction_deg"]
-    (box,) = swept(scene, [kind(name) for name in names], [(0.22, 0.3), (0.02, 0.06), (10.0, 20.0)]).values()
-    assert (box.lower[0], box.size[0]) == pytest.approx((0.19, 0.14))
-    assert box.lower[1:] == scene.baffles[0].lower[1:]
 
 
 def own_axes(points: np.ndarray, baffle: Baffle, sign: float) -> np.ndarray:

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from inverse.__main__ import main as inverse
-from inverse.problem import PROBLEMS
 from validation.demo import main as demo
-from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
 
@@ -60,20 +57,3 @@ def test_twenty_kills_leave_the_same_result(tmp_path: Path) -> None:
     assert resumed == whole
     samples = [np.load(tmp_path / name / "posterior.npz")["samples"] for name in ("whole", "killed")]
     np.testing.assert_array_equal(*samples)
-
-
-def test_a_profile_finds_the_angle_within_two_per_cent(tmp_path: Path) -> None:
-    assert run(loop, "loop", ["friction-short-21-profile", "--out", str(tmp_path)]) == 0
-    result = json.loads((tmp_path / "result.json").read_text())
-    assert result["error_pct"]["friction_deg"] <= 2.0
-
-
-def test_the_mpm_inverts_itself_by_differences(tmp_path: Path) -> None:
-    text = (PROBLEMS / "friction-tall-42.toml").read_text()
-    path = tmp_path / "wide.toml"
-    path.write_text(text.replace("upper = 52.0", "upper = 52.0\nstep = 2.0") + "\n[optimiser]\nmax_iterations = 6\n")
-    assert run(inverse, "inverse", [str(path), "--out", str(tmp_path / "out"), "--forward", "mpm"]) == 0
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert result["verdict"] == "unconfirmed"
-    assert result["error_pct"]["friction_deg"] <= 3.0
-    assert result["loss"]["mpm"] < result["loss"]["initial"]

@@ -1,0 +1,75 @@
+"""The predictive interval: as wide as noise, scatter and cells say, over seeds; what is beyond it is named."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from inverse.noise import Scatter, fit
+from inverse.observations.front import Front
+from inverse.target import Target
+
+Floats = NDArray[np.float64]
+
+
+def target_of(values: Floats, deviation: float) -> Target:
+    return Target(observation=Front(), values=values, deviation=np.full(len(values), deviation))
+
+
+def scatter_of(rng: np.random.Generator, size: int, width: float, *, expected: float = 0.1) -> Scatter:
+    """Of runs at three points, four at each."""
+    points = np.repeat(np.arange(3.0), 4)[:, None]
+    numbers = 10.0 * points + width * rng.normal(size=(12, size))
+    return Scatter.of_runs(points, numbers, np.full(size, expected))
+
+
+@pytest.mark.parametrize(("size", "noise", "width"), [(1, 0.0, 1.0), (1, 2.0, 0.2), (20, 0.0, 1.0), (20, 1.0, 1.0)])
+def test_right_answers_lie_within_it_as_often_as_it_says(size: int, noise: float, width: float) -> None:
+    """Of 400 at 99 % and at 95 %: 7 of the first are outside in fewer than one of fifty such tests."""
+    rng, outside, wider = np.random.default_rng(1), 0, 0
+    for _ in range(400):
+        target = target_of(noise * rng.normal(size=size) + width * rng.normal(size=size), noise)
+        found = fit(target, width * rng.normal(size=(4, size)), scatter_of(rng, size, width))
+        outside, wider = outside + (not found.inside), wider + (found.probability < 0.05)
+    assert outside <= 14
+    assert wider <= 45
+
+
+def test_the_noise_of_a_number_is_that_number_s() -> None:
+    """A front 3 % off where 3 % are stated is no reason to refuse; without the noise it is."""
+    rng = np.random.default_rng(2)
+    scatter = scatter_of(rng, 1, 0.002, expected=0.0025)
+    shown = np.full((4, 1), 0.515) + 0.002 * rng.normal(size=(4, 1))
+    stated = fit(target_of(np.array([0.5]), 0.015), shown, scatter)
+    assert stated.inside
+    assert stated.noise == pytest.approx(0.015)
+    assert 0.03 < stated.allowed < 0.06
+    assert not fit(target_of(np.array([0.5]), 0.0), shown, scatter).inside
+    assert fit(target_of(np.array([0.5]), 0.0), shown, scatter, cells=np.array([0.015])).inside
+
+
+def test_errors_that_are_one_error_count_as_one_number() -> None:
+    """Twenty numbers that are all off by the same: dependent errors, one degree of freedom."""
+    rng, size = np.random.default_rng(3), 20
+    common = 0.04 * np.ones((size, size)) + 1e-6 * np.eye(size)
+    values, scatter = np.full(size, 0.4), scatter_of(rng, size, 0.001, expected=0.001)
+    apart = Target(observation=Front(), values=values, deviation=np.full(size, 0.2))
+    together = Target(observation=Front(), values=values, deviation=np.full(size, 0.2), covariance=common)
+    shown = np.zeros((4, size))
+    assert not fit(apart, shown, scatter).inside
+    assert fit(together, shown, scatter).inside
+    assert fit(together, shown, scatter).freedom[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_half_widths_grow_where_more_numbers_than_parameters_do_not_fit() -> None:
+    rng = np.random.default_rng(4)
+    target, scatter = target_of(np.array([-3.0, 0.0, 3.0]), 0.1), scatter_of(rng, 3, 0.05)
+    shown = np.zeros((4, 3))
+    assert fit(target, shown, scatter, parameters=1).factor > 10.0
+    assert fit(target, shown, scatter, parameters=3).factor == 1.0
+
+
+def test_scatter_without_repeated_runs_is_the_expected_one() -> None:
+    rng = np.random.default_rng(5)
+    alone = Scatter.of_runs(np.arange(5.0)[:, None], rng.normal(size=(5, 2)), np.array([0.1, 0.2]))
+    assert alone.freedom == 0
+    np.testing.assert_allclose(alone.variance, [0.01, 0.04])
