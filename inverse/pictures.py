@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from inverse.deposits import COLOURS, WIDTH, paint, save, shown, standings
 from inverse.fields import FoundField
-from inverse.found import Found, Purpose
-from inverse.observations.profile import Profile
+from inverse.found import Found
 from inverse.parameters.field import LABELS
 from inverse.parameters.parameter import Parameter
-from inverse.posterior.settings import CONSTANTS
 
 Floats = NDArray[np.float64]
 
@@ -195,42 +193,6 @@ def pair(axis: Axes, found: Found, samples: Floats, which: tuple[int, int]) -> N
 def name_of(parameter: Parameter) -> str:
     """Of an axis."""
     return f"{parameter.name} [{parameter.kind.unit}]"
-
-
-def draw_predictive(path: Path, found: Found) -> None:
-    """Profiles of the runs in the 95 % region over the target's, and their difference along x."""
-    assert found.posterior is not None, "an optimiser has none"
-    scene, target = found.problem.scene, found.target
-    profile = Profile(scene, 2.0 * scene.domain.cell)
-    runs = [each for each in found.mpm_runs if each.purpose is not Purpose.CELLS]
-    box = found.problem.box
-    points = (np.stack([each.parameters for each in runs]) - box.lower) / box.range
-    threshold = float(np.quantile(found.posterior.samples.log_likelihood, 1.0 - CONSTANTS.credible))
-    likely = found.posterior.likelihood(points) >= threshold
-    inside = [run for run, each in zip(runs, likely, strict=True) if each] or list(found.answers[0].checks)
-    heights = np.stack([profile.heights(run.trajectory.positions[-1]) for run in inside])
-    figure, (above, below) = plt.subplots(2, 1, figsize=(WIDTH, 5.0), sharex=True, layout="constrained")
-    above.plot(profile.stations, heights.T, color=COLOURS["MPM"], linewidth=0.6, alpha=0.5)
-    above.plot([], [], color=COLOURS["MPM"], label=f"MPM, {len(inside)} runs in the 95 % region")
-    known, name = heights.mean(axis=0), "their mean"
-    if target.deposit is not None:
-        known, name = profile.heights(target.deposit), "the target"
-    elif target.profile is not None:
-        known, name = np.interp(profile.stations, *target.profile, left=0.0, right=0.0), "the target"
-    elif np.isfinite(target.front):
-        above.axvline(target.front, color=COLOURS["target"], label="target's front")
-    if name == "the target":
-        above.plot(profile.stations, known, color=COLOURS["target"], label="target")
-    below.plot(profile.stations, (heights - known).T, color=COLOURS["MPM"], linewidth=0.6, alpha=0.5)
-    below.axhline(0.0, color=COLOURS["target"], linewidth=0.8)
-    above.set_ylabel("height [m]", fontsize=8)
-    below.set_ylabel(f"less {name} [m]", fontsize=8)
-    below.set_xlabel("x [m]", fontsize=8)
-    below.set_xlim(0.0, scene.domain.size[0])
-    above.legend(fontsize=8, frameon=False)
-    for axis in (above, below):
-        axis.tick_params(labelsize=8)
-    save(figure, path)
 
 
 def draw_field(path: Path, found: FoundField) -> None:

@@ -41,9 +41,6 @@ def write(found: Found, folder: Path, command: str) -> None:
     if isinstance(found.target.observation, Joint):
         pictures.draw_residuals(folder / "residuals.png", found)
         parts += [each_observation(found, found.target.observation), "![residuals](residuals.png)"]
-    if found.posterior is not None:
-        pictures.draw_predictive(folder / "predictive.png", found)
-        parts.append("![deposits that the posterior predicts, and their difference from the target](predictive.png)")
     if notes := uncertainty(found):
         parts += ["## Uncertainty", *notes]
     if found.posterior is not None:
