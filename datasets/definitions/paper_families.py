@@ -6,6 +6,8 @@ friction angles and velocities than its own; scenes next to those that ship are 
 """
 
 import dataclasses
+from collections.abc import Callable
+from functools import wraps
 
 import numpy as np
 
@@ -90,36 +92,25 @@ def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
     )
 
 
-def slab(stream: Stream) -> Scene:
-    """A slab thrown at one to six baffles."""
-    return as_paper(stream, obstacle3d.slab(stream))
+def as_paper(kind: Callable[[Stream], Scene]) -> Callable[[Stream], Scene]:
+    """Scenes of a kind with the paper's dry sand and friction of floor, walls and baffles, undamped; on other cells."""
 
+    @wraps(kind)
+    def draw(stream: Stream) -> Scene:
+        drawn, cell = kind(stream), float(stream.choice(CELLS_3D))
+        friction_deg = float(stream.uniform(*FRICTION_DEG_3D))
+        extent = tuple(cell * float(np.ceil(each / cell - 1e-6)) for each in drawn.domain.size)
+        return dataclasses.replace(
+            drawn,
+            domain=Domain(size=extent, cell=cell),
+            material=dataclasses.replace(drawn.material, friction_deg=friction_deg, cohesion=0.0, tension_cutoff=0.0),
+            floor_friction=0.43,
+            wall_friction=0.43,
+            baffle_friction=0.43 if drawn.baffles else 0.0,
+            damping=0.0,
+        )
 
-def tower(stream: Stream) -> Scene:
-    """A block thrown at one to three baffles."""
-    return as_paper(stream, obstacle3d.tower(stream))
-
-
-def row(stream: Stream) -> Scene:
-    """A slab thrown at one or two rows of baffles."""
-    return as_paper(stream, obstacle3d.row(stream))
-
-
-def as_paper(stream: Stream, drawn: Scene) -> Scene:
-    """The scene with the paper's dry sand and friction of floor, walls and baffles, undamped; on other cells."""
-    cell = float(stream.choice(CELLS_3D))
-    extent = tuple(cell * float(np.ceil(each / cell - 1e-6)) for each in drawn.domain.size)
-    return dataclasses.replace(
-        drawn,
-        domain=Domain(size=extent, cell=cell),
-        material=dataclasses.replace(
-            drawn.material, friction_deg=float(stream.uniform(*FRICTION_DEG_3D)), cohesion=0.0, tension_cutoff=0.0
-        ),
-        floor_friction=0.43,
-        wall_friction=0.43,
-        baffle_friction=0.43 if drawn.baffles else 0.0,
-        damping=0.0,
-    )
+    return draw
 
 
 COLUMNS2D = family(
@@ -132,7 +123,7 @@ COLUMNS2D = family(
 )
 BAFFLES3D = family(
     "baffles3d",
-    kinds=(slab, tower, slab, row),
+    kinds=tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row))),
     variant=obstacle3d.variant,
     size=600,
     connectivity_radius=0.055,

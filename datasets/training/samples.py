@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,19 +214,11 @@ class Flows(Sequence[Flow]):
     def __len__(self) -> int:
         return len(self._files)
 
-    @overload
-    def __getitem__(self, index: int) -> Flow: ...
-    @overload
-    def __getitem__(self, index: slice) -> "Flows": ...
-    def __getitem__(self, index: int | slice) -> "Flow | Flows":
-        if isinstance(index, slice):
-            return Flows(self._files[index], step=self._step, dimension=self._dimension, spacing=self._spacing)
-        file = self._files[index]
-        flow = Flow.from_trajectory(open_trajectory(file), self._step, str(file), spacing=self._spacing)
-        if len(flow.surroundings.size) != self._dimension:
-            raise InputError(
-                f"expected a {self._dimension}D trajectory, got {len(flow.surroundings.size)}D", where=str(file)
-            )
+    def __getitem__(self, index: Any) -> Any:
+        path = self._files[index]
+        flow = Flow.from_trajectory(open_trajectory(path), self._step, str(path), spacing=self._spacing)
+        if (dimension := len(flow.surroundings.size)) != self._dimension:
+            raise InputError(f"expected a {self._dimension}D trajectory, got {dimension}D", where=str(path))
         return flow
 
 
