@@ -166,7 +166,9 @@ class Picture:
         if scene.dimension == 3:
             for chosen, colour in ((surface["solid"] < count, STEEL), (surface["solid"] >= count, GROUND)):
                 if chosen.any():
-                    part = self._clipped(surface.extract_cells(np.flatnonzero(chosen)).extract_surface(algorithm=None))
+                    part = self._clipped(
+                        surface.extract_cells(np.flatnonzero(chosen).tolist()).extract_surface(algorithm=None)
+                    )
                     self.plotter.add_mesh(part, color=colour, ambient=0.25)
                     if colour is STEEL:
                         self._lines(part.clean().extract_feature_edges(), INK)

@@ -177,7 +177,7 @@ def runs_out(flow: Trajectory) -> float:
     return in_cells(front(flow.positions[-1]) - front(flow.positions[0]), flow)
 
 
-@quantity("moved by a cell")
+@quantity("share moved by a cell")
 def fails(flow: Trajectory) -> float:
     """Share of the particles that moved by a cell or more: from 0.05 on a cut has failed.
 
@@ -200,7 +200,7 @@ def baffle_stops(flow: Trajectory) -> float:
     return share_of_throw(flow, flow.solid_impulse.sum(axis=1))
 
 
-@quantity("beyond the baffle")
+@quantity("share beyond the baffle")
 def passes_baffle(flow: Trajectory) -> float:
     """Share of the particles that are beyond the middle of the first baffle at the end."""
     baffle = flow.scene.baffles[0]
