@@ -53,14 +53,12 @@ class Data(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration(Record):
-    """How far a prediction may be from the MPM, by the spread of an ensemble (`gns.uncertainty`)."""
+    """How far a predicted front may be from the MPM's, by the spread of an ensemble (`gns.uncertainty`)."""
 
     floor: float
     """b: error that the members have in common, over the extent of the flow [-]."""
-    deviation: float
-    """Standard deviation of the errors over sqrt(spread^2 + (b extent)^2) [-]."""
     quantiles: dict[str, float]
-    """Level -> q, the quantile of the absolute errors over the same [-]."""
+    """Level -> q, the quantile of the absolute errors over sqrt(spread^2 + (b extent)^2) [-]."""
     flows: int
     """Number of flows that it was found on."""
 
@@ -81,12 +79,8 @@ class Card(Record):
     """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
     ranges: dict[str, Range]
     """Quantity (`gns.ranges.QUANTITIES`) -> least and greatest value in the training data."""
-    calibration: dict[str, Calibration] | None = None
-    """Observation (`front`, `transport`) -> calibration; None before `python -m gns.score --keep`."""
-
-    def outside(self, scene: Scene) -> list[str]:
-        """The quantities of `scene` outside of the training range: value, range and by how much."""
-        return outside(scene, self.ranges)
+    calibration: Calibration | None = None
+    """None before `python -m gns.score --keep`."""
 
 
 def describe(
@@ -177,7 +171,7 @@ def warning(weights: Path, scene: Scene) -> str | None:
     if card is None:
         return f"{weights.name} has no card (python -m gns.card): its training range is unknown"
     reasons = []
-    if found := card.outside(scene):
+    if found := outside(scene, card.ranges):
         reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
     updates = card.data.updates
     if updates is not None and updates < SHORT * (reference_updates(scene.dimension) or 0):

@@ -85,39 +85,31 @@ def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) ->
     samples = np.zeros(len(points), dtype=np.int64) if batch is None else batch.cpu().contiguous().numpy()
     axes = np.zeros((3, len(points)))
     axes[: points.shape[1]] = points.T
-    index, starts = cell_list(axes, samples, radius)
+    lower = axes.min(axis=1, initial=np.inf)
+    extent = axes.max(axis=1, initial=-np.inf) - lower if len(points) else np.zeros(3)
+    # As many cells as there are particles or so, however far a few of them may have flown.
+    edge, most = radius * (1.0 + CELL_MARGIN), (16.0 * len(points) + 4096.0) / (samples.max(initial=0) + 1)
+    while np.prod(extent / edge + 1.0) > most:
+        edge *= 1.5
+    counts = (extent / edge).astype(np.int64) + 1
+    index, starts = cell_list(axes, samples, radius, lower, edge, counts)
     return torch.from_numpy(index).to(positions.device), torch.from_numpy(starts).to(positions.device)
 
 
 @numba.njit(cache=True)
-def cell_list(positions: Floats, samples: Integers, radius: float) -> tuple[Integers, Integers]:
+def cell_list(
+    positions: Floats, samples: Integers, radius: float, lower: Floats, edge: float, counts: Integers
+) -> tuple[Integers, Integers]:
     """Pairs no further apart than the radius.
 
-    positions: [m], finite, shape [3, N]; samples: the one that each particle belongs to, shape [N].
-    Returns senders and receivers [2, E], sorted by receiver, then by sender, and the first edge of each receiver,
-    shape [N + 1].
+    positions: [m], finite, shape [3, N]; samples: the one that each particle belongs to, shape [N]; lower: corner of the
+    cells [m], edge: of them [m], counts: of them along each axis. Returns senders and receivers [2, E], sorted by
+    receiver, then by sender, and the first edge of each receiver, shape [N + 1].
     """
-    count = len(samples)
-    last_sample = 0
-    lower, extent = np.zeros(3), np.zeros(3)
-    for i in range(count):
-        last_sample = max(last_sample, samples[i])
-    for axis in range(3):
-        if count:
-            low = high = positions[axis, 0]
-            for i in range(count):
-                low, high = min(low, positions[axis, i]), max(high, positions[axis, i])
-            lower[axis], extent[axis] = low, high - low
-    # As many cells as there are particles or so, however far a few of them may have flown.
-    edge = radius * (1.0 + CELL_MARGIN)
-    while (extent[0] / edge + 1.0) * (extent[1] / edge + 1.0) * (extent[2] / edge + 1.0) * (
-        last_sample + 1
-    ) > 16.0 * count + 4096.0:
-        edge *= 1.5
-    nx, ny, nz = int(extent[0] / edge) + 1, int(extent[1] / edge) + 1, int(extent[2] / edge) + 1
+    count, (nx, ny, nz) = len(samples), counts
     # Counting sort: the number of particles in each cell, the index of its first, then the particles in order.
     number = np.empty(count, dtype=np.int64)
-    first = np.zeros((last_sample + 1) * nz * ny * nx + 1, dtype=np.int64)
+    first = np.zeros((samples.max() + 1 if count else 1) * nz * ny * nx + 1, dtype=np.int64)
     for i in range(count):
         ix = int((positions[0, i] - lower[0]) / edge)
         iy = int((positions[1, i] - lower[1]) / edge)

@@ -245,12 +245,6 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
     return {name: (round(min(values), 9), round(max(values), 9)) for name, values in found.items() if values}
 
 
-def admitted(low: float, high: float) -> Range:
-    """A range with `MARGIN` of its width on either side, and rounding; all on the quantity's scale."""
-    slack = MARGIN * (high - low) + 1.0e-6 * max(abs(low), abs(high))
-    return low - slack, high + slack
-
-
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
     """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
     if scene.gravity <= 0.0:
@@ -267,9 +261,10 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
             found.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")
             continue
         low, high = ranges[name]
-        lowest, highest = admitted(quantity.scale(low), quantity.scale(high))
-        below = quantity.bound is not Bound.UPPER and quantity.scale(min(values)) < lowest
-        above = quantity.bound is not Bound.LOWER and quantity.scale(max(values)) > highest
+        least, most = quantity.scale(low), quantity.scale(high)
+        slack = MARGIN * (most - least) + 1.0e-6 * max(abs(least), abs(most))
+        below = quantity.bound is not Bound.UPPER and quantity.scale(min(values)) < least - slack
+        above = quantity.bound is not Bound.LOWER and quantity.scale(max(values)) > most + slack
         if not (below or above):
             continue
         trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"

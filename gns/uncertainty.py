@@ -9,11 +9,10 @@ they have in common none of them shows: members of one line of training err alik
 
     w = q u,    u = sqrt(s^2 + (b L)^2)
 
-| symbol | variable   | meaning                                                                               |
-| s      | `spread`   | how far the members' predictions are apart, standard deviation                        |
-| L      | `extent`   | of the flow, from its rear at the start to the predicted front                        |
-| b      | `floor`    | what members err in common, over the extent; by maximum likelihood of N(0, (a u)^2)   |
-| a      | `deviation` | standard deviation of the errors over u                                              |
+| symbol | variable    | meaning                                                                               |
+| s      | `spread`    | standard deviation of the members' fronts                                             |
+| L      | `extent`    | of the flow, from its rear at the start to the predicted front                        |
+| b      | `floor`     | what members err in common, over the extent; most likely for N(0, (a u)^2) of any a   |
 | q      | `quantiles` | split conformal prediction: of n flows the ceil((n + 1) level)-th smallest |error| / u |
 
 A new flow that is drawn as those n were is within w with a probability of at least `level`, whatever the errors are
@@ -24,7 +23,7 @@ training ranges (`gns.card`) nothing is promised.
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,8 +54,8 @@ FLOORS = np.geomspace(1.0e-4, 1.0, 161)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What an ensemble predicts of a flow."""
+class Prediction:
+    """The deposit of a flow, and how far the MPM's front may be from its own."""
 
     deposit: NDArray[np.float32]
     """By the model itself [m], shape [n, D]."""
@@ -64,9 +63,12 @@ class Outcome:
     """Front of that deposit [m]."""
     extent: float
     """From the rear at the start to that front [m]."""
-    spreads: Mapping[str, float]
-    """`front`: standard deviation of the members' fronts [m]; `transport`: rms over the members of how far the parts of
-    their deposits lie from those of the model's [m]."""
+    spread: float
+    """Standard deviation of the members' fronts [m]."""
+    half_width: float = math.nan
+    """The MPM's front is within this distance of it, at the level asked for [m]."""
+    warning: str | None = None
+    """Why it may not be: the scene is outside of the training data."""
 
 
 def ensemble(path: Path) -> list[Simulator]:
@@ -82,19 +84,16 @@ def ensemble(path: Path) -> list[Simulator]:
     return models
 
 
-def outcome_of(models: Sequence[Simulator], state: State, conditions: Conditions, steps: int) -> Outcome:
-    """Roll out an ensemble from one state of a single flow."""
-    volume = conditions.volume.numpy()
+def rolled_out(models: Sequence[Simulator], state: State, conditions: Conditions, steps: int) -> Prediction:
+    """Roll out an ensemble from one state of a single flow; without a band."""
     with torch.no_grad():
-        model, *others = (unroll(each, state, conditions, steps)[-1].numpy() for each in models)
-    front = measures.front(model)
-    apart = [measures.transport_distance(deposit, volume, model, volume) for deposit in others]
-    spread = np.std([measures.front(deposit) for deposit in others], ddof=1)
-    return Outcome(
-        deposit=model,
+        deposit, *others = (unroll(each, state, conditions, steps)[-1].numpy() for each in models)
+    front = measures.front(deposit)
+    return Prediction(
+        deposit=deposit,
         front=front,
         extent=front - float(state.positions[:, 0].min()),
-        spreads={"front": float(spread), "transport": float(np.sqrt(np.mean(np.square(apart))))},
+        spread=float(np.std([measures.front(each) for each in others], ddof=1)),
     )
 
 
@@ -125,7 +124,6 @@ def calibrated(errors: Floats, spreads: Floats, extents: Floats) -> Calibration:
     ranks = {level: math.ceil((count + 1) * level - 1.0e-9) for level in LEVELS}
     return Calibration(
         floor=floor,
-        deviation=float(np.sqrt(np.mean(ratios**2))),
         quantiles={f"{level:g}": float(ratios[rank - 1]) for level, rank in ranks.items()},
         flows=count,
     )
@@ -148,42 +146,19 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
     if known is None:
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
     settings, rng = models[0].settings, np.random.default_rng(seed)
-    found: dict[str, list[tuple[float, float, float]]] = {"front": [], "transport": []}
+    found = []
     for flow in tqdm(flows, desc="bands", unit="flow"):
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         batch = batched([sample], step=settings.step, history=settings.history)
-        outcome = outcome_of(models, batch.state, batch.conditions(settings.cell), steps)
-        deposit = flow.positions[-1]
-        apart = measures.transport_distance(outcome.deposit, sample.volume, deposit, flow.volume)
-        for name, error in (("front", outcome.front - measures.front(deposit)), ("transport", apart)):
-            found[name].append((error, outcome.spreads[name], outcome.extent))
-    calibrations, rows = {}, []
-    for name, numbers in found.items():
-        errors, spreads, extents = np.array(numbers, dtype=np.float64).reshape(-1, 3).T
-        calibrations[name] = calibrated(errors, spreads, extents)
-        for level in LEVELS:
-            width = half_width(calibrations[name], spreads, extents, level)
-            rows.append([name, f"{level:.0%}", f"{100.0 * np.mean(width / extents):.2f}"])
-    card.write(path, dataclasses.replace(known, calibration=calibrations))
-    return tabulate(rows, ["observation", "level", f"half-width / extent [%], {len(flows)} flows"], "github")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """The deposit of a scene, and how far the MPM's may be from it."""
-
-    front: float
-    """Predicted front [m]."""
-    half_width: float
-    """The MPM's front is within this distance of it, at the level asked for [m]."""
-    transport: float
-    """So are the parts of its deposit along x, rms [m]; `measures.transport_distance`."""
-    level: float
-    """Share of such flows for which that holds [-]."""
-    outcome: Outcome
-    warning: str | None
-    """Why it may not hold here: the scene is outside of the training data."""
+        own = rolled_out(models, batch.state, batch.conditions(settings.cell), steps)
+        found.append((own.front - measures.front(flow.positions[-1]), own.spread, own.extent))
+    errors, spreads, extents = np.array(found, dtype=np.float64).reshape(-1, 3).T
+    calibration = calibrated(errors, spreads, extents)
+    card.write(path, dataclasses.replace(known, calibration=calibration))
+    widths = [half_width(calibration, spreads, extents, level) / extents for level in LEVELS]
+    rows = [[f"{level:.0%}", f"{100.0 * np.mean(width):.2f}"] for level, width in zip(LEVELS, widths, strict=True)]
+    return tabulate(rows, ["level", f"half-width / extent [%], {len(flows)} flows"], "github")
 
 
 def predict(
@@ -200,17 +175,8 @@ def predict(
     if described is None or described.calibration is None:
         message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
         raise InputError(message, where=str(card.card_path(path)), key="calibration")
-    known, models = described.calibration, ensemble(path)
+    models = ensemble(path)
     initial = initial_state(scene, models[0].settings, seed=seed)
-    outcome = outcome_of(models, initial.state, initial.conditions, initial.steps)
-    front, transport = (
-        float(half_width(known[name], outcome.spreads[name], outcome.extent, level)) for name in ("front", "transport")
-    )
-    return Prediction(
-        front=outcome.front,
-        half_width=front,
-        transport=transport,
-        level=level,
-        outcome=outcome,
-        warning=card.warning(path, scene),
-    )
+    found = rolled_out(models, initial.state, initial.conditions, initial.steps)
+    width = float(half_width(described.calibration, found.spread, found.extent, level))
+    return dataclasses.replace(found, half_width=width, warning=card.warning(path, scene))
