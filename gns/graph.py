@@ -102,8 +102,8 @@ def cell_list(
 ) -> tuple[Integers, Integers]:
     """Pairs no further apart than the radius.
 
-    positions: [m], finite, shape [3, N]; samples: the one that each particle belongs to, shape [N]; lower: corner of the
-    cells [m], edge: of them [m], counts: of them along each axis. Returns senders and receivers [2, E], sorted by
+    positions: [m], finite, shape [3, N]; samples: the one that each particle belongs to, shape [N]; lower: corner of
+    the cells [m]; edge: of them [m]; counts: of them along each axis. Returns senders and receivers [2, E], sorted by
     receiver, then by sender, and the first edge of each receiver, shape [N + 1].
     """
     count, (nx, ny, nz) = len(samples), counts
