@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from datasets.measures import Positions
 from datasets.scene import Scene
@@ -24,7 +23,7 @@ from validation.experiments.experiment import (
 )
 from validation.experiments.quantities import quantity
 from validation.report.page import Page, percent, signed
-from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
+from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure, pane
 from validation.runs import Run, RunStore
 
 CLOSE = 2.0
@@ -335,38 +334,19 @@ def describe(text: Page, shipped: Shipped) -> None:
 
 
 def draw(path: Path, findings: Findings) -> None:
-    """A row per measured length on the left, one per inferred angle on the right."""
-    lengths = [each for each in findings.scores if each.measured.quantity is not Quantity.PROFILE]
-    with figure(path, columns=2, size=(7.0, 1.6 + 0.36 * max(len(lengths), len(findings.inferred), 1))) as axes:
-        draw_lengths(axes[0, 0], lengths)
-        draw_angles(axes[0, 1], findings.inferred)
-        for axis in axes.flat:
-            axis.grid(axis="y", visible=False)
-            axis.invert_yaxis()
-            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
-
-
-def draw_lengths(axis: Axes, scores: Sequence[Score]) -> None:
-    """Lengths over the measured ones."""
+    """Lengths over the measured ones, a row each."""
+    scores = [each for each in findings.scores if each.measured.quantity is not Quantity.PROFILE]
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
-    axis.errorbar(
-        np.ones(len(scores)), rows, xerr=spread, fmt="s", color=INK, capsize=3, ms=4, label="measured, ± spread"
-    )
-    axis.plot(np.array([each.coarse for each in scores]) / value, rows, "o", color=LIGHT_BLUE, label="coarse cells")
-    axis.plot(np.array([each.fine for each in scores]) / value, rows, "o", color=BLUE, label="fine cells")
-    axis.set_yticks(rows, [each.label for each in scores])
-    axis.set(xlabel="length over the measured one", title="At the measured angle")
-
-
-def draw_angles(axis: Axes, found: Sequence[Inferred]) -> None:
-    """Angles in degrees."""
-    for number, marker, label in ((0, "s", "measured, computed with"), (1, "d", "measured, the other")):
-        some = [(row, each.angles[number]) for row, each in enumerate(found) if len(each.angles) > number]
-        x, width = [angle.deg for _, angle in some], [angle.half_width_deg for _, angle in some]
-        rows = [row for row, _ in some]
-        axis.errorbar(x, rows, xerr=width, fmt=marker, color=INK, mfc="none", capsize=3, ms=4, label=label)
-    x, width = [each.deg for each in found], [each.half_width_deg for each in found]
-    axis.errorbar(x, range(len(found)), xerr=width, fmt="o", color=BLUE, capsize=3, ms=4, label="from the front")
-    axis.set_yticks(range(len(found)), [each.label for each in found])
-    axis.set(xlabel="angle of friction [deg]", title="The angle from the front")
+    with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:
+        axis = pane(axes)
+        ones = np.ones(len(scores))
+        axis.errorbar(ones, rows, xerr=spread, fmt="s", color=INK, capsize=3, ms=4, label="measured, ± spread")
+        for name, colour in (("coarse", LIGHT_BLUE), ("fine", BLUE)):
+            found = np.array([getattr(each, name) for each in scores])
+            axis.plot(found / value, rows, "o", color=colour, label=f"computed, {name} cells")
+        axis.set_yticks(rows, [each.label for each in scores])
+        axis.set(xlabel="length over the measured one", title="At the angle of friction that was measured by itself")
+        axis.grid(axis="y", visible=False)
+        axis.invert_yaxis()
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)

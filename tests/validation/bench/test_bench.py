@@ -49,9 +49,9 @@ def test_runs_that_another_process_keeps_are_refused(tmp_path: Path, capsys: pyt
     assert "writes here since" in capsys.readouterr().err
 
 
-def test_names_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_eight_pages_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--list"]) == 0
-    assert "experiments: " in capsys.readouterr().out
+    assert sum(line.partition(":")[0] in BENCHES for line in capsys.readouterr().out.splitlines()) == len(BENCHES) == 8
 
 
 @pytest.mark.parametrize("arguments", [[], ["experiment"]])

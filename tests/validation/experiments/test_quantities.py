@@ -32,11 +32,8 @@ def number(kind: Quantity, **other: object) -> Measured:
     )
 
 
-def test_height_is_that_of_the_surface() -> None:
+def test_height_of_the_surface_and_front_by_share_and_by_thickness() -> None:
     assert quantity(number(Quantity.HEIGHT, within=0.05), BLOCK, AT_START) == pytest.approx(0.1)
-
-
-def test_front_by_share_and_by_thickness() -> None:
     assert quantity(number(Quantity.FRONT), BLOCK, AT_START) == pytest.approx(0.4, abs=0.006)
     thin = quantity(number(Quantity.FRONT, thicker_than=0.05), BLOCK, AT_START)
     assert thin == pytest.approx(0.4, abs=0.006)
