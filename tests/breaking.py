@@ -54,7 +54,7 @@ name = "friction_deg"
 initial = 28.0
 lower = 20.0
 upper = 40.0
-[observation]
+[[observations]]
 kind = "front"
 [target]
 twin = true

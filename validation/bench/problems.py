@@ -14,10 +14,9 @@ from typing import Any
 from datasets.errors import InputError, WorkFailed
 from datasets.files import write_text
 from datasets.records import Record, from_mapping, read_json, read_toml
-from gns.library import shipped
+from gns import library
 from inverse.found import Verdict
 from inverse.problem import Problem, read_problem
-from validation.bench.paper import Paper, read_paper
 from validation.report.page import GNS, MPM, Page, Row
 
 RESULT, KEY = "result.json", "made-of.txt"
@@ -58,8 +57,17 @@ class Family(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(Record):
+class Shipped(Record):
+    """`problems.toml`."""
+
+    paper: dict[str, str]
+    """What the reference paper reports of a problem."""
     families: tuple[Family, ...]
+
+
+def read_shipped() -> Shipped:
+    """The families in the order of the page, and the paper's figures."""
+    return from_mapping(Shipped, read_toml(Path(__file__).with_suffix(".toml")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +139,8 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
     only
         Solve these alone; the page has all that there are.
     """
-    families = from_mapping(_File, read_toml(Path(__file__).with_suffix(".toml"))).families
+    shipped = read_shipped()
+    families = shipped.families
     names = [name for family in families for name in family.problems]
     for name in only:
         if name not in names:
@@ -147,7 +156,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
                 outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
                 found.setdefault(family.title, []).append(outcome)
     pictures = [copied(keep, picture, out) for family in families for picture in family.pictures]
-    result = page(found, [each for each in pictures if each], read_paper(), quick=quick)
+    result = page(found, [each for each in pictures if each], shipped.paper, quick=quick)
     conclusion = result.write(out / "problems.md")
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
@@ -157,7 +166,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 def made_of(problem: Problem) -> str:
     """Digest of the problem and of the surrogate's weights."""
     text = repr(dataclasses.replace(problem, folder=Path()))
-    return hashlib.sha256(text.encode() + shipped(problem.scene.dimension).read_bytes()).hexdigest()[:16]
+    return hashlib.sha256(text.encode() + library.shipped(problem.scene.dimension).read_bytes()).hexdigest()[:16]
 
 
 def is_current(problem: Problem, folder: Path) -> bool:
@@ -187,7 +196,9 @@ def copied(keep: Path, picture: str, out: Path) -> str:
     return target
 
 
-def page(found: Mapping[str, Sequence[Outcome]], pictures: Sequence[str], paper: Paper, *, quick: bool) -> Page:
+def page(
+    found: Mapping[str, Sequence[Outcome]], pictures: Sequence[str], paper: Mapping[str, str], *, quick: bool
+) -> Page:
     """The page of all problems that were `found`, by their families' titles."""
     outcomes = [each for group in found.values() for each in group]
     result = Page(
@@ -252,13 +263,13 @@ def extent(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def row(outcome: Outcome, paper: Paper) -> Row:
+def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
     """The line of a problem of numbers."""
     result = outcome.result
     front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
     return {
         "problem": f"`{outcome.problem.name}`",
-        "the paper": of_paper(outcome.problem.name, paper),
+        "the paper": paper.get(outcome.problem.name, ""),
         "verdict": result["verdict"],
         "found": found_text(outcome),
         "largest error": error_text(outcome),
@@ -300,19 +311,6 @@ def error_text(outcome: Outcome) -> str:
     worst = max(errors, key=lambda each: errors[each] / widths[each])
     text = text_of(outcome.problem, worst, errors[worst])
     return f"{text} of `{worst}`" if len(errors) > 1 else f"{text} ({outcome.percent(errors):.2f} %)"
-
-
-def of_paper(problem: str, paper: Paper) -> str:
-    """What the paper reports of a problem, empty where nothing."""
-    for each in paper.scenarios:
-        if problem == f"friction-{each.name}":
-            return f"{each.phi_estimated:.2f} deg ({each.phi_error_pct:.2f} %), runout {each.front_error_pct:.2f} % off"
-    if problem == "velocity-layers-10":
-        return f"loss {paper.velocity.mse_mpm:.1e}, {paper.velocity.iterations} iterations"
-    if problem == "baffles-2":
-        z = " and ".join(f"{value:.3f}" for value in paper.baffles.z)
-        return f"z = {z} m, loss {paper.baffles.loss_mpm:.1e}, {paper.baffles.iterations} iterations"
-    return ""
 
 
 def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
