@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from datasets.arrays import open_npz
 from datasets.errors import InputError
 from datasets.geometry.ground import BEYOND, check_covers, interpolated
-from datasets.geometry.rasters import RASTERS, UNITS, Field, read_field
+from datasets.geometry.rasters import RASTERS, UNITS, Raster, read_field
 from datasets.reading import file_size, read_columns, reading
 
 Floats = NDArray[np.float64]
@@ -145,7 +145,7 @@ class Reader:
                 raise InputError(f"expected {expected}, got {value!r}", key=f"{key}.{part}")
         return path, how
 
-    def located(self, path: Path, how: Entry, column: str, extra: str | None = None, own: bool = False) -> Field:
+    def located(self, path: Path, how: Entry, column: str, extra: str | None = None, own: bool = False) -> Raster:
         """A field in the coordinates of the box; a raster beside the terrain's where that is one, unless `own`."""
         field, at = read_field(path, column, how.get("unit", "m"), extra), how.get("at")
         beside = self.offset if path.suffix.lower() in RASTERS and not own else None
@@ -215,7 +215,7 @@ def combined(entry: Entry, found: Entry, key: str) -> Entry:
     return entry | found
 
 
-def on_grid(field: Field, name: str) -> Entry:
+def on_grid(field: Raster, name: str) -> Entry:
     """A field as the keys of a solid or a mass, its values under `name`."""
     return {
         "origin": [float(field.x[0]), float(field.z[0])],

@@ -33,7 +33,7 @@ METRES = (None, "", "m", "metre", "metres", "meter", "meters")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class Raster:
     """Values on a regular grid."""
 
     x: Floats
@@ -49,11 +49,11 @@ class Field:
     crs: str | None = None
     """Coordinate reference system of a raster, as an authority's code or in WKT, where it names one."""
 
-    def moved(self, offset: tuple[float, float]) -> "Field":
+    def moved(self, offset: tuple[float, float]) -> "Raster":
         """The field at other coordinates."""
         return dataclasses.replace(self, x=self.x + offset[0], z=self.z + offset[1])
 
-    def cropped(self, size: tuple[float, float], margin: float) -> "Field":
+    def cropped(self, size: tuple[float, float], margin: float) -> "Raster":
         """What lies in [0, size] and `margin` [m] around it, at least two values along each axis."""
         parts = []
         for coordinates, length in ((self.x, size[0]), (self.z, size[1])):
@@ -72,7 +72,7 @@ class Field:
             raise InputError(f"expected a raster without holes in the box, got {where}", where=str(path))
 
 
-def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Field:
+def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Raster:
     """A field from a raster or from the columns x, z and `column` of a CSV. Raises InputError, which names the file.
 
     unit: of the lengths in a CSV; extra: another column of a CSV, if it is there.
@@ -89,7 +89,7 @@ def read_field(path: Path, column: str, unit: str = "m", extra: str | None = Non
         raise error.at(str(path)) from None
 
 
-def read_raster(path: Path) -> Field:
+def read_raster(path: Path) -> Raster:
     """A raster of one band, north up, in metres. Raises InputError."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -119,7 +119,7 @@ def read_raster(path: Path) -> Field:
         raise InputError(f"expected at least 2 x 2 values, got {rows} x {columns}")
     values = masked.filled(np.nan)
     values[~np.isfinite(values)] = np.nan
-    return Field(
+    return Raster(
         x=np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a),
         z=np.asarray(transform.f + (np.arange(rows)[::-1] + 0.5) * transform.e),
         values=np.ascontiguousarray(values[::-1].T),
@@ -146,7 +146,7 @@ def check_units(crs: object, unit: str | None) -> None:
         raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
 
 
-def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Field:
+def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Raster:
     """Rows x, z, value as a regular grid, with holes where rows are missing. Raises InputError for rows not on one."""
     x, i = np.unique(columns["x"], return_inverse=True)
     z, k = np.unique(columns["z"], return_inverse=True)
@@ -165,7 +165,7 @@ def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | Non
         return found
 
     metres = UNITS[unit]
-    return Field(
+    return Raster(
         x=metres * x,
         z=metres * z,
         values=metres * grid(columns[column]),

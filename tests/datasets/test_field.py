@@ -86,12 +86,6 @@ def test_bad_fields_are_named(changes: dict[str, object], key: str) -> None:
     assert error.value.key == key
 
 
-def test_one_field_of_a_kind_for_each_mass() -> None:
-    with pytest.raises(InputError) as error:
-        dataclasses.replace(SCENE, fields=(FRICTION, dataclasses.replace(FRICTION, mass=1)))
-    assert error.value.key == "fields[1]"
-
-
 def test_no_friction_below_the_dilation() -> None:
     material = dataclasses.replace(SCENE.material, dilation_deg=25.0)
     with pytest.raises(InputError, match="at least 25"):

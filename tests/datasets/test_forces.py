@@ -92,21 +92,6 @@ def test_the_table_holds_the_impulse(tmp_path: Path, flow: Trajectory) -> None:
     np.testing.assert_allclose(given, flow.solid_impulse[-1].ravel(), rtol=1e-7)
 
 
-def test_three_dimensions_are_in_newtons(tmp_path: Path, flow: Trajectory) -> None:
-    scene = dataclasses.replace(
-        flow.scene,
-        domain=dataclasses.replace(flow.scene.domain, size=(0.2, 0.1, 0.1)),
-        masses=tuple(
-            dataclasses.replace(m, lower=(*m.lower, 0.0), size=(*m.size, 0.1), velocity=None) for m in flow.scene.masses
-        ),
-        baffles=tuple(Baffle(lower=(*b.lower, 0.0), size=(*b.size, 0.1)) for b in BAFFLES),
-    )
-    impulse = np.random.default_rng(1).random((len(TIME), 2, 3))
-    solid = dataclasses.replace(flow, scene=scene, solid_impulse=impulse, summary={})
-    write_table(tmp_path / "forces.csv", forces_of(solid))
-    assert rows(tmp_path / "forces.csv")[0][-1] == "baffles[1]_fz_N"
-
-
 def test_the_peak_is_where_it_is_and_drawn(tmp_path: Path, flow: Trajectory) -> None:
     impulse = np.zeros_like(flow.solid_impulse)
     impulse[3:, 0, 0], impulse[5:, 1, 1] = 60.0, -40.0
