@@ -57,6 +57,16 @@ LEAST_VOLUME_CHANGE = 0.4999
 that single precision loses the shear stress beside the pressure."""
 TENSION_SHARE = 0.003
 """Tension cutoff over cohesion [-] where a material names none."""
+BOUNDS = {
+    "density": (1.0e-3, 1.0e6, "a positive density in kg/m^3, 0.001 to 1e6"),
+    "young": (1.0e-3, STIFFEST, f"a positive modulus in Pa, 0.001 to {STIFFEST:g}"),
+    "poisson": (0.0, LEAST_VOLUME_CHANGE, f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]"),
+    "cohesion": (0.0, STIFFEST, f"a cohesion of at least 0 Pa, up to {STIFFEST:g}"),
+    "strength_gradient": (0.0, STIFFEST, f"a growth of at least 0 Pa/m, up to {STIFFEST:g}"),
+    "tension_cutoff": (0.0, STIFFEST, f"a tension cutoff of at least 0 Pa, up to {STIFFEST:g}"),
+    "softening_length": (1.0e-9, 1.0e9, "a positive slip in m, 1e-9 to 1e9"),
+}
+"""Of the keys that have fixed ones: least and greatest value, and what is expected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,26 +112,11 @@ class Material(Record):
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
         require(0.0 <= self.friction_deg < 90.0, "friction_deg", "an angle in [0, 90) degrees")
-        require(1.0e-3 <= self.density <= 1.0e6, "density", "a positive density in kg/m^3, 0.001 to 1e6")
-        require(1.0e-3 <= self.young <= STIFFEST, "young", f"a positive modulus in Pa, 0.001 to {STIFFEST:g}")
-        require(0.0 <= self.poisson <= LEAST_VOLUME_CHANGE, "poisson", f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]")
+        for key, (low, high, expected) in BOUNDS.items():
+            require(getattr(self, key) is None or low <= getattr(self, key) <= high, key, expected)
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
-        require(0.0 <= self.cohesion <= STIFFEST, "cohesion", f"a cohesion of at least 0 Pa, up to {STIFFEST:g}")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
-        require(
-            0.0 <= self.strength_gradient <= STIFFEST,
-            "strength_gradient",
-            f"a growth of at least 0 Pa/m, up to {STIFFEST:g}",
-        )
-        if self.tension_cutoff is not None:
-            require(
-                0.0 <= self.tension_cutoff <= STIFFEST,
-                "tension_cutoff",
-                f"a tension cutoff of at least 0 Pa, up to {STIFFEST:g}",
-            )
-        if self.softening_length is not None:
-            require(1.0e-9 <= self.softening_length <= 1.0e9, "softening_length", "a positive slip in m, 1e-9 to 1e9")
         for key, peak in (
             ("friction_deg", self.friction_deg),
             ("cohesion", self.cohesion),
