@@ -174,7 +174,8 @@ def csv(text: str) -> Callable[[Path], None]:
 SQUARE = "x,z,y\n0,0,1\n0,1,1\n2,0,1\n2,1,1\n"
 CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
     ("dem.asc", TERRAIN, holes, "expected a raster without holes in the box, got 2 cells without data"),
-    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "a geographic one in degrees"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
+    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:2263"), "metres, got one in US survey foot"),
     ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     ("dem.png", TERRAIN, csv("no raster"), "expected a raster (.asc, .tif, .tiff) or a CSV"),
     ("dem.asc", TERRAIN, None, "there is none"),
