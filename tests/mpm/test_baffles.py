@@ -35,14 +35,6 @@ def inside(trajectory: Trajectory) -> int:
     return count
 
 
-def test_no_point_comes_inside_and_most_stay_behind() -> None:
-    baffle = Baffle(lower=(0.5, 0.0), size=(0.1, 0.12))
-    stopped, free = simulate_many([flow(baffle), flow()])
-    assert inside(stopped) == 0
-    assert (stopped.positions[-1, :, 0] > 0.6).mean() < 0.02
-    assert (free.positions[-1, :, 0] > 0.6).mean() > 0.1
-
-
 @pytest.mark.slow
 def test_moving_a_baffle_moves_the_deposit_by_degrees() -> None:
     """Over two cells in steps of a fifth: the deposit follows a smooth curve, no plateau and no jump.

@@ -33,10 +33,12 @@ def momentum(flow: Trajectory) -> NDArray[np.float64]:
     return np.einsum("n, tnd -> td", particles.volume * particles.density, flow.velocities.astype(np.float64))
 
 
-@pytest.mark.parametrize("precision", ["f32", "f64"])
-@pytest.mark.parametrize(("scene", "frame"), [(SCENE, 20), (SCENE_3D, 8)], ids=["2D", "3D"])
-def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int, precision: str) -> None:
-    flow = simulate(scene, precision=precision, threads=1, record=WITH_FIELDS)  # type: ignore[arg-type]
+@pytest.mark.double
+@pytest.mark.parametrize(
+    ("scene", "frame"), [(SCENE, 20), pytest.param(SCENE_3D, 8, marks=pytest.mark.slow)], ids=["2D", "3D"]
+)
+def test_a_mass_stands_until_its_time_and_then_flows(scene: Scene, frame: int) -> None:
+    flow = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
     mass = scene.masses[0]
     assert flow.summary["release_time"] == [mass.release]
     for axis in (0, 2)[: scene.dimension - 1]:
@@ -118,6 +120,7 @@ def test_masses_have_their_own_times() -> None:
     assert falling == pytest.approx(-9.81 * 0.05, rel=0.01)
 
 
+@pytest.mark.slow
 def test_rest_waits_for_the_release() -> None:
     scene = with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
     flow = simulate(scene, threads=1, record=AT_REST)

@@ -39,6 +39,7 @@ def wait_and_name(number: float) -> tuple[float, int]:
     return number, os.getpid()
 
 
+@pytest.mark.slow
 def test_trajectories_are_those_of_this_machine(cluster: Workers) -> None:
     for record in ({}, {"record": LAST}):
         for one, other in zip(cluster(SCENES, **record), simulate_many(SCENES, **record), strict=True):
@@ -46,6 +47,7 @@ def test_trajectories_are_those_of_this_machine(cluster: Workers) -> None:
             assert one.scene == other.scene
 
 
+@pytest.mark.slow
 def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:
     found, first = {}, None
     for index, (number, process) in cluster.finished(wait_and_name, [(float(each),) for each in range(12)]):
@@ -66,6 +68,7 @@ def test_a_dataset_survives_a_killed_worker(workers: Any, cluster: Workers, tmp_
     assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_no_workers_is_a_failure_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mpm.cluster.PATIENCE", 0.0)
     monkeypatch.setattr("mpm.cluster.POLL", 0.1)

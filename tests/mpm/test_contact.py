@@ -66,6 +66,7 @@ def test_a_layer_on_a_terrain_rests() -> None:
     assert_at_rest(simulate(layer(0.37, terrain=True)), 5.37 * CELL, since=40)
 
 
+@pytest.mark.slow
 def test_a_layer_rests_in_three_dimensions() -> None:
     assert_at_rest(simulate(layer(0.6, dimension=3, duration=0.6)), 5.6 * CELL, since=20)
 
@@ -96,6 +97,7 @@ def block(angle_deg: float, offset: float) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
 def test_a_block_holds_below_the_angle_of_its_base_and_slides_beyond_it_by_the_closed_form() -> None:
     """a = g (sin theta - mu cos theta), where that is positive (Coulomb)."""
@@ -124,6 +126,7 @@ def thrown(*baffles: Baffle, speed: float) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("thickness", "speed"), [(0.5, 50.0), (0.2, 20.0), (0.05, 5.0)])
 def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     face = 0.8 + 0.3 * CELL
@@ -220,6 +223,7 @@ def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
     assert abs(moved[1]) < 0.03 * moved[0]
 
 
+@pytest.mark.slow
 def test_adhesion_holds_cohesive_soil_under_a_ceiling() -> None:
     """A thin elastic plate hangs from a ceiling that bears more tension than its weight, and falls from one without."""
 

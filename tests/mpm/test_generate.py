@@ -113,6 +113,7 @@ def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> N
 STORAGE = Storage(cell=0.05, kept=1)
 
 
+@pytest.mark.slow
 def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, tmp_path: Path) -> None:
     definition = replace(TINY, storage=STORAGE)
     for jobs in (1, 2):
@@ -288,6 +289,7 @@ def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
         assert Trajectory.load(path).scene == scenes[path.stem]
 
 
+@pytest.mark.slow
 def test_nothing_lives_on_after_a_kill(tmp_path: Path) -> None:
     with generating(tmp_path) as process:
         assert len(members(process.pid)) > 2

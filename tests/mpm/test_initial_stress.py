@@ -65,6 +65,7 @@ def test_a_geostatic_bed_is_at_rest_from_the_first_frame(precision: str, most: f
     assert fastest(BED_2D, precision) <= most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["f64", "f32"])
 def test_in_3d_too(precision: str) -> None:
     assert fastest(BED_3D, precision) <= 1.0e-6
@@ -89,6 +90,7 @@ def test_rows_have_the_geostatic_stress() -> None:
     assert 0.1 < np.std(stress[:, 1] / -weight) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k0", [0.36, 0.5, 1.0, 2.5])
 @pytest.mark.parametrize("scene", [BED_2D, BED_3D], ids=["2D", "3D"])
 def test_no_particle_is_beyond_yield(scene: Scene, k0: float) -> None:

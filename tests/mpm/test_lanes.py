@@ -23,6 +23,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("register", [16, 32])
 @pytest.mark.parametrize("name", SCENES)
 def test_shorter_vectors_compute_the_same(name: str, register: int, monkeypatch: pytest.MonkeyPatch) -> None:

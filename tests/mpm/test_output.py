@@ -167,6 +167,7 @@ def test_a_ringing_bed_is_not_at_rest() -> None:
     assert flow.summary["end_time"] == 0.5
 
 
+@pytest.mark.slow
 def test_a_settled_deposit_is_at_rest_and_repeats_its_last_frame() -> None:
     scene = box(floor_friction=0.5, duration=2.0)
     whole, ended = simulate(scene), simulate(scene, record=REST)

@@ -149,6 +149,7 @@ def block(**material: object) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.double
 def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
     """Nothing happens before slip, everything at once where the length is tiny, and something between in between."""

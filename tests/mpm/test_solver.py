@@ -75,6 +75,7 @@ def test_a_block_stays_on_an_incline_that_friction_holds() -> None:
     assert abs(centre_displacement(simulate(scene))[-1, 0]) < 0.05 * scene.domain.cell
 
 
+@pytest.mark.slow
 @pytest.mark.double
 def test_an_elastic_bar_rings_with_its_period() -> None:
     """First free-free mode of a bar, nu = 0: period 2 L / c; the bar starts with the mode's velocity in 40 slices."""
@@ -213,6 +214,7 @@ def test_fields_are_what_the_points_carry() -> None:
     assert np.all(np.diff(trajectory.plastic_strain, axis=0) >= 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.double
 def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel with a thread per particle and atomic sums, here on the CPU's threads."""
