@@ -136,8 +136,8 @@ def test_smoothing_keeps_constants_and_integrals() -> None:
     np.testing.assert_allclose(smoothed(values[:, :, 0], positions, volume, scene), found[:, :, 0], rtol=1e-5)
     # A spline reproduces linear functions.
     nodes = weights(positions[0], scene)
-    x = (np.arange(50 + 5) - 2) * 0.02
-    grid = np.broadcast_to(x[:, None], (55, 55)).ravel()
+    x = (np.arange(50 + 7) - 3) * 0.02
+    grid = np.broadcast_to(x[:, None], (57, 57)).ravel()
     np.testing.assert_allclose(nodes @ grid, positions[0, :, 0], atol=1e-12)
 
 
