@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -329,16 +328,3 @@ def test_links_out_of_the_file(tmp_path: Path) -> None:
         file["00000/position"] = h5py.ExternalLink("other.h5", "00000/position")
     with pytest.raises(InputError, match="an array of numbers in the file"):
         only(path)
-
-
-def test_the_page_names_every_key(tmp_path: Path) -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    toy_dataset(tmp_path / "ours", 2)
-    for layout, module in LAYOUTS.items():
-        exchange(tmp_path / "ours", "--to", layout, "--out", tmp_path / layout)
-        written = json.loads((tmp_path / layout / "metadata.json").read_text())
-        assert written.keys() <= set(re.findall(r"`(\w+)`", page))
-        for kind in module.ParticleType:
-            assert f"{int(kind)} ({kind.name.lower().replace('_', ' ')})" in page
-    for flag in ("--to", "--from", "--out", "--scene", "--up", "scenes.json", "exchange.json"):
-        assert flag in page

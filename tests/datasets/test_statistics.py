@@ -1,15 +1,17 @@
-"""Streaming statistics against numpy on all samples at once; what is counted; what goes into metadata.json."""
+"""Streaming statistics against numpy on all samples at once, what goes into metadata.json; thinning keeps volumes."""
 
 import json
 from functools import reduce
 from operator import add
 
 import numpy as np
+import pytest
 
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Split
 from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, Moments, motion_statistics
+from datasets.training.thinning import thin
 
 FRAME_DT = 0.0025
 
@@ -75,3 +77,17 @@ def test_metadata_has_the_keys_of_geoelements_and_ours() -> None:
     assert read["splits"] == {split.value: count for split, count in zip(Split, (13, 1, 1), strict=True)}
     assert read["material"]["cohesion"] == 100.0
     assert read["friction_deg"] == [15.0, 45.0]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("kept", [1, 2, 5])
+def test_every_cell_keeps_its_volume(dimension: int, kept: int) -> None:
+    positions = np.random.default_rng(0).uniform(-0.1, 0.3, (500, dimension))
+    thinned = thin(positions, 2.0, cell=0.1, kept=kept, rng=np.random.default_rng(1))
+    cells = np.floor(positions / 0.1).astype(int)
+    stays = cells[thinned.indices]
+    assert len(np.unique(thinned.indices)) == len(thinned.indices)
+    for cell, count in zip(*np.unique(cells, axis=0, return_counts=True), strict=True):
+        chosen = (stays == cell).all(axis=1)
+        assert chosen.sum() == min(count, kept)
+        assert thinned.volumes[chosen].sum() == pytest.approx(2.0 * count)

@@ -11,8 +11,6 @@ import pyvista
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
-from datasets.command_line import WorkFailed
-from datasets.exchange import vtkhdf
 from datasets.exchange.vtk import Meshes, write_vtk
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.scene import Solid
@@ -77,23 +75,6 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
         assert blocks["particles"].point_data.active_vectors_name == "velocity"
         assert blocks["solids"].cell_data.active_vectors_name == "force"
         since = frame
-
-
-def test_a_vtkhdf_that_fails_leaves_the_older_one(
-    tmp_path: Path, flow: Trajectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "trajectory.vtkhdf"
-    write_vtkhdf(flow, path)
-    before = path.read_bytes()
-
-    def full(*_: object) -> None:
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr(vtkhdf.Block, "write", full)
-    with pytest.raises(WorkFailed, match=r"trajectory\.vtkhdf could not be written: no space left"):
-        write_vtkhdf(flow, path)
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["trajectory.vtkhdf"]
 
 
 def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
