@@ -1,35 +1,13 @@
 """python -m validation.vtk TRAJECTORY --out DIR: a trajectory for ParaView, as a picture and as a movie."""
 
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Literal
 
-from datasets.command_line import listed, run
+from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.files import make_folder
-from datasets.trajectory import Trajectory, read_trajectory, trajectory_file
-
-
-class Format(StrEnum):
-    """How a trajectory is stored for ParaView."""
-
-    PVD = "pvd"
-    VTKHDF = "vtkhdf"
-    VTU = "vtu"
-
-
-def write(format: Format, flow: Trajectory, out: Path, every: int) -> Path:
-    """Write `flow` into the folder `out`, and return the file to open."""
-    from datasets.exchange.vtk import SERIES, write_vtk
-    from datasets.exchange.vtkhdf import FILE, write_vtkhdf
-
-    if format is Format.VTKHDF:
-        write_vtkhdf(flow, out / FILE, every=every, progress=True)
-        return out / FILE
-    folder = out if format is Format.PVD else out / "vtu"
-    write_vtk(flow, folder, every=every, suffix=".vtp" if format is Format.PVD else ".vtu", progress=True)
-    return folder / SERIES
+from datasets.trajectory import read_trajectory, trajectory_file
 
 
 def command(
@@ -39,7 +17,7 @@ def command(
     out: Path,
     picture: bool = False,
     movie: bool = False,
-    format: str = Format.PVD,
+    format: Literal["pvd", "vtkhdf"] = "pvd",
     frames: int = 1,
     colour: Literal["velocity", "displacement", "pressure", "plastic_strain", "material"] | None = None,
     time: float | None = None,
@@ -58,8 +36,7 @@ def command(
     movie
         Draw all frames, too: OUT/movie.mp4.
     format
-        Any of pvd (VTP files and their index), vtkhdf (one file) and vtu (a series of unstructured grids in OUT/vtu),
-        separated by commas.
+        pvd (a VTP file a frame, and their index) or vtkhdf (one file).
     frames
         Take every how many frames, into the series and the movie; the last frame always.
     colour
@@ -69,13 +46,13 @@ def command(
     rate
         Frames of the movie a second.
     """
-    from datasets.exchange.vtk import frames_of
+    from datasets.exchange.vtk import SERIES, frames_of, write_vtk
+    from datasets.exchange.vtkhdf import FILE, write_vtkhdf
     from validation.report.rendering import Colour, require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):
         if number < 1:
             raise InputError(f"expected an integer of at least 1, got {number}", key=key)
-    chosen = [Format(name) for name in listed(format, list(Format), "--format")]
     flow = read_trajectory(trajectory)
     end = float(flow.time[-1])
     if time is not None and not 0.0 <= time <= end:
@@ -88,8 +65,11 @@ def command(
     make_folder(out)
     shown = frames_of(flow, frames)
     print(f"{len(shown)} frames of {flow.positions.shape[1]} particles")
-    for each in chosen:
-        print(f"written to {write(each, flow, out, frames)}")
+    if format == "pvd":
+        write_vtk(flow, out, every=frames, progress=True)
+    else:
+        write_vtkhdf(flow, out / FILE, every=frames, progress=True)
+    print(f"written to {out / (SERIES if format == 'pvd' else FILE)}")
     if picture:
         nearest = int(abs(flow.time - (end if time is None else time)).argmin())
         write_picture(out / "picture.png", flow, Colour(colour or Colour.DISPLACEMENT), nearest)

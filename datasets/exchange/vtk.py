@@ -4,7 +4,7 @@ import re
 import tempfile
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pyvista
 
 SERIES = "trajectory.pvd"
-PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vt[pu]")
+PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vtp")
 """The files that a series consists of, whatever its length."""
 UNITS = {
     "velocity": "m/s",
@@ -207,12 +207,10 @@ def write_vtk(
     folder: str | Path,
     *,
     every: int = 1,
-    suffix: Literal[".vtp", ".vtu"] = ".vtp",
     progress: bool = False,
 ) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
-    suffix: PolyData by VTK's own writer, or unstructured grids by meshio's, which hold no units and no active vectors.
     Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole
     until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
     """
@@ -225,7 +223,7 @@ def write_vtk(
         beside = Path(name)
         for frame in tqdm(frames_of(trajectory, every), desc="vtk", unit="frame", disable=not progress):
             for number, part in enumerate(meshes.parts):
-                file = f"{part}-{frame:04d}{suffix}" if meshes.changes(part) else part + suffix
+                file = f"{part}-{frame:04d}.vtp" if meshes.changes(part) else f"{part}.vtp"
                 if not (beside / file).exists():
                     _write(meshes.part(part, frame, since), beside / file)
                 time = repr(float(trajectory.time[frame]))
@@ -243,13 +241,7 @@ def write_vtk(
 
 
 def _write(mesh: "pyvista.PolyData", path: Path) -> None:
-    """Write a VTP or a VTU: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
-    if path.suffix == ".vtu":
-        import meshio
-        import pyvista
-
-        meshio.write(path, pyvista.to_meshio(mesh), binary=True)
-        return
+    """Write a VTP: compressed, all arrays as they are behind the XML. Raises WorkFailed."""
     from pyvista.core.utilities.writer import XMLPolyDataWriter
 
     writer: Any = XMLPolyDataWriter(path, mesh).writer

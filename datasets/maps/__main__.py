@@ -4,7 +4,7 @@ import csv
 import io
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FORMATS = {2: ("csv", "png"), 3: ("tif", "asc", "png", "geojson")}
+FORMATS = {2: ("csv", "png"), 3: ("tif", "png", "geojson")}
 """What a trajectory in 2D and in 3D can be written as."""
 PROFILE, SUMMARY, OUTLINES = "profile.csv", "maps.json", "outline.geojson"
 
@@ -52,15 +52,12 @@ def write_maps(
     from datasets.maps.pictures import draw_map
 
     cell, said = float(maps.edges[0][1]), summary(trajectory, maps, location)
-    rasters: tuple[Literal["tif", "asc"], ...] = ("tif", "asc")
     for name, kind in KINDS.items():
         values = getattr(maps, name)
         if values is None:
             continue
-        for ending in rasters:
-            if ending in formats:
-                path = folder / f"{name}.{ending}"
-                write_raster(path, values, cell, location, kind=ending, name=kind.title, unit=kind.unit)
+        if "tif" in formats:
+            write_raster(folder / f"{name}.tif", values, cell, location, name=kind.title, unit=kind.unit)
         if "png" in formats:
             label, title = f"{kind.title} [{kind.unit}]", heading(name, maps, said)
             path = folder / f"{name}.png"
@@ -170,7 +167,7 @@ def command(
     threshold
         Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
     formats
-        Any of tif, asc, png and geojson, in 2D of csv and png, separated by commas; all unless given.
+        Any of tif, png and geojson, in 2D of csv and png, separated by commas; all unless given.
     """
     from datasets.maps.plan import cell_edges, maps_of
 

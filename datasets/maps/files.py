@@ -1,18 +1,17 @@
-"""Maps -> GeoTIFF, ESRI ASCII and GeoJSON: in the coordinates of the terrain's raster where the scene has one."""
+"""Maps -> GeoTIFF and GeoJSON: in the coordinates of the terrain's raster where the scene has one."""
 
 import json
-import tempfile
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import WorkFailed
-from datasets.files import write_text
+from datasets.files import replacing, write_text
 from datasets.scene import Scene
 
 if TYPE_CHECKING:
@@ -20,11 +19,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-OPTIONS: dict[str, dict[str, Any]] = {
-    "tif": {"driver": "GTiff", "compress": "deflate", "predictor": 3},
-    "asc": {"driver": "AAIGrid", "significant_digits": 9},
-}
-"""Of rasterio, for each ending."""
 CLOSE = 1.0e-6
 """How far beyond its edge a map falls to 0 [cells]."""
 
@@ -53,46 +47,30 @@ def georeference(scene: Scene) -> Georeference:
     return LOCAL
 
 
-def write_raster(
-    path: Path,
-    values: Floats,
-    cell: float,
-    georeference: Georeference,
-    *,
-    kind: Literal["tif", "asc"],
-    name: str,
-    unit: str,
-) -> None:
-    """Write a map, shape [X, Z], over square cells [m], the first at x = z = 0: a GeoTIFF or an ESRI ASCII grid.
+def write_raster(path: Path, values: Floats, cell: float, georeference: Georeference, *, name: str, unit: str) -> None:
+    """Write a map, shape [X, Z], over square cells [m], the first at x = z = 0, as a GeoTIFF.
 
-    Rows run from the north (large z) to the south, columns to the east (x). What stands beside an ASCII grid, its
-    coordinate system in a .prj, comes along. Raises WorkFailed.
+    Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
     """
     import rasterio
     from rasterio.errors import RasterioError
 
     rows = np.ascontiguousarray(values.T[::-1], np.float32)
     height, width = rows.shape
-    profile: dict[str, Any] = {"width": width, "height": height, "count": 1, "dtype": "float32", **OPTIONS[kind]}
-    profile["crs"] = georeference.crs
+    profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
     # To the east along a row, to the south from row to row.
-    profile["transform"] = rasterio.Affine(cell, 0.0, georeference.east, 0.0, -cell, georeference.north + height * cell)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".raster-") as folder:
-        try:
-            with warnings.catch_warnings():
-                # A box in its own coordinates has no reference system, which is no mistake.
-                warnings.simplefilter("ignore")
-                with rasterio.open(Path(folder) / path.name, "w", **profile) as raster:
-                    raster.write(rows, 1)
-                    if kind == "tif":
-                        raster.set_band_description(1, name)
-                        raster.set_band_unit(1, unit)
-        except (RasterioError, OSError) as error:
-            raise WorkFailed(f"{path.name} could not be written: {error}") from None
-        for file in sorted(Path(folder).iterdir()):
-            file.chmod(0o644)
-            file.replace(path.parent / file.name)
+    transform = rasterio.Affine(cell, 0.0, georeference.east, 0.0, -cell, georeference.north + height * cell)
+    try:
+        with warnings.catch_warnings(), replacing(path) as part:
+            # A box in its own coordinates has no reference system, which is no mistake.
+            warnings.simplefilter("ignore")
+            place: dict[str, Any] = {"width": width, "height": height, "transform": transform, "crs": georeference.crs}
+            with rasterio.open(part, "w", **profile, **place) as raster:
+                raster.write(rows, 1)
+                raster.set_band_description(1, name)
+                raster.set_band_unit(1, unit)
+    except RasterioError as error:
+        raise WorkFailed(f"{path.name} could not be written: {error}") from None
 
 
 def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> "MultiPolygon":

@@ -4,14 +4,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 import pytest
 import pyvista
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
-from datasets.exchange.vtk import Meshes, write_vtk
+from datasets.exchange.vtk import Meshes
 from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.scene import Solid
 from datasets.trajectory import Trajectory
@@ -75,18 +74,3 @@ def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, ev
         assert blocks["particles"].point_data.active_vectors_name == "velocity"
         assert blocks["solids"].cell_data.active_vectors_name == "force"
         since = frame
-
-
-def test_vtu_by_meshio(tmp_path: Path, flow: Trajectory) -> None:
-    write_vtk(flow, tmp_path, suffix=".vtu")
-    assert pyvista.get_reader(tmp_path / "trajectory.pvd").time_values == flow.time.tolist()
-    meshes = Meshes(flow)
-    for part, kind in (("particles", "point_data"), ("solids", "cell_data")):
-        found, expected = meshio.read(tmp_path / f"{part}-0003.vtu"), meshes.part(part, 3, 2)
-        np.testing.assert_array_equal(found.points, expected.points)
-        for name, values in getattr(expected, kind).items():
-            array = found.point_data[name] if kind == "point_data" else np.concatenate(found.cell_data[name])
-            np.testing.assert_array_equal(array, values)
-    # A series of one kind takes the place of one of the other.
-    write_vtk(flow, tmp_path)
-    assert not list(tmp_path.glob("*.vtu"))
