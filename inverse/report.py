@@ -75,7 +75,10 @@ def verdict(found: Found) -> str:
     first, runs = found.answers[0], len(found.answers[0].checks)
     if runs == 0:
         return f"**Unconfirmed**: the {found.forward} alone answers, `python -m validation.loop` has the MPM's word."
-    which = "the MPM run nearest to the answer" if runs == 1 else f"the mean of {runs} MPM runs at the answer"
+    which = f"the mean of {runs} MPM runs at the answer"
+    if runs == 1:
+        at_answer = first.checks[0].purpose is Purpose.CHECK
+        which = "an MPM run at the answer" if at_answer else "the MPM run nearest to the answer"
     if found.problem.target.minimise:
         begun = [each.observation for each in found.mpm_runs if each.purpose is Purpose.START]
         now, before = (found.target.observation.text(each) for each in (first.observation, np.mean(begun, axis=0)))

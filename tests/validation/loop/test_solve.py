@@ -191,7 +191,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert result.keys() == RESULT_KEYS
     (answer,) = result["answers"]
     assert (answer["unknowns"], answer["half_widths"]) == (result["unknowns"], result["certainty"])
-    assert (answer.weight, answer["misfit"]) == (pytest.approx(1.0), result["loss"]["mpm"])
+    assert (answer["weight"], answer["misfit"]) == (pytest.approx(1.0), result["loss"]["mpm"])
     assert result["verdict"] == "confirmed"
     assert result["truth"] == {"friction_deg": 24.0}
     error = 100.0 * abs(result["unknowns"]["friction_deg"] - 24.0) / 24.0
