@@ -30,16 +30,6 @@ class Differentiable(Forward, Protocol):
         """The observation, float64 of shape [m], of parameters, float64 of shape [U]."""
 
 
-class Surrogate(Differentiable, Protocol):
-    """A learned simulator of one flow, or what stands for it."""
-
-    def select(self, target: Values, /) -> Values:
-        """The part of an exact observation [M] that its own numbers [m] are compared with."""
-
-    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
-        """Final positions of its particles [m], shape [N, D]: for pictures."""
-
-
 class Simulate(Protocol):
     """The MPM, or what stands for it."""
 
