@@ -2,6 +2,7 @@
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,11 @@ from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
 from inverse.forward.gns import MEMORY_GIB, GnsForward
-from inverse.forward.interface import Differentiable, Evaluation
+from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict, plain
-from inverse.jacobian import automatic, central, observed
+from inverse.jacobian import Evaluate, automatic, central, observed
+from inverse.observations import Values
 from inverse.optimise import minimise
 from inverse.parameters import Vector
 from inverse.problem import Problem
@@ -131,6 +133,11 @@ def as_json(problem: Problem, evaluation: Evaluation) -> dict[str, object]:
     }
 
 
+def one_observed(forward: Forward, values: Values, components: int, at: Vector) -> Evaluation:
+    """The misfit at one vector of parameters [U], without a gradient."""
+    return observed(forward, values, [at], components=components)[0]
+
+
 def search(
     problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
 ) -> list[Evaluation]:
@@ -139,12 +146,10 @@ def search(
     values, components = forward.select(target.values), target.observation.components
     settings, box, initial = problem.optimiser, problem.box, problem.initial
     spread: list[Evaluation] = []
+    evaluate: Evaluate
     if settings.method is Method.SECANTS:
         spread = sample(forward, values, initial, box, components=components)
-
-        def evaluate(at: Vector) -> Evaluation:
-            return observed(forward, values, [at], components=components)[0]
-
+        evaluate = partial(one_observed, forward, values, components)
     elif gradient is Gradient.AD and isinstance(forward, Differentiable):
         jacobian = settings.method is Method.GAUSS_NEWTON
         evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)

@@ -147,12 +147,13 @@ def draw_posterior(path: Path, found: Found) -> None:
             count, count, figsize=(side, 0.85 * side + 0.4), layout="constrained", squeeze=False
         )
         for row, column in np.ndindex(count, count):
+            pane: Axes = grid[row, column]
             if column > row:
-                grid[row, column].axis("off")
+                pane.axis("off")
             elif column == row:
-                marginal(grid[row, row], found, samples[:, row], weights, row)
+                marginal(pane, found, samples[:, row], weights, row)
             else:
-                pair(grid[row, column], found, samples[:, [column, row]], (column, row))
+                pair(pane, found, samples[:, [column, row]], (column, row))
     handles, labels = grid.ravel()[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
     save(figure, path)

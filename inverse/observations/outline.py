@@ -56,7 +56,7 @@ class Outline(Observation):
 
     @property
     def count(self) -> int:
-        return self.directions.shape[1]
+        return int(self.directions.shape[1])
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions

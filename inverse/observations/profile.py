@@ -90,12 +90,12 @@ class Profile(Observation):
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         scene = context.scene
-        simulated = cls.build(settings, scene)
+        simulated: Profile = cls.build(settings, scene)
         made = Profile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
         if settings.csv is None:
             # The noise of a simulated profile is that of its heights; one without any is compared as it is.
             if settings.noise != 0.0 or made is SurfaceProfile:
-                simulated = made(scene, settings.spacing, simulated.times, simulated.stations)  # type: ignore[assignment]
+                simulated = made(scene, settings.spacing, simulated.times, simulated.stations)
             return Measurement(observation=simulated, values=None)
         profile = profile_of(
             context.folder / settings.csv,

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -35,7 +36,8 @@ class MassNumber(Kind):
         return float(getattr(scene.masses[self.mass], self.name))
 
     def put(self, parts: Parts, value: float) -> None:
-        parts.masses[self.mass] = dataclasses.replace(parts.masses[self.mass], **{self.name: value})
+        changed: dict[str, Any] = {self.name: value}
+        parts.masses[self.mass] = dataclasses.replace(parts.masses[self.mass], **changed)
 
 
 @dataclass(frozen=True)

@@ -251,7 +251,7 @@ def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: 
         raise ValueError(f"expected more runs than functions of the trend, got {len(points)}")
     free = count if count <= CONSTANTS.separate_lengths else 1
 
-    def at(logarithms: Matrix) -> Emulator:
+    def at(logarithms: NDArray[np.floating]) -> Emulator:
         return Emulator(
             points=points,
             numbers=numbers,

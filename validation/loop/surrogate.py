@@ -20,6 +20,7 @@ from datasets.errors import InputError
 from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
+from gns.ranges import outside
 from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Forward
 from inverse.posterior.emulator import Emulator, Matrix, fitted, linear
@@ -118,13 +119,13 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
     simulator = checkpoint.load(weights).simulator
     scene = problem.scene_at(problem.initial)
     known = card.read(weights)
-    outside = known.outside(scene) if known is not None else []
+    unknown = outside(scene, known.ranges) if known is not None else []
     try:
         check(scene, simulator.settings)
     except InputError as error:
-        outside = outside or [str(error)]
-    if outside:
-        return None, f"{weights.name} was not trained on such a flow: {'; '.join(outside)}"
+        unknown = unknown or [str(error)]
+    if unknown:
+        return None, f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}"
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
     return GnsForward(simulator, problem, observation), ""

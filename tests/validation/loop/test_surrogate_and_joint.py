@@ -27,6 +27,7 @@ from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target
 from tests.validation.loop.flows import SHAPE, Case, FakeMpm, FakeSurrogate, TwinAngles, length, wedge
+from validation.loop import surrogate
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 from validation.loop.surrogate import choose, learned
@@ -129,8 +130,7 @@ def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
 class Level:
     """A card in place of a model's own: trained on level floors."""
 
-    def outside(self, scene: Scene) -> list[str]:
-        return [f"slope_deg {scene.slope_deg:g}"] if scene.slope_deg else []
+    ranges: tuple[()] = ()
 
 
 @pytest.fixture
@@ -140,6 +140,9 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
     checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
     monkeypatch.setattr(card, "read", lambda path: Level())
+    monkeypatch.setattr(
+        surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] if scene.slope_deg else []
+    )
     monkeypatch.setattr(card, "warning", lambda path, scene: None)
     return tmp_path / "tiny.safetensors"
 
