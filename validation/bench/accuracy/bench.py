@@ -4,13 +4,13 @@
 """
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
@@ -183,20 +183,11 @@ def measured(dimension: int, found: Errors) -> list[Measured]:
 
 def toml(known: Sequence[Measured]) -> str:
     """`resolution.toml`."""
-    blocks = [
+    return (
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
-        "# scenes; particle_steps: mean over the scenes.\n"
-    ]
-    for each in known:
-        what = each.resolution
-        blocks.append(
-            f"[[measured]]\ndimension = {each.dimension}\n"
-            f"expected = {each.expected}\npromised = {each.promised}\nparticle_steps = {each.particle_steps}\n"
-            f"resolution = {{ cells = {what.cells}, particles_per_axis = {what.particles_per_axis}, "
-            f"step_fraction = {what.step_fraction}, precision = {json.dumps(what.precision)} }}\n"
-        )
-    return "\n".join(blocks)
+        "# scenes; particle_steps: mean over the scenes.\n\n"
+    ) + tomli_w.dumps({"measured": [dataclasses.asdict(each) for each in known]})
 
 
 def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Measured | None:
