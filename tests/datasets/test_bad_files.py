@@ -41,11 +41,11 @@ def damaged(stream: random.Random, content: bytes) -> bytes:
     """`content` with some of its bytes changed, cut, doubled, or gone from somewhere on."""
     changed = bytearray(content)
     for _ in range(stream.randint(1, 4)):
-        index = stream.randrange(len(changed))
+        index = stream.randrange(max(1, len(changed)))
         match stream.randrange(5):
-            case 0:
+            case 0 if changed:
                 changed[index] = stream.randrange(256)
-            case 1:
+            case 1 if changed:
                 changed[index] ^= 1 << stream.randrange(8)
             case 2:
                 del changed[index : index + stream.randint(1, 20)]
