@@ -30,20 +30,6 @@ class Cloud:
     """tan(phi) of each particle [-], shape [N], 0 for obstacles; None where the file does not say."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Described:
-    """What another code's `metadata.json` says of a dataset of Talus."""
-
-    shared: dict[str, Any]
-    """The keys that all layouts have: box, dimension, time between frames, spacing, radius, statistics."""
-    frames: int
-    """Frames of a trajectory, T, the start included."""
-    particles: int
-    """Most particles of a trajectory, obstacles included."""
-    trajectories: dict[str, int]
-    """How many there are, per split."""
-
-
 def cloud_of(trajectory: Trajectory, name: str) -> Cloud:
     """Sand and, after it, the lattices of particles that stand for the baffles, at the spacing of the sand's."""
     scene, sand = trajectory.scene, np.asarray(trajectory.positions)

@@ -22,7 +22,7 @@ from datasets.checks import check_plain
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements, lagrangebench
-from datasets.exchange.cloud import Cloud, Described, cloud_of, obstacle_particles
+from datasets.exchange.cloud import Cloud, cloud_of, obstacle_particles
 from datasets.files import write_json
 from datasets.measures import front, runout, toe
 from datasets.reading import read_json
@@ -86,10 +86,10 @@ def export(dataset: Path, to: str, out: Path) -> None:
         for split, paths in files.items()
     }
     write_json(out / SCENES, scenes)
-    write_json(out / "metadata.json", layout.metadata(described))
+    write_json(out / "metadata.json", layout.metadata(**described))
 
 
-def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
+def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> dict[str, Any]:
     """What a dataset's trajectories have in common, from their scenes and shapes alone. Raises InputError."""
     content = read_metadata(dataset / "metadata.json")
     missing = [key for key in STATISTICS if key not in content]
@@ -111,12 +111,12 @@ def survey(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> Described:
         raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
     size, frame_dt, frames, spacing = shared
     keys = {"bounds": [[0.0, length] for length in size], "dim": len(size), "dt": frame_dt, "dx": spacing}
-    return Described(
-        shared=keys | {key: content[key] for key in STATISTICS},
-        frames=frames,
-        particles=largest,
-        trajectories={split.value: len(files[split]) for split in Split},
-    )
+    return {
+        "shared": keys | {key: content[key] for key in STATISTICS},
+        "frames": frames,
+        "particles": largest,
+        "trajectories": {split.value: len(paths) for split, paths in files.items()},
+    }
 
 
 def import_dataset(source: Path, layout: str, out: Path, *, scene: Scene | None, up: str) -> None:

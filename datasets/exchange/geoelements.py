@@ -15,7 +15,7 @@ import numpy as np
 
 from datasets.arrays import open_npz
 from datasets.errors import InputError
-from datasets.exchange.cloud import Cloud, Described, checked_cloud
+from datasets.exchange.cloud import Cloud, checked_cloud
 from datasets.files import replacing
 
 SUFFIX = ".npz"
@@ -52,13 +52,16 @@ def write(path: Path, clouds: Iterable[Cloud]) -> None:
                 np.lib.format.write_array(stream, objects, allow_pickle=True)
 
 
-def metadata(described: Described) -> dict[str, Any]:
-    """What `metadata.json` says; the counts of features are those of their network with one material property."""
-    axes = described.shared["dim"]
+def metadata(shared: dict[str, Any], *, frames: int, **_: Any) -> dict[str, Any]:
+    """What `metadata.json` says; the counts of features are those of their network with one material property.
+
+    shared: the keys that all layouts have; frames: of a trajectory, the start included.
+    """
+    axes = shared["dim"]
     velocities, walls, embedding, material = 5 * axes, 2 * axes, 16, 1
     return {
-        **described.shared,
-        "sequence_length": described.frames,
+        **shared,
+        "sequence_length": frames,
         "material_feature_len": material,
         "nnode_in": velocities + walls + embedding + material,
         "nedge_in": axes + 1,

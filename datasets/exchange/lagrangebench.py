@@ -4,7 +4,7 @@ A split is one file (`train.h5`, `valid.h5`, `test.h5`) with groups `00000`, `00
 [T, N, D] and `particle_type` [N]. Talus adds `material_property` [N], tan(phi), which their reader does not open.
 """
 
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from datasets.arrays import WHOLE_HDF5, open_hdf5, read_array
 from datasets.exchange import geoelements
-from datasets.exchange.cloud import Cloud, Described, checked_cloud
+from datasets.exchange.cloud import Cloud, checked_cloud
 from datasets.files import replacing
 from datasets.reading import reading
 
@@ -44,19 +44,23 @@ def write(path: Path, clouds: Iterable[Cloud]) -> None:
                 group["material_property"] = cloud.friction
 
 
-def metadata(described: Described) -> dict[str, Any]:
-    """What `metadata.json` says; the length of a sequence leaves out the last frame, which is a target alone."""
+def metadata(shared: dict[str, Any], *, frames: int, particles: int, trajectories: Mapping[str, int]) -> dict[str, Any]:
+    """What `metadata.json` says; the length of a sequence leaves out the last frame, which is a target alone.
+
+    shared: the keys that all layouts have; frames: of a trajectory, the start included; particles: most of a
+    trajectory, obstacles included; trajectories: how many there are, per split.
+    """
     return {
         "case": "TALUS",
         "solver": "MLS-MPM",
-        **described.shared,
-        "t_end": (described.frames - 1) * described.shared["dt"],
+        **shared,
+        "t_end": (frames - 1) * shared["dt"],
         "write_every": 1,
-        "sequence_length_train": described.frames - 1,
-        "num_trajs_train": described.trajectories["train"],
-        "sequence_length_test": described.frames - 1,
-        "num_trajs_test": described.trajectories["test"],
-        "num_particles_max": described.particles,
+        "sequence_length_train": frames - 1,
+        "num_trajs_train": trajectories["train"],
+        "sequence_length_test": frames - 1,
+        "num_trajs_test": trajectories["test"],
+        "num_particles_max": particles,
         # Three of them in 2D too.
         "periodic_boundary_conditions": [False, False, False],
     }
