@@ -134,25 +134,6 @@ def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     assert simulate(scene).positions[:, :, 0].max() <= face + 1.0e-6
 
 
-def test_sand_on_touching_solids_stays_above_them() -> None:
-    """Terrain of baffles of a cell and a half that touch, their tops level or in steps: no joint lets a particle in."""
-    edge = 1.5 * CELL
-    for rise in (0.0, 0.3):
-        baffles = tuple(
-            Baffle(lower=(index * edge, 0.0), size=(edge, 0.213 + rise * CELL * (index % 3))) for index in range(20)
-        )
-        scene = Scene(
-            domain=Domain(size=(20 * edge, 0.6), cell=CELL),
-            material=SAND,
-            masses=(Mass(lower=(0.1, 0.24), size=(0.3, 0.2)),),
-            baffles=baffles,
-            baffle_friction=0.3,
-            duration=0.8,
-            frame_dt=0.01,
-        )
-        assert_outside(simulate(scene))
-
-
 def assert_outside(flow: Trajectory) -> None:
     """No particle is inside a solid, in any tenth frame."""
     surface = surface_of(flow.scene)
