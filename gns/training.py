@@ -231,6 +231,8 @@ def fit(
             save(out / LAST, model, parts, position)
         if stops:
             raise stop.interrupt
+        # Or the line would follow the bar.
+        bar.close()
         if first:
             print(described(out / "best.safetensors", datasets, (out / "scores.md").read_text()))
 
