@@ -3,17 +3,14 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from datasets import files
 
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 INK, BLUE, LIGHT_BLUE, ORANGE, GREEN, GREY = "#222222", "#1b6ca8", "#9ecae1", "#d9730d", "#3a8c55", "#8a8a8a"
 RED = "#b0305c"
@@ -45,6 +42,12 @@ def figure(
 
     size: of one pane [inch].
     """
+    # Loaded where something is drawn: `--help` of a command need not wait for it.
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
     with plt.rc_context(STYLE):
         drawn, axes = plt.subplots(rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False)
         try:
@@ -55,7 +58,7 @@ def figure(
             plt.close(drawn)
 
 
-def pane(axes: NDArray[Any], row: int = 0, column: int = 0) -> Axes:
+def pane(axes: NDArray[Any], row: int = 0, column: int = 0) -> "Axes":
     """One of the axes of `figure`, with its type."""
     axis: Axes = axes[row, column]
     return axis
