@@ -51,6 +51,7 @@ def test_a_constant_field_makes_the_flow_of_its_angle() -> None:
 
 
 @pytest.mark.double
+@pytest.mark.slow
 @pytest.mark.parametrize("material", [SOIL, MATERIALS["stronger below"]], ids=["cohesive", "stronger below"])
 def test_the_adjoint_of_a_field_of_friction(material: Material) -> None:
     """Along a random direction of the angles at the nodes; and one constant at the angle of each particle."""

@@ -260,7 +260,7 @@ def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
 
 @pytest.mark.parametrize(
     ("number", "whole"),
-    [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)],
+    [(signal.SIGINT, True), pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow), (signal.SIGTERM, False)],
     ids=["Ctrl-C", "SIGTERM to all", "SIGTERM to the first"],
 )
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(

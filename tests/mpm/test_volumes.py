@@ -20,7 +20,7 @@ FALLING = pytest.mark.filterwarnings("ignore:masses:UserWarning")
 
 
 @FALLING
-@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("precision", ["f32", pytest.param("f64", marks=pytest.mark.slow)])
 def test_a_thin_and_a_thick_mass_fall_with_their_own_weight(precision: str) -> None:
     flow = simulate(SCENE, precision=precision, threads=1)  # type: ignore[arg-type]
     mass = SAND.density * (0.4 * 0.003 + 0.2 * 0.1)
