@@ -9,6 +9,7 @@ import tomli_w
 
 from datasets.errors import InputError
 from datasets.files import write_text
+from datasets.geometry.files import with_files
 from datasets.records import from_mapping, read_toml
 from datasets.scene import Mass, Scene
 
@@ -50,11 +51,7 @@ def read_scene(name: str | Path) -> Scene:
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:
     """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError."""
-    if any(names_file(entry) for group in ("solids", "masses") for entry in entries(data, group)):
-        from datasets.geometry.files import with_files
-
-        data = with_files(data, folder)
-    return from_mapping(Scene, data)
+    return from_mapping(Scene, with_files(data, folder))
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
@@ -89,14 +86,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [plain(each) for each in value]
     return value.item() if hasattr(value, "item") else value
-
-
-def entries(data: dict[str, Any], group: str) -> list[dict[str, Any]]:
-    """The tables of a group, such as `masses`, as far as there are any."""
-    found = data.get(group)
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
-
-
-def names_file(entry: dict[str, Any]) -> bool:
-    """Whether a solid or a mass has more to it than numbers: a file, or another kind than a box."""
-    return "file" in entry or entry.get("kind", "box") != "box" or isinstance(entry.get("friction"), str)
