@@ -143,6 +143,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     prepare_weights(scene, block, scratch, arrays)
     gather_reverse(grid, block, scratch, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
+    per_dx = 1.0 / dx
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)
     present, sums = arrays.state[first + features.present], scratch + layout.sums
     velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(size))]
@@ -160,16 +161,16 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         ]
     )
     bars = [arrays.scratch[sums + k] for k in ti.static(range(features.used))] + [
-        arrays.scratch[sums + n] / dx for n in ti.static(places)
+        per_dx * arrays.scratch[sums + n] for n in ti.static(places)
     ]
     velocity_bar, affine_bar, stress_bar, volume_bar, density_bar, pushed_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
             number = ti.static(features.used + i * size + k)
-            moved = moved - given.values[number] * bars[i] / dx
+            moved = moved - per_dx * given.values[number] * bars[i]
             if ti.static(features.forces):
-                moved = moved - given.values[number + size * size] * bars[features.force + i] / dx
+                moved = moved - per_dx * given.values[number + size * size] * bars[features.force + i]
         arrays.adjoints[own + k] = moved
     if ti.static(not features.volume_correction):
         for k in ti.static(range(size * size)):

@@ -53,12 +53,15 @@ class Number:
 
     def __truediv__(self, other: Any) -> "Number":
         divisor = plain(other)
-        own, divided = (self, lambda bar: bar / divisor), (other, lambda bar: 0.0 - bar / divisor * result.value)
+        per = cache(lambda: expr_init(1.0 / divisor))
+        own, divided = (self, lambda bar: bar * per()), (other, lambda bar: 0.0 - bar * result.value * per())
         result: Number = Number(self.tape, self.value / divisor, own, divided)
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
-        result = Number(self.tape, other / self.value, (self, lambda bar: 0.0 - bar / self.value * result.value))
+        result: Number = Number(
+            self.tape, other / self.value, (self, lambda bar: 0.0 - bar * result.value / self.value)
+        )
         return result
 
     def __pow__(self, power: int) -> "Number":

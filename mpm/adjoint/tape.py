@@ -162,12 +162,12 @@ class Tape:
     def plan(self, usual: float, most: float) -> list[int]:
         """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
         last, budget = self.frames[-1], self.memory_mib * 2**20 - self.fixed_bytes
-        state, steps = self.state_bytes, self.step_bytes
-        best, smallest = 1, math.inf
+        best, smallest = [0, last], math.inf
         for length in range(1, last + 1):
-            whole = self.count(length) * state + math.ceil(length * most + 1) * steps
-            if whole < smallest:
-                best, smallest = length, whole
+            boundaries = sorted({*range(0, last, length), *self.frames, *self.released, 0, last})
+            steps = math.ceil(length * most + 1) * self.step_bytes
+            if (whole := (len(boundaries) - 1) * self.state_bytes + steps) < smallest:
+                best, smallest = boundaries, whole
         if smallest > budget:
             raise InputError(
                 f"expected memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB, "
@@ -175,11 +175,7 @@ class Tape:
                 "a state",
                 key="memory_mib",
             )
-        return sorted({*range(0, last, best), *self.frames, *self.released, last})
-
-    def count(self, length: int) -> int:
-        """How many segments of `length` frames there are, at most."""
-        return len({*range(0, self.frames[-1], length), *self.frames, *self.released})
+        return best
 
     def opened(self, last: int) -> set[int]:
         """The frames before `last` after which a barrier was open."""

@@ -18,9 +18,8 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 import taichi as ti
 
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import add, magnitude, maximum, no_overflow
+from mpm.arrays.access import add, magnitude, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.principal import TINY
 from mpm.physics.transfer import lowest_node, node_vector, three_vectors, zero_node
 
 
@@ -255,7 +254,7 @@ def held_affine(slopes, changes, affine, kappa, stress, gap, dimension):
     for k in range(3):
         bears = bears + magnitude(stress[k])
     held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
-    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / maximum(now_squared, TINY)), 0.0)
+    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
     return [slopes[k] - excess * (slopes[k] - changes[k]) for k in range(dimension * dimension)]
 
 
