@@ -29,7 +29,7 @@ from mpm import LAST, simulate_many
 from mpm.cluster import connected
 from validation.loop.solve import solve
 from validation.report.page import GNS, MPM, Page, Row
-from validation.report.plots import BLUE, GREY, figure, pane
+from validation.report.plots import GREY, figure, pane
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
@@ -282,8 +282,7 @@ def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
         axis = pane(axes)
         axis.plot(levels, levels, color=GREY, linewidth=0.8)
         for family, twins in found.items():
-            colour = {"color": BLUE} if len(found) == 1 else {}
-            axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2, **colour)
+            axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2)
         axis.set_xlabel("share of the posterior in the region")
         axis.set_ylabel("share of the truths in it")
         axis.legend()
