@@ -15,6 +15,7 @@ running average of the weights.
 """
 
 import dataclasses
+import io
 import math
 import sys
 import time
@@ -312,8 +313,11 @@ def described(path: Path, datasets: Sequence[Path], scores: str) -> str:
 def save(path: Path, settings: ModelSettings, parts: Mapping[str, Any], position: Position) -> None:
     """Write what `restored` reads."""
     states = {name: part.state_dict() for name, part in parts.items()}
+    content = io.BytesIO()
+    torch.save({"settings": asdict(settings), "position": asdict(position), **states}, content)
+    # By Python: torch's own writer raises a RuntimeError where the disk is full.
     with files.replacing(path) as unfinished:
-        torch.save({"settings": asdict(settings), "position": asdict(position), **states}, unfinished)
+        unfinished.write_bytes(content.getbuffer())
 
 
 def restored(path: Path, settings: ModelSettings, parts: Mapping[str, Any]) -> Position:

@@ -143,10 +143,10 @@ def answer(out: Path) -> Digest:
     return {key: json.dumps(timeless(result[key])) for key in ANSWER} | posterior
 
 
-def tables(out: Path) -> Digest:
-    """The tables of a measured page."""
-    lines = [line for path in sorted(out.glob("*.md")) for line in path.read_text().splitlines() if line[:1] == "|"]
-    return {"tables": "\n".join(lines)}
+def twins(out: Path) -> Digest:
+    """The twin experiments that a page kept."""
+    paths = sorted((out / "keep").rglob("[0-9]*.json"))
+    return {path.name: json.dumps(timeless(json.loads(path.read_text()))) for path in paths}
 
 
 def timeless(value: object) -> object:

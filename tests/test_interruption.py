@@ -93,7 +93,7 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
             lambda out: [
                 *("-m", "validation.bench", "coverage", "--quick", "--out", str(out), "--keep", str(out / "keep"))
             ],
-            breaking.tables,
+            breaking.twins,
         ),
     }[request.param]
     found = Command(arguments=arguments, result=result, expected={}, seconds=0.0, size=0)
