@@ -15,7 +15,6 @@ def main(
     gradient: Gradient | None = None,
     forward: ForwardModel | None = None,
     model: Path | None = None,
-    memory_gib: float = 0.5,
 ) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
 
@@ -34,8 +33,6 @@ def main(
         What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
-    memory_gib
-        Activations that the backward pass may find ready, instead of computing them again [GiB].
     """
     # Imported here: torch takes seconds to load, and help has no use for it, nor a wrong problem for the solver.
     from inverse.problem import read_problem
@@ -44,7 +41,7 @@ def main(
     from inverse.inversion import invert
     from inverse.report import summary
 
-    result = invert(asked, forward=forward, gradient=gradient, model=model, memory_gib=memory_gib, out=out)
+    result = invert(asked, forward=forward, gradient=gradient, model=model, out=out)
     print(summary(result))
 
 

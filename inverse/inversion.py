@@ -11,7 +11,7 @@ from datasets.errors import InputError
 from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
-from inverse.forward.gns import MEMORY_GIB, GnsForward
+from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict, plain
@@ -35,7 +35,6 @@ def invert(
     forward: ForwardModel | None = None,
     gradient: Gradient | None = None,
     model: Path | None = None,
-    memory_gib: float = MEMORY_GIB,
     out: Path | str | None = None,
 ) -> Result:
     """Find the parameters of `problem` by one forward model; `validation.solve` asks the MPM for its word.
@@ -46,13 +45,10 @@ def invert(
     {'friction_deg': 41.59...}
 
     forward: the surrogate where absent, unless the problem asks for none; gradient: reverse mode of the surrogate,
-    central differences of the MPM where absent; model: weights, those that ship where absent; memory_gib:
-    activations that the backward pass may find ready; out: folder for `result.json`, `report.md` and pictures. Fields
-    are found by the MPM's adjoint, with their posterior. Raises InputError for a combination that there is none of,
-    WorkFailed where a run blows up.
+    central differences of the MPM where absent; model: weights, those that ship where absent; out: folder for
+    `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their posterior. Raises
+    InputError for a combination that there is none of, WorkFailed where a run blows up.
     """
-    if memory_gib < 0.0:
-        raise InputError(f"expected at least 0 GiB, got {memory_gib:g}", where="--memory-gib")
     if out is not None:
         make_folder(Path(out))
     if problem.fields:
@@ -64,7 +60,7 @@ def invert(
         result = of_fields(problem)
     else:
         target = read_target(problem, simulate)
-        chosen = forward_model(problem, target, forward, gradient, model, memory_gib)
+        chosen = forward_model(problem, target, forward, gradient, model)
         result = of_numbers(problem, target, chosen, gradient)
     if out is not None:
         result.save(out)
@@ -77,7 +73,6 @@ def forward_model(
     forward: ForwardModel | None,
     gradient: Gradient | None,
     model: Path | None,
-    memory_gib: float,
 ) -> GnsForward | MpmForward:
     """What predicts the observation. Raises InputError."""
     if forward is ForwardModel.MPM or (forward is None and problem.surrogate is Surrogate.NONE):
@@ -94,7 +89,7 @@ def forward_model(
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsForward(checkpoint.load(weights).simulator, problem, target.observation, memory_gib)
+    return GnsForward(checkpoint.load(weights).simulator, problem, target.observation)
 
 
 def of_numbers(

@@ -99,11 +99,7 @@ class WhiteFlow:
             scenes = [self.scene_at(white, seed) for seed in seeds[first : first + processors()]]
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
             adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
-            still = [np.zeros_like(each[0]) for each in adjoints]
-            together = [
-                [FlowAdjoints(own[number], rest) for own, rest in zip(adjoints, still, strict=True)]
-                for number in range(len(combinations))
-            ]
+            together = [[FlowAdjoints(own[number]) for own in adjoints] for number in range(len(combinations))]
             for row, gradients in enumerate(pull_back_all(tape, together)):
                 for gradient in gradients:
                     found[row] += self.pulled_back(gradient, white) / len(seeds)

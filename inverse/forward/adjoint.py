@@ -42,8 +42,8 @@ class Flow(NamedTuple):
     """Momentum that each solid has taken since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
 
 
-class Run:
-    """A run of a scene as a function of some of its parameters (`inverse.parameters`).
+class Taped:
+    """A run of a scene with checkpoints, and its reverse pass.
 
     frames: those that it returns, the last alone unless given. Errors as `mpm.adjoint.tape.Tape`.
     """
@@ -51,20 +51,40 @@ class Run:
     def __init__(
         self,
         scene: Scene,
-        names: Sequence[str] = (),
         *,
-        kinds: Sequence[Kind] | None = None,
         frames: Sequence[int] | None = None,
         precision: Precision = "f32",
         memory_mib: float = MEMORY_MIB,
         threads: int | None = None,
     ) -> None:
         self.scene = scene
+        self.frames = [scene.frames - 1] if frames is None else sorted(frames)
+        self.options: dict[str, Any] = {"precision": precision, "memory_mib": memory_mib, "threads": threads}
+
+    def observed(
+        self,
+        scenes: Sequence[Scene],
+        slopes: Callable[[Gradient], tuple[Tensor, ...]],
+        *inputs: Tensor,
+        particles: Sequence[Particles] | None = None,
+    ) -> list[Flow]:
+        """What each of `scenes` is observed by; slopes: of the inputs, from those of what a run begins with."""
+        tape = Tape(scenes, self.frames, particles=particles, **self.options)
+        found = _Flow.apply(tape, slopes, *inputs)  # type: ignore[no-untyped-call]
+        return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
+
+
+class Run(Taped):
+    """A run as a function of some of the parameters of its scene (`inverse.parameters`)."""
+
+    def __init__(
+        self, scene: Scene, names: Sequence[str] = (), *, kinds: Sequence[Kind] | None = None, **options: Any
+    ) -> None:
+        """options: of `Taped`."""
+        super().__init__(scene, **options)
         self.kinds: list[Kind] = [kind(name) for name in names] if kinds is None else list(kinds)
         for each in self.kinds:
             each.check(scene)
-        self.frames = [scene.frames - 1] if frames is None else sorted(frames)
-        self.options: dict[str, Any] = {"precision": precision, "memory_mib": memory_mib, "threads": threads}
 
     def __call__(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Positions [m] and velocities [m/s] of the particles at the frames, shape [T, N, D], of parameters [U]."""
@@ -84,13 +104,11 @@ class Run:
         """
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
-        tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
 
         def slopes(gradient: Gradient) -> tuple[Tensor]:
             return (torch.from_numpy(derivatives(gradient, self.kinds, values)),)
 
-        observed = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
-        return [Flow(*observed[first : first + 3]) for first in range(0, len(observed), 3)]
+        return self.observed([dataclasses.replace(scene, seed=seed) for seed in seeds], slopes, parameters)
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Vector:
@@ -109,16 +127,12 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Ve
     return found
 
 
-class ParticleRun:
-    """A run of a scene as a function of the initial positions and velocities of its particles.
+class ParticleRun(Taped):
+    """A run as a function of the initial positions and velocities of its particles."""
 
-    Arguments as those of `Run`.
-    """
-
-    def __init__(self, scene: Scene, *, frames: Sequence[int] | None = None, **options: Any) -> None:
-        self.scene = scene
-        self.frames = [scene.frames - 1] if frames is None else sorted(frames)
-        self.options: dict[str, Any] = {"precision": "f32", "memory_mib": MEMORY_MIB, "threads": None} | options
+    def __init__(self, scene: Scene, **options: Any) -> None:
+        """options: of `Taped`."""
+        super().__init__(scene, **options)
         self.initial: Particles = initial_particles(scene)
 
     def __call__(self, velocities: Tensor, positions: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -135,12 +149,12 @@ class ParticleRun:
             positions=positions.detach().numpy().astype(np.float64),
             velocities=velocities.detach().numpy().astype(np.float64),
         )
-        tape = Tape([self.scene], self.frames, particles=[particles], **self.options)
 
         def slopes(gradient: Gradient) -> tuple[Tensor, Tensor]:
             return torch.from_numpy(gradient.velocities), torch.from_numpy(gradient.positions)
 
-        return Flow(*_Flow.apply(tape, slopes, velocities, positions))  # type: ignore[no-untyped-call]
+        (flow,) = self.observed([self.scene], slopes, velocities, positions, particles=[particles])
+        return flow
 
 
 class _Flow(torch.autograd.Function):
