@@ -35,16 +35,6 @@ def after(simulator: Simulator, some: list[Sample]) -> torch.Tensor:
         return simulator(batch.state, batch.conditions(simulator.settings.cell)).positions
 
 
-def test_samples_of_a_batch_are_independent(lively: Simulator, dataset: Path) -> None:
-    given = samples(dataset, lively.settings, starts=(5, 5))
-    # The same grid for both: the second one is the first, but for its material and its surroundings.
-    around = dataclasses.replace(given[0].surroundings, wall_friction=0.7, damping=0.2)
-    given[1] = dataclasses.replace(given[0], friction=given[1].friction, surroundings=around)
-    alone = [after(lively, [sample]) for sample in given]
-    assert (alone[0] - alone[1]).abs().max() > 1e-5
-    torch.testing.assert_close(after(lively, given), torch.cat(alone), atol=1e-6, rtol=0.0)
-
-
 def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simulator, dataset: Path) -> None:
     first, second = samples(dataset, lively.settings, starts=(5, 5))
     second = dataclasses.replace(first, friction=second.friction)
@@ -69,28 +59,6 @@ def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset
     walk = noisy.displacements - batch.displacements
     assert 0.8e-3 < walk[-1].std() < 1.2e-3
     torch.testing.assert_close(walk.sum(0), noisy.pos - batch.pos, atol=1e-6, rtol=0.0)
-
-
-def test_conditions_are_those_of_each_sample(settings: ModelSettings, dataset: Path) -> None:
-    some = samples(dataset, settings)
-    around = dataclasses.replace(
-        some[1].surroundings,
-        size=np.array([1.2, 0.5], np.float32),
-        gravity=np.array([3.0, -9.0], np.float32),
-        floor_friction=0.1,
-        wall_friction=0.2,
-        damping=0.3,
-    )
-    cohesion = np.full_like(some[1].cohesion, 100.0)
-    some[1] = dataclasses.replace(some[1], cohesion=cohesion, surroundings=around)
-    found = joined(some, settings).conditions(settings.cell)
-    assert found.samples == 2
-    assert found.batch is not None
-    assert found.cohesion.tolist() == (found.batch * 100.0).tolist()
-    torch.testing.assert_close(found.size, torch.tensor([[0.6, 0.4], [1.2, 0.5]]))
-    torch.testing.assert_close(found.gravity, torch.tensor([[0.0, -9.81], [3.0, -9.0]]))
-    for name, value in (("floor_friction", 0.1), ("wall_friction", 0.2), ("damping", 0.3)):
-        assert getattr(found, name).tolist() == pytest.approx([0.0, value])
 
 
 @pytest.fixture
