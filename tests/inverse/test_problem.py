@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import inverse.inversion  # noqa: F401  (Taichi greets on stderr when it is loaded)
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Scene

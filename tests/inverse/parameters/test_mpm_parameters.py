@@ -78,12 +78,6 @@ def test_a_solid_and_a_layer() -> None:
             kind(name).check(where)
 
 
-def test_values_that_cannot_be_are_refused_by_the_scene() -> None:
-    for name, value in (("damping", 1.0), ("floor_friction", -0.1), ("masses[0].height", 2.0), ("young", -1.0)):
-        with pytest.raises(InputError):
-            with_parameters(COLUMN, [name], [value])
-
-
 def test_a_cohesion_leaves_a_residual_one_that_is_a_parameter() -> None:
     sand = dataclasses.replace(SOFT.material, residual_cohesion=50.0)
     scene: Scene = dataclasses.replace(SOFT, material=sand)

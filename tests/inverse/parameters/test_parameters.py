@@ -139,7 +139,7 @@ def own_axes(points: np.ndarray, baffle: Baffle, sign: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("flow", [2, 3])
-@pytest.mark.parametrize("turned_deg", [0.0, 8.0, -30.0, 60.0, 90.0])
+@pytest.mark.parametrize("turned_deg", [0.0, -30.0, 90.0])
 @pytest.mark.parametrize("names", [("baffles[0].x",), ("baffles[0].x", "baffles[0].length"), ("baffles[0].height",)])
 def test_what_a_turned_baffle_sweeps_is_within_a_tight_box(
     make_problem: Any, flow: int, turned_deg: float, names: tuple[str, ...]

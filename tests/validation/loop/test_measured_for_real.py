@@ -57,10 +57,7 @@ def inverted(folder: Path, text: str, x: np.ndarray, height: np.ndarray) -> tupl
 
 FORMS: dict[str, Callable[[Rows], tuple[str, np.ndarray, np.ndarray]]] = {
     "metres": lambda rows: (ONE, rows[0], rows[1]),
-    "datum": lambda rows: (ONE + "datum = 12.5\n", rows[0], rows[1] + 12.5),
-    "centimetres": lambda rows: (ONE + 'unit = "cm"\n', 100.0 * rows[0], 100.0 * rows[1]),
     "surface": lambda rows: (ONE + 'heights = "surface"\n', rows[0], rows[2]),
-    "first row missing": lambda rows: (ONE, rows[0][1:], rows[1][1:]),
     "front and profile": lambda rows: (BOTH.format(front=0.743), rows[0], rows[1]),
 }
 
