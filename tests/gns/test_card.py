@@ -29,7 +29,7 @@ SCALED = ModelSettings(body_length=0.08**0.5, history=2, width=8, layers=1, roun
 PROVENANCE = {
     "command": "python -m gns.train data/flow2d --out runs/a",
     "seed": 4,
-    "datasets": ["flow2d: 640 trajectories"],
+    "datasets": ["flow2d: 200 trajectories"],
     "log": {"updates": 3000},
 }
 
@@ -58,7 +58,7 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     assert sum(found.features.values()) == first.in_features
     assert found.settings == SCALED
     assert found.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
-    assert found.data.scenes == {"flow2d": 640}
+    assert found.data.scenes == {"flow2d": 200}
     assert found.data.cells_across["flow2d"][1] == pytest.approx(56.6, abs=0.1)
     assert (found.data.command, found.data.seed, found.data.updates) == (PROVENANCE["command"], 4, 3000)
     assert f'license = "{found.licence}"' in (ROOT / "pyproject.toml").read_text()
