@@ -23,7 +23,7 @@ from inverse.problem import Problem
 from inverse.result import Result
 from inverse.secants import lowest, sample
 from inverse.settings import ForwardModel, Gradient, Method, Surrogate
-from inverse.target import Target, read_target
+from inverse.target import Target, read_each, read_target
 from mpm import simulate, simulate_many
 
 COMMAND = "python -m inverse"
@@ -49,6 +49,7 @@ def invert(
     `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their posterior. Raises
     InputError for a combination that there is none of, WorkFailed where a run blows up.
     """
+    read_each(problem)
     if out is not None:
         make_folder(Path(out))
     if problem.fields:

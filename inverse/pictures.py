@@ -1,6 +1,7 @@
 """Pictures of what was found: parameters, posterior, predicted deposits, the way there, fields."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -147,7 +148,7 @@ def draw_posterior(path: Path, found: Found) -> None:
             count, count, figsize=(side, 0.85 * side + 0.4), layout="constrained", squeeze=False
         )
         for row, column in np.ndindex(count, count):
-            pane: Axes = grid[row, column]
+            pane: Any = grid[row, column]
             if column > row:
                 pane.axis("off")
             elif column == row:
