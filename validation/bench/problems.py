@@ -240,8 +240,10 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     sentences = [
         f"{expected} of {len(outcomes)} problems have the verdict that they should have; criteria are missed by "
         f"{', '.join(missed) or 'none'}.",
-        f"{sum(each.inside for each in known)} of {truths} true values are within their 95 % half-widths.",
     ]
+    if truths:
+        inside = sum(each.inside for each in known)
+        sentences.append(f"{inside} of {truths} true values are within their 95 % half-widths.")
     fields = [field for each in outcomes for field in each.result.get("fields", ())]
     if fields:
         values = sum(each["values"] for each in fields)
