@@ -7,8 +7,6 @@ from pathlib import Path
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
-from datasets.exchange.vtkhdf import FILE as VTKHDF
-from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
 from datasets.frames import HDF5, FrameWriter
@@ -38,7 +36,6 @@ def command(
     raw_fields: bool = False,
     until_rest: bool = False,
     vtk: bool = False,
-    vtkhdf: bool = False,
     forces: bool = False,
     hdf5: bool = False,
     checkpoint: bool = False,
@@ -72,8 +69,6 @@ def command(
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk
         Write a series for ParaView to DIR/vtk too, with the fields.
-    vtkhdf
-        The same in one file: DIR/trajectory.vtkhdf.
     forces
         Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
     hdf5
@@ -92,7 +87,7 @@ def command(
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    fields = fields or raw_fields or vtk or vtkhdf
+    fields = fields or raw_fields or vtk
     record = Recording(
         frames="last" if last_frame else "all" if every is None else every,
         fields=frozenset(FIELDS if fields else ()),
@@ -140,8 +135,6 @@ def command(
             trajectory.save(frames if hdf5 else out / "trajectory.npz")
         if vtk:
             write_vtk(trajectory, out / "vtk", progress=True)
-        if vtkhdf:
-            write_vtkhdf(trajectory, out / VTKHDF, progress=True)
         if forces:
             print("\n".join(spoken(write_forces(trajectory, out))))
     summary = trajectory.summary

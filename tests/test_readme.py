@@ -38,7 +38,7 @@ RUN = {
     "mpm.run": ["scene.toml"],
     "gns.rollout": ["column-tall-42"],
     "datasets.maps": ["out/mpm.run"],
-    "validation.vtk": ["out/mpm.run", "--format", "vtkhdf"],
+    "validation.vtk": ["out/mpm.run"],
     "inverse": ["problem.toml", "--forward", "mpm"],
     "validation.loop": ["problem.toml"],
 }

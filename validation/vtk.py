@@ -17,13 +17,12 @@ def command(
     out: Path,
     picture: bool = False,
     movie: bool = False,
-    format: Literal["pvd", "vtkhdf"] = "pvd",
     frames: int = 1,
     colour: Literal["velocity", "displacement", "pressure", "plastic_strain", "material"] | None = None,
     time: float | None = None,
     rate: int = 25,
 ) -> None:
-    """Write a trajectory for ParaView; leaves OUT/trajectory.pvd, a series of VTK files, unless asked for others.
+    """Write a trajectory for ParaView; leaves OUT/trajectory.pvd, a series of VTK files.
 
     Parameters
     ----------
@@ -35,8 +34,6 @@ def command(
         Draw the last frame, too: OUT/picture.png.
     movie
         Draw all frames, too: OUT/movie.mp4.
-    format
-        pvd (a VTP file a frame, and their index) or vtkhdf (one file).
     frames
         Take every how many frames, into the series and the movie; the last frame always.
     colour
@@ -47,7 +44,6 @@ def command(
         Frames of the movie a second.
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
-    from datasets.exchange.vtkhdf import FILE, write_vtkhdf
     from validation.report.rendering import Colour, require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):
@@ -65,11 +61,8 @@ def command(
     make_folder(out)
     shown = frames_of(flow, frames)
     print(f"{len(shown)} frames of {flow.positions.shape[1]} particles")
-    if format == "pvd":
-        write_vtk(flow, out, every=frames, progress=True)
-    else:
-        write_vtkhdf(flow, out / FILE, every=frames, progress=True)
-    print(f"written to {out / (SERIES if format == 'pvd' else FILE)}")
+    write_vtk(flow, out, every=frames, progress=True)
+    print(f"written to {out / SERIES}")
     if picture:
         nearest = int(abs(flow.time - (end if time is None else time)).argmin())
         write_picture(out / "picture.png", flow, Colour(colour or Colour.DISPLACEMENT), nearest)

@@ -40,8 +40,6 @@ UNITS = {
     "force": "N",
 }
 """Of the arrays; of impulse and force in 2D per metre of width."""
-UNCHANGING = frozenset({"material", "friction_deg", "solid", "friction"})
-"""Arrays that are the same in every frame."""
 MOVING = "particles"
 """The part whose geometry changes."""
 ACTIVE = {MOVING: "velocity", "solids": "force"}

@@ -1,4 +1,4 @@
-"""VTK series and VTKHDF, read back by VTK: every field and time; never half of one series and half of another."""
+"""VTK series, read back by VTK: every field and time; never half of one series and half of another."""
 
 import dataclasses
 import re
@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista
-from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
-from vtkmodules.vtkIOHDF import vtkHDFReader
 
 from datasets.command_line import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
-from datasets.exchange.vtkhdf import write_vtkhdf
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -196,47 +193,6 @@ def test_solids_are_a_surface_of_their_own(tmp_path: Path, flow: Trajectory) -> 
     points, on_ground = np.asarray(solids.points), np.repeat(solids["solid"] == 2, 3)
     inside = on_ground & (points[:, 0] >= 0.0) & (points[:, 0] <= 0.3)
     np.testing.assert_allclose(points[inside, 1], 0.02 - 0.02 * (points[inside, 0] + 0.1), atol=1e-7)
-
-
-def frames_in(reader: Any, path: Path) -> dict[float, Any]:
-    """What a reader of VTK's gives for each time that it tells of."""
-    reader.SetFileName(str(path))
-    reader.UpdateInformation()
-    about, key = reader.GetOutputInformation(0), vtkStreamingDemandDrivenPipeline.TIME_STEPS()
-    frames = {}
-    for index in range(about.Length(key)):
-        reader.UpdateTimeStep(about.Get(key, index))
-        frames[about.Get(key, index)] = pyvista.wrap(reader.GetOutputDataObject(0)).copy()
-    return frames
-
-
-def same(found: Any, expected: pyvista.PolyData) -> None:
-    np.testing.assert_array_equal(found.points, expected.points)
-    for kind in ("point_data", "cell_data"):
-        arrays, others = getattr(found, kind), getattr(expected, kind)
-        assert set(arrays) == set(others)
-        for name in others:
-            np.testing.assert_array_equal(arrays[name], others[name])
-            assert arrays[name].dtype == others[name].dtype
-
-
-@pytest.mark.parametrize(("dimension", "every"), [(2, 1), (3, 2)])
-def test_vtkhdf_holds_what_the_series_holds(tmp_path: Path, flow: Trajectory, dimension: int, every: int) -> None:
-    flow, kept = (flat(flow), [0, 1, 2, 3, 4]) if dimension == 2 else (grounded(flow), [0, 2, 4])
-    meshes, since = vtk.Meshes(flow), 0
-    write_vtkhdf(flow, tmp_path / "trajectory.vtkhdf", every=every)
-    frames = frames_in(vtkHDFReader(), tmp_path / "trajectory.vtkhdf")
-    assert list(frames) == flow.time[kept].tolist()
-    for frame, blocks in zip(kept, frames.values(), strict=True):
-        assert blocks.keys() == ["particles", "solids", "domain"]
-        for name in ("particles", "solids", "domain"):
-            expected = meshes.part(name, frame, since)
-            same(blocks[name], expected)
-            cells = [(mesh.verts, mesh.lines, mesh.faces) for mesh in (blocks[name], expected)]
-            for found, known in zip(*cells, strict=True):
-                np.testing.assert_array_equal(found, known)
-        assert blocks["particles"].point_data.active_vectors_name == "velocity"
-        since = frame
 
 
 def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory) -> None:
