@@ -66,10 +66,3 @@ def test_half_widths_grow_where_more_numbers_than_parameters_do_not_fit() -> Non
     shown = np.zeros((4, 3))
     assert fit(target, shown, scatter, parameters=1).factor > 10.0
     assert fit(target, shown, scatter, parameters=3).factor == 1.0
-
-
-def test_scatter_without_repeated_runs_is_the_expected_one() -> None:
-    rng = np.random.default_rng(5)
-    alone = Scatter.of_runs(np.arange(5.0)[:, None], rng.normal(size=(5, 2)), np.array([0.1, 0.2]))
-    assert alone.freedom == 0
-    np.testing.assert_allclose(alone.variance, [0.01, 0.04])

@@ -42,7 +42,7 @@ def at(angle: float) -> NDArray[np.float64]:
     return Formula().observe([np.array([angle])])[0]
 
 
-@pytest.mark.parametrize("angle", [15.0, 30.0, 50.0])
+@pytest.mark.parametrize("angle", [15.0, 50.0])
 def test_both_gradients_agree(problem: Problem, angle: float) -> None:
     target, point = at(24.0), np.array([angle])
     exact = automatic(Formula(), target)(point)
@@ -98,7 +98,7 @@ def test_a_forward_gone_to_nan_ends_the_search_and_is_not_its_answer() -> None:
     assert lowest(records).parameters[0] == 30.0
 
 
-@pytest.mark.parametrize("truth", [12.5, 21.0, 51.0])
+@pytest.mark.parametrize("truth", [12.5, 51.0])
 @pytest.mark.parametrize("differences", [False, True])
 def test_gauss_newton_finds_the_truth_in_few_jacobians(problem: Problem, truth: float, differences: bool) -> None:
     settings = OptimiserSettings(method=Method.GAUSS_NEWTON, stop_below=1.0e-10)
@@ -108,15 +108,3 @@ def test_gauss_newton_finds_the_truth_in_few_jacobians(problem: Problem, truth: 
     records = minimise(evaluate, np.array([30.0]), BOUNDS, settings)
     assert lowest(records).parameters[0] == pytest.approx(truth, abs=0.02)
     assert len(records) <= 10
-
-
-def test_components_weigh_the_loss_and_its_gradient(problem: Problem) -> None:
-    point, target = np.array([30.0]), at(24.0)
-    one = automatic(Formula(), target)(point)
-    for three in (
-        automatic(Formula(), target, components=3)(point),
-        automatic(Formula(), target, components=3, with_jacobian=True)(point),
-        central(Formula(), target, problem.steps, components=3)(point),
-    ):
-        assert three.loss == pytest.approx(3.0 * one.loss)
-        np.testing.assert_allclose(three.slope, 3.0 * one.slope, rtol=1e-9)

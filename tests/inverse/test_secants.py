@@ -10,7 +10,7 @@ from inverse.forward.interface import Evaluation
 from inverse.jacobian import observed
 from inverse.optimise import minimise
 from inverse.problem import Bounds
-from inverse.secants import MORE, MOST, fitted, least_squares_step, lowest, sample
+from inverse.secants import MORE, fitted, lowest, sample
 from inverse.settings import Method, OptimiserSettings
 
 Floats = NDArray[np.float64]
@@ -58,18 +58,3 @@ def test_the_sample_suffices_for_a_linear_forward() -> None:
     # The fit is damped.
     np.testing.assert_allclose(spread[-1].parameters, truth, atol=0.1)
     np.testing.assert_allclose(fitted(spread, spread[0], bounds), 4.0 * forward.matrix, atol=0.5)
-
-
-def test_a_sample_is_no_larger_than_it_may_be_and_begins_at_the_start() -> None:
-    forward, start = Curved(50), np.full(50, 0.3)
-    spread = sample(forward, np.zeros(60), start, box(50))
-    assert len(spread) == MOST + 1
-    np.testing.assert_array_equal(spread[0].parameters, start)
-    assert all(np.all((each.parameters >= -1.0) & (each.parameters <= 3.0)) for each in spread)
-
-
-def test_a_step_stays_in_the_box_and_in_the_trust_region() -> None:
-    jacobian, target = np.eye(2), np.array([-10.0, 10.0])
-    near_the_bound = np.array([2.9, 1.0])
-    step = least_squares_step(target, jacobian, near_the_bound, box(2), 0.1)
-    np.testing.assert_allclose(step, [0.025, -0.1], atol=1e-6)

@@ -10,13 +10,11 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.forward.adjoint import AdjointForward, Flow, ParticleRun, Run
 from inverse.jacobian import automatic
-from inverse.observations import build
 from inverse.observations.impulse import Impulse, PeakForce
-from inverse.parameters import with_parameters
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
-from mpm import LAST, simulate, simulate_many
+from mpm import simulate, simulate_many
 
 NAMES = ("friction_deg", "masses[0].velocity_x", "masses[1].velocity_y", "floor_friction", "young")
 VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6])
@@ -52,6 +50,7 @@ def test_a_layer_is_ten_lines() -> None:
         assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_mean_over_jitters() -> None:
     """That of each jitter by itself, averaged; the forces on a baffle too."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.31, 0.0), size=(0.05, 0.1)),), duration=0.05)
@@ -106,20 +105,6 @@ def problem() -> Problem:
         observations=(ObservationSettings(kind="deposit"),),
         target=TargetSettings(twin=True, truth=dict(zip(NAMES[:2], VALUES[:2].tolist(), strict=True))),
     )
-
-
-def test_the_misfit_and_its_gradient(problem: Problem) -> None:
-    """Through an observation: the forward model of gradient descent, beside the surrogate's."""
-    observation = build(ObservationSettings(kind="deposit"), SCENE)
-    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
-    truth = with_parameters(SCENE, NAMES[:2], [33.0, 1.2])
-    target = observation.observe(simulate(truth, record=LAST, precision="f64", threads=1))
-    evaluate = automatic(forward, target, components=observation.components)
-    here = evaluate(VALUES[:2])
-    for index, step in ((0, 1e-4), (1, 1e-6)):
-        change = np.where(np.arange(2) == index, step, 0.0)
-        found = (evaluate(VALUES[:2] + change).loss - evaluate(VALUES[:2] - change).loss) / (2.0 * step)
-        assert here.slope[index] == pytest.approx(found, rel=1e-3)
 
 
 def test_the_force_on_a_baffle(problem: Problem) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Solid
 from inverse.parameters import kind, with_parameters
 from inverse.problem import read_problem
 
@@ -23,11 +23,7 @@ SOFT = dataclasses.replace(
     ("name", "value", "unit"),
     [
         ("floor_friction", 0.5, "-"),
-        ("wall_friction", 0.1, "-"),
-        ("baffle_friction", 0.7, "-"),
-        ("damping", 0.05, "-"),
         ("young", 5.0e6, "Pa"),
-        ("masses[0].young", 4.0e6, "Pa"),
         ("residual_friction_deg", 25.0, "deg"),
         ("residual_cohesion", 20.0, "Pa"),
         ("masses[0].k0", 0.8, "-"),
@@ -53,7 +49,6 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
         ("baffle_friction", "there are none"),
         ("residual_cohesion", "softening_length"),
         ("masses[0].k0", "k0 is a number"),
-        ("masses[1].height", "index below 1"),
     ],
 )
 def test_what_a_scene_has_not_is_refused(name: str, message: str) -> None:
@@ -76,12 +71,3 @@ def test_a_solid_and_a_layer() -> None:
     ):
         with pytest.raises(InputError, match=message):
             kind(name).check(where)
-
-
-def test_a_cohesion_leaves_a_residual_one_that_is_a_parameter() -> None:
-    sand = dataclasses.replace(SOFT.material, residual_cohesion=50.0)
-    scene: Scene = dataclasses.replace(SOFT, material=sand)
-    names, values = ["residual_cohesion", "cohesion"], [40.0, 200.0]
-    for order in (slice(None), slice(None, None, -1)):
-        changed = with_parameters(scene, names[order], values[order]).material
-        assert (changed.cohesion, changed.residual_cohesion) == (200.0, 40.0)

@@ -1,17 +1,12 @@
 """The posterior of responses that are known: exact where they are linear; where runs go; reduction, information."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import multivariate_t
 
-from datasets.library import read_scene
-from datasets.particles import particle_count
 from inverse.observations.front import Front
-from inverse.posterior.information import information, measurements
-from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter, student
+from inverse.posterior.information import information
+from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter
 from inverse.posterior.reduction import reduction
 from inverse.posterior.sampling import sample
 from inverse.target import Target
@@ -43,7 +38,7 @@ def exact_deviations() -> Matrix:
 
 def test_a_linear_response_has_the_exact_posterior() -> None:
     """Least squares by one observation: (J^T J)^-1 s^2."""
-    found = [inferred(truth=(0.4, 0.7), seed=seed) for seed in range(12)]
+    found = [inferred(truth=(0.4, 0.7), seed=seed) for seed in range(6)]
     deviations = np.array([np.sqrt(np.diag(each.samples.covariance)) for each in found])
     np.testing.assert_allclose(np.median(deviations, axis=0), exact_deviations(), rtol=0.25)
     off = np.array([each.samples.mean - (0.4, 0.7) for each in found]) / deviations
@@ -59,12 +54,11 @@ def test_errors_that_are_counted_larger_widen_it_in_proportion() -> None:
     assert np.sqrt(shift.samples.covariance[0, 0]) == pytest.approx(0.2, rel=0.25)
 
 
-@pytest.mark.parametrize("factor", [1.0, 4.0])
-def test_a_posterior_wider_than_its_region_leaves_it(factor: float) -> None:
+def test_a_posterior_wider_than_its_region_leaves_it() -> None:
     """The region of an earlier wave, too narrow: the bounds of the prior alone cut a posterior off."""
-    mean, deviation = np.array([0.4, 0.7]), factor * exact_deviations()
+    mean, deviation = np.array([0.4, 0.7]), exact_deviations()
     narrow = Region(low=mean - 1.5 * deviation, high=mean + 1.5 * deviation)
-    found = inferred(factor=factor, region=narrow)
+    found = inferred(region=narrow)
     assert np.all(np.sqrt(np.diag(found.samples.covariance)) > 0.8 * deviation)
     assert np.all(found.region.low < narrow.low)
     assert np.all(found.region.high > narrow.high)
@@ -79,17 +73,6 @@ def test_noise_adds_to_the_scatter() -> None:
     )
     assert np.sqrt(found.samples.covariance[0, 0]) == pytest.approx(0.05, rel=0.2)
     assert found.likelihood.freedom > 1000.0
-
-
-def test_students_density_is_scipys() -> None:
-    rng = np.random.default_rng(0)
-    residual, root = rng.normal(size=(3, 4)), rng.normal(size=(4, 4))
-    fixed, variance = root @ root.T + np.eye(4), rng.random((3, 4))
-    expected = [
-        multivariate_t(shape=fixed + np.diag(own), df=7.0).logpdf(each)
-        for each, own in zip(residual, variance, strict=True)
-    ]
-    np.testing.assert_allclose(student(residual, fixed, variance, 7.0), expected)
 
 
 def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
@@ -143,30 +126,3 @@ def test_information_is_that_of_a_gaussian() -> None:
     assert (clear.name, blind.name) == ("clear", "blind")
     assert clear.gain == pytest.approx(0.5 * np.log1p(1.0 / 12.0 / 0.05**2), rel=0.15)
     assert blind.gain < 0.15
-
-
-def test_what_could_be_measured_of_a_deposit() -> None:
-    scene = read_scene("column-tall-42")
-    rng = np.random.default_rng(0)
-    count = particle_count(scene)
-    deposit = np.stack([0.6 * rng.permutation(count) / count, 0.1 * rng.random(count)], axis=1)
-    found = measurements(scene, deposit, 0.6)
-    assert found["the front"] == pytest.approx(0.597, abs=0.002)
-    heights = [value for name, value in found.items() if "height" in name]
-    assert len(heights) == 9
-    # Even, and together the released area.
-    area = sum(mass.size[0] * mass.size[1] for mass in scene.masses)
-    assert np.mean(heights) * 0.6 == pytest.approx(area, rel=0.01)
-    assert np.ptp(heights) < 0.15 * np.mean(heights)
-
-
-def test_a_region_holds_where_samples_keep_off_its_edges() -> None:
-    region = Region(low=np.array([0.0, 0.2]), high=np.array([0.5, 0.6]))
-    inner = np.random.default_rng(0).uniform([0.0, 0.3], [0.4, 0.5], size=(500, 2))
-    assert region.holds(inner)
-    assert not region.holds(np.minimum(inner + np.array([0.0, 0.2]), 0.6))
-    # The prior's own bound is no edge.
-    assert region.holds(inner * [0.05, 1.0])
-    wider = region.wider()
-    np.testing.assert_allclose([wider.low, wider.high], [[0.0, 0.0], [0.75, 0.8]], atol=1e-12)
-    assert dataclasses.replace(region, low=np.zeros(2)).inside(np.array([[0.1, 0.1]])).all()

@@ -34,12 +34,6 @@ def test_components_by_the_directions_of_other_runs_lie_no_closer_to_a_line_than
     assert others > 3.0 * own
 
 
-def test_where_the_numbers_are_no_more_than_the_parameters_nothing_changes() -> None:
-    rng = np.random.default_rng(1)
-    points, runs = rng.random((12, 2)), rng.standard_normal((12, 2))
-    np.testing.assert_allclose(cross_fitted(runs, points, np.eye(2)), runs, atol=1e-10)
-
-
 def test_too_few_other_runs_leave_the_directions_as_they_are() -> None:
     rng = np.random.default_rng(2)
     points, runs = rng.random((4, 3)), rng.standard_normal((4, 9))

@@ -32,7 +32,7 @@ from validation.bench.accuracy.bench import (
     selected,
     toml,
 )
-from validation.bench.accuracy.flows import Flow, read_flows
+from validation.bench.accuracy.flows import read_flows
 from validation.runs import RunStore
 
 COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
@@ -73,15 +73,6 @@ def test_a_tolerance_is_tried_on_other_scenes_than_the_measured(dimension: int) 
         for cells in (4.0, 7.0, 80.0):
             finer = with_resolution(scene, own(cells))
             assert characteristic_length(scene) / finer.domain.cell == pytest.approx(cells)
-
-
-def test_a_flow_of_another_size_is_the_same_in_numbers_without_units() -> None:
-    flow = Flow(aspect=2.0, friction_deg=30.0, cohesion=0.02, velocity=0.5)
-    small, large = flow.scene(), dataclasses.replace(flow, smallest=1.0).scene()
-    assert large.masses[0].size == pytest.approx([10.0 * side for side in small.masses[0].size])
-    assert large.duration == pytest.approx(math.sqrt(10.0) * small.duration)
-    assert large.material.young == pytest.approx(10.0 * small.material.young)
-    assert large.material.cohesion == pytest.approx(10.0 * small.material.cohesion)
 
 
 def test_one_more_scene_is_within_the_bound_as_often_as_stated() -> None:

@@ -2,14 +2,13 @@
 
 import ast
 import importlib
-import math
 from pathlib import Path
 
 import pytest
 
 from datasets.lock import locked
 from validation.bench.__main__ import BENCHES, Bench, main
-from validation.report.page import Page, percent, signed, table
+from validation.report.page import Page
 
 ROOT = Path(__file__).parents[3]
 
@@ -49,11 +48,6 @@ def test_runs_that_another_process_keeps_are_refused(tmp_path: Path, capsys: pyt
     assert "writes here since" in capsys.readouterr().err
 
 
-def test_the_eight_pages_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--list"]) == 0
-    assert sum(line.partition(":")[0] in BENCHES for line in capsys.readouterr().out.splitlines()) == len(BENCHES) == 8
-
-
 @pytest.mark.parametrize("arguments", [[], ["experiment"]])
 def test_a_wrong_name_takes_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
@@ -78,10 +72,3 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
     assert "| 0.12 " in text
     with pytest.raises(ValueError, match="conclusion"):
         Page("Title", command="", conclusion=["one"] * 6)
-
-
-def test_numbers_are_written_in_one_way() -> None:
-    assert (percent(0.0213), signed(0.0213), percent(math.nan)) == ("2.1 %", "+2.1 %", "-")
-    assert table([]) == ""
-    rows = table([("a", 0.25, 0.1), ("b", None, math.nan)], formats={"": "", "x": ".1f", "error": percent})
-    assert [line.replace(" ", "") for line in rows.splitlines()[2:]] == ["|a|0.2|10%|", "|b||-|"]

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inverse.problem import read_problem
 from tests.validation.loop.flows import FakeMpm, wedge
 from validation.bench import coverage
 from validation.bench.__main__ import main
-from validation.bench.coverage import FAMILIES, Family, Twin, drawn, held, page, ranks, row, solve_twin, uniformity
+from validation.bench.coverage import Family, Twin, drawn, held, page, ranks, row, solve_twin, uniformity
 
 FAMILY = Family(title="Wedges", problem="wedge", noise=0.01)
 
@@ -74,7 +73,3 @@ def test_the_command(mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture
     assert len(mpm.scenes) == made
     assert main(["coverage", "--out", str(tmp_path), "--only", "nothing"]) == 2
     assert main(["coverage", "--out", str(tmp_path), "--twins", "0"]) == 2
-
-
-def test_every_family_is_of_a_shipped_problem() -> None:
-    assert all(read_problem(each.problem).target.twin for each in FAMILIES.values())

@@ -15,9 +15,9 @@ from inverse.parameters import Vector
 from inverse.problem import read_problem
 from validation.bench import efficiency, searches
 from validation.bench.__main__ import main
-from validation.bench.blocks import MOST_COLUMNS, blocks, blocks_problem, hundred_problem, sampled
+from validation.bench.blocks import blocks, blocks_problem
 from validation.bench.efficiency import Compared, Gradient, Method, differences, draw_gradients, draw_searches, page
-from validation.bench.searches import PAPER, By, Searched, descend, explore, methods
+from validation.bench.searches import PAPER, By, Searched, descend, explore
 from validation.report import plots
 
 
@@ -58,18 +58,6 @@ def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
     np.testing.assert_allclose(slope, 2.0 * residual @ Linear.matrix / 3.0, rtol=1e-9)
     _, second = differences(forward, target, problem, np.array([1]), 1)
     assert second[0] == pytest.approx(slope[1])
-
-
-def test_columns_that_are_run_are_spread_over_all() -> None:
-    assert list(sampled(3)) == [0, 1, 2]
-    assert len(sampled(1_000)) == MOST_COLUMNS
-    assert len(set(sampled(100) // 10)) >= 8
-
-
-def test_which_methods_are_compared() -> None:
-    assert methods(read_problem("friction-tall-42")) == [by for by in By if by is not By.SECANTS]
-    assert methods(read_problem("velocity-layers-10")) == list(By)
-    assert methods(hundred_problem()) == [By.SURROGATE, By.ADJOINT, By.SECANTS]
 
 
 def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:

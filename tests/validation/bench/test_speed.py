@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
 from datasets.particles import particle_count
-from validation.bench import speed
-from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page, price
+from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page
 from validation.report.measuring import spread
 
 RATES = {
@@ -39,21 +37,9 @@ def test_columns_have_the_particles_that_the_cases_state() -> None:
     assert column(3, 32, 10).frames == 11
 
 
-def test_no_rounds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--rounds"):
-        speed.bench(tmp_path, quick=True, keep=tmp_path, rounds=0)
-
-
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
     positions = np.random.default_rng(0).random((1, 5, 2))
     value, slope, _ = mean_x(positions, positions)
     moved = positions.copy()
     moved[0, 3, 0] += 1e-6
     assert (mean_x(moved, moved)[0] - value) / 1e-6 == pytest.approx(slope[0, 3, 0])
-
-
-@pytest.mark.slow
-def test_a_gradient_takes_some_runs() -> None:
-    found = price(enlarged(0.5, 0.1), 1)
-    assert found.particles == 800
-    assert 1.0 < found.ratio < 20.0

@@ -21,7 +21,6 @@ from validation.bench.stability.bench import FOLDER, Check, Row, page, read_rows
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding
 from validation.bench.stability.quantities import QUANTITIES
 
-FRAMES = 5
 BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
 BAFFLE = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))
 CUBE = Mass(lower=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
@@ -116,11 +115,8 @@ def test_sand_at_rest_passes(scene: Scene) -> None:
     ("check", "wrong"),
     [
         (invariants.finite, lambda flow: changed(flow, "pressure", (2, 0), np.nan)),
-        (invariants.finite, lambda flow: changed(flow, "solid_impulse", (2, 0), np.inf)),
         (invariants.inside_box, lambda flow: changed(flow, "positions", (2, 7), (-1e-4, 0.1))),
-        (invariants.inside_box, lambda flow: changed(flow, "positions", (2, 7), (0.4, 0.401))),
         (invariants.outside_baffles, lambda flow: changed(flow, "positions", (3, 0), (0.501, 0.1))),
-        (invariants.outside_baffles, lambda flow: changed(flow, "positions", (3, 0), (0.55, 0.0))),
         (invariants.mass, lambda flow: dataclasses.replace(flow, positions=flow.positions[:, 1:])),
         (invariants.momentum, lambda flow: changed(flow, "velocities", (3, slice(None), 0), 1e-3)),
         (invariants.momentum, presses),
@@ -136,17 +132,6 @@ def test_what_is_wrong_is_found(
     good = at_rest(scene_of(baffles=(BAFFLE,)))
     assert check is invariants.slope or check(good).ok
     assert not check(wrong(good)).ok
-
-
-def test_what_a_check_does_not_apply_to_is_left_out() -> None:
-    assert invariants.outside_baffles(at_rest()) is None
-    assert invariants.momentum(at_rest(scene_of(damping=0.1))) is None
-    assert invariants.volume(at_rest(scene_of(Mass(lower=(0.0, 0.0), size=(0.1, 0.1))))) is None
-
-
-@pytest.mark.parametrize(("value", "ok"), [(0.5, True), (1.5, False), (-0.5, False), (float("nan"), False)])
-def test_a_finding_passes_within_its_range_only(value: float, ok: bool) -> None:
-    assert Finding(check="x", value=value, minimum=0.0, maximum=1.0).ok is ok
 
 
 def test_every_row_has_a_scene_and_every_scene_a_row() -> None:
@@ -175,12 +160,6 @@ def test_a_verdict_says_what_is_wrong() -> None:
     assert "**not finite 1600" in str(text)
 
 
-def test_a_deposit_may_gain_more_energy_where_its_row_says_so() -> None:
-    row = Row(name="rest", what="it gains")
-    assert verdict(row, gains(at_rest())).failures
-    assert not verdict(dataclasses.replace(row, energy=1e-3), gains(at_rest())).failures
-
-
 def test_an_unknown_row_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="did you mean 'thin-layer'"):
         read_rows(["thin-layers"])
@@ -188,7 +167,7 @@ def test_an_unknown_row_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["far-slow", "plate"])
+@pytest.mark.parametrize("name", ["far-slow", pytest.param("plate", marks=pytest.mark.slow)])
 def test_a_short_row_holds(name: str) -> None:
     (row,) = read_rows([name])
     assert verdict(row, run([row], "f32")[name]).failures == []

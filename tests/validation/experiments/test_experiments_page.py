@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from validation.bench import experiments
 from validation.bench.experiments import compute, crossing, page
 from validation.experiments.experiment import read_experiments
 
-from .conftest import deposits, front_of
+from .conftest import deposits
 
 
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
@@ -55,15 +54,3 @@ def test_the_page_follows_the_numbers(shelf: Path) -> None:
     assert "the avalanche angle leaves 6.0 spreads rms, the repose angle 3.8, on" in text.conclusion
     assert "- wedge, wedge, front: The wedge is imaginary." in str(text)
     assert "- Not stated: everything; nothing: a test." in str(text)
-
-
-def test_the_page_follows_other_numbers(shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = shelf / "wedge" / "experiment.toml"
-    path.write_text(path.read_text().replace("value = 0.52", f"value = {front_of(25.0)}"))
-    monkeypatch.setattr(experiments, "deposits_of", lambda _, scenes: deposits(scenes))
-    monkeypatch.setattr(experiments, "QUICK", "wedge")
-    assert "1 of 1 lengths are within" in experiments.bench(tmp_path, quick=True, keep=tmp_path, experiments=shelf)
-    text = (tmp_path / "experiments.md").read_text()
-    assert "The wedge is imaginary" not in text
-    assert "--quick" in text
-    assert (tmp_path / "experiments.png").stat().st_size > 1000

@@ -74,20 +74,3 @@ def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, 
         Measured(
             quantity=Quantity.PROFILE, spread=0.01, spread_from="", status=Status.READ, source="", x=x, heights=heights
         )
-
-
-def test_a_camera_sees_what_lies_beside_the_walls() -> None:
-    scene = Scene(
-        domain=Domain(size=(1.0, 0.2, 0.12), cell=0.02),
-        material=Material(friction_deg=30.0),
-        masses=(
-            Mass(lower=(0.0, 0.0, 0.04), size=(0.6, 0.1, 0.04)),
-            Mass(lower=(0.0, 0.0, 0.0), size=(0.4, 0.1, 0.04)),
-        ),
-        jitter=0.0,
-    )
-    positions = initial_particles(scene).positions
-    # The middle reaches to 0.6 m, one wall's side to 0.4 m, the other's is empty: 50 mm in the mean beside the walls.
-    beside = quantity(number(Quantity.FRONT, thicker_than=0.04, beside_walls=0.04), scene, positions)
-    assert beside == pytest.approx(0.4, abs=0.03)
-    assert quantity(number(Quantity.FRONT, thicker_than=0.02), scene, positions) == pytest.approx(0.6, abs=0.03)

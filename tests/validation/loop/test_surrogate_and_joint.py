@@ -68,17 +68,6 @@ def test_joint_observations_find_it_together(tmp_path: Path) -> None:
     assert "| front 2" in (tmp_path / "report.md").read_text()
 
 
-def test_better_measurements_count_more(tmp_path: Path) -> None:
-    """Two fronts that contradict each other: the answer is close to the one with a tenth of the noise."""
-    case = wedge(tmp_path, truth=24.0, scatter=0.0005)
-    parts = tuple(
-        ObservationSettings(kind="front", value=FRONT * (length(24.0) + error), noise=noise)
-        for error, noise in ((0.0, 0.004), (0.05, 0.04))
-    )
-    result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
-    assert result.unknowns["friction_deg"] == pytest.approx(24.0, abs=0.25)
-
-
 def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, scatter=0.0005)
     parts = tuple(
