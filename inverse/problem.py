@@ -170,12 +170,9 @@ class Problem:
 
     @cached_property
     def true_fields(self) -> list[Field]:
-        """The fields of a twin, drawn from the prior or the scene's own."""
-        if self.target.draw is None:
-            own = {(each.quantity, each.mass): each for each in self.scene.fields}
-            return [own[each.settings.quantity, each.settings.mass] for each in self.fields]
-        rng = np.random.default_rng(self.target.draw)
-        return [each.field(each.prior.field(rng.standard_normal(each.prior.size))) for each in self.fields]
+        """The fields of a twin: the scene's own."""
+        own = {(each.quantity, each.mass): each for each in self.scene.fields}
+        return [own[each.settings.quantity, each.settings.mass] for each in self.fields]
 
     @property
     def twin_scene(self) -> Scene:

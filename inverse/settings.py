@@ -131,8 +131,6 @@ class TargetSettings(Record):
     """Seed of the jitter and the noise of the twin; another one than any of the inversion's."""
     truth: dict[str, float] = field(default_factory=dict)
     """Number -> its value in the twin; the scene's own where absent."""
-    draw: int | None = None
-    """Seed of true fields that are drawn from the prior, in place of the scene's own."""
     trajectory: str | None = None
     """A trajectory (NPZ) that was observed."""
     minimise: bool = False
@@ -182,8 +180,6 @@ class LoopSettings(Record):
 
     mpm_runs: int | None = None
     """Most MPM runs that the loop may spend; 40 and 12 for each unknown where absent."""
-    mpm_seconds: float | None = None
-    """Seconds that they may take in all, but for those that fill the box and check an answer; no bound where absent."""
 
     def budget(self, unknowns: int) -> int:
         """Most MPM runs for so many unknowns."""

@@ -6,8 +6,8 @@
     positions[-1, :, 0].mean().backward()
     parameters.grad                                          # of the mean x of the deposit
 
-`ParticleRun` begins with positions and velocities of every particle instead. The forward pass is a run of the solver
-with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built, and memory stays within `memory_mib`.
+The forward pass is a run of the solver with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built,
+and memory stays within `memory_mib`.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.particles import Particles, initial_particles, initial_volumes
+from datasets.particles import initial_volumes
 from datasets.scene import Scene
 from inverse.forward.interface import Simulate
 from inverse.forward.mpm import MpmForward
@@ -42,8 +42,8 @@ class Flow(NamedTuple):
     """Momentum that each solid has taken since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
 
 
-class Taped:
-    """A run of a scene with checkpoints, and its reverse pass.
+class Run:
+    """A run as a function of some of the parameters of its scene (`inverse.parameters`), with checkpoints.
 
     frames: those that it returns, the last alone unless given. Errors as `mpm.adjoint.tape.Tape`.
     """
@@ -51,7 +51,9 @@ class Taped:
     def __init__(
         self,
         scene: Scene,
+        names: Sequence[str] = (),
         *,
+        kinds: Sequence[Kind] | None = None,
         frames: Sequence[int] | None = None,
         precision: Precision = "f32",
         memory_mib: float = MEMORY_MIB,
@@ -60,28 +62,6 @@ class Taped:
         self.scene = scene
         self.frames = [scene.frames - 1] if frames is None else sorted(frames)
         self.options: dict[str, Any] = {"precision": precision, "memory_mib": memory_mib, "threads": threads}
-
-    def observed(
-        self,
-        scenes: Sequence[Scene],
-        slopes: Callable[[Gradient], tuple[Tensor, ...]],
-        *inputs: Tensor,
-        particles: Sequence[Particles] | None = None,
-    ) -> list[Flow]:
-        """What each of `scenes` is observed by; slopes: of the inputs, from those of what a run begins with."""
-        tape = Tape(scenes, self.frames, particles=particles, **self.options)
-        found = _Flow.apply(tape, slopes, *inputs)  # type: ignore[no-untyped-call]
-        return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
-
-
-class Run(Taped):
-    """A run as a function of some of the parameters of its scene (`inverse.parameters`)."""
-
-    def __init__(
-        self, scene: Scene, names: Sequence[str] = (), *, kinds: Sequence[Kind] | None = None, **options: Any
-    ) -> None:
-        """options: of `Taped`."""
-        super().__init__(scene, **options)
         self.kinds: list[Kind] = [kind(name) for name in names] if kinds is None else list(kinds)
         for each in self.kinds:
             each.check(scene)
@@ -105,10 +85,12 @@ class Run(Taped):
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
 
-        def slopes(gradient: Gradient) -> tuple[Tensor]:
-            return (torch.from_numpy(derivatives(gradient, self.kinds, values)),)
+        def slopes(gradient: Gradient) -> Tensor:
+            return torch.from_numpy(derivatives(gradient, self.kinds, values))
 
-        return self.observed([dataclasses.replace(scene, seed=seed) for seed in seeds], slopes, parameters)
+        tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
+        found = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
+        return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Vector:
@@ -127,44 +109,12 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Ve
     return found
 
 
-class ParticleRun(Taped):
-    """A run as a function of the initial positions and velocities of its particles."""
-
-    def __init__(self, scene: Scene, **options: Any) -> None:
-        """options: of `Taped`."""
-        super().__init__(scene, **options)
-        self.initial: Particles = initial_particles(scene)
-
-    def __call__(self, velocities: Tensor, positions: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """What `Run` returns, of initial velocities [m/s] and positions [m], the scene's where absent; shape [N, D]."""
-        flow = self.flow(velocities, positions)
-        return flow.positions, flow.velocities
-
-    def flow(self, velocities: Tensor, positions: Tensor | None = None) -> Flow:
-        """All that is observed at the frames, of what particles begin with."""
-        if positions is None:
-            positions = torch.from_numpy(self.initial.positions)
-        particles = dataclasses.replace(
-            self.initial,
-            positions=positions.detach().numpy().astype(np.float64),
-            velocities=velocities.detach().numpy().astype(np.float64),
-        )
-
-        def slopes(gradient: Gradient) -> tuple[Tensor, Tensor]:
-            return torch.from_numpy(gradient.velocities), torch.from_numpy(gradient.positions)
-
-        (flow,) = self.observed([self.scene], slopes, velocities, positions, particles=[particles])
-        return flow
-
-
 class _Flow(torch.autograd.Function):
     """What a tape has observed, three tensors of each scene; backwards its vector-Jacobian product."""
 
     @staticmethod
-    def forward(
-        ctx: Any, tape: Tape, slopes: Callable[[Gradient], tuple[Tensor, ...]], *inputs: Tensor
-    ) -> tuple[Tensor, ...]:
-        ctx.tape, ctx.slopes, ctx.dtypes = tape, slopes, [each.dtype for each in inputs]
+    def forward(ctx: Any, tape: Tape, slopes: Callable[[Gradient], Tensor], parameters: Tensor) -> tuple[Tensor, ...]:
+        ctx.tape, ctx.slopes, ctx.dtype = tape, slopes, parameters.dtype
         observed = (tape.positions, tape.velocities, tape.impulses)
         return tuple(torch.from_numpy(each(index)) for index in range(len(tape.batch.scenes)) for each in observed)
 
@@ -176,8 +126,7 @@ class _Flow(torch.autograd.Function):
         forces: list[Any] = impulses if any(each.any() for each in impulses) else [None] * len(impulses)
         flows = map(FlowAdjoints, positions, velocities, forces)
         (gradients,) = pull_back_all(ctx.tape, [list(flows)])
-        found = [sum(parts) for parts in zip(*map(ctx.slopes, gradients), strict=True)]
-        return None, None, *(each.to(dtype) for each, dtype in zip(found, ctx.dtypes, strict=True))
+        return None, None, sum(map(ctx.slopes, gradients)).to(ctx.dtype)
 
 
 class AdjointForward(MpmForward):

@@ -1,6 +1,5 @@
 """Unknown fields: the prior, the exact posterior of a linear problem, and a block of 48 particles from end to end."""
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -175,7 +174,7 @@ def test_a_step_is_halved_until_the_objective_falls() -> None:
 
 def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
     text = PROBLEM.replace('name = "floor_friction"\ninitial = 0.4\nlower = 0.1\nupper = 0.7\n', FRICTION)
-    problem = read_problem(files(tmp_path, text.replace("seed = 1000", "seed = 1000\ndraw = 3")))
+    problem = read_problem(files(tmp_path, text.replace("twin = true\nseed = 1000", 'trajectory = "seen.npz"')))
     velocity, friction = problem.fields
     assert (velocity.grid.nodes, friction.grid.nodes) == ((7, 1), (7, 3))
     np.testing.assert_allclose(friction.grid.positions[[0, -1]], [[0.1, 0.0], [0.22, 0.04]])
@@ -185,13 +184,7 @@ def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
     assert ends[0] - ends[1] == pytest.approx(2.0 * BAND * 5.0)
     slope = (friction.values(zero + 0.5 + 1e-6) - friction.values(zero + 0.5 - 1e-6)) / 2e-6
     np.testing.assert_allclose(friction.slope(zero + 0.5), slope, rtol=1e-7)
-    assert len({*problem.seeds, *problem.scatter_seeds, problem.target.seed}) == 2 + 6 + 1
-    drawn = [
-        dataclasses.replace(problem, target=dataclasses.replace(problem.target, draw=draw)).true_fields[0].values
-        for draw in range(60)
-    ]
-    assert np.mean(drawn) == pytest.approx(0.6, abs=0.1)
-    assert np.std(drawn) == pytest.approx(0.3, rel=0.15)
+    assert len({*problem.seeds, *problem.scatter_seeds}) == 2 + 6
 
 
 @pytest.mark.parametrize(

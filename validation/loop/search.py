@@ -40,11 +40,8 @@ class Search:
 
     @property
     def left(self) -> int:
-        """Runs of the budget that are left; of one in seconds by the price of those so far, and checks in any case."""
-        budget, seconds = self.task.budget, self.task.problem.loop.mpm_seconds
-        if seconds is not None and self.waves:
-            budget = min(budget, max(int(seconds / self.price), self.waves[0]["mpm_runs"] + self.task.checks))
-        return max(0, budget - len(self.runs))
+        """Runs of the budget that are left."""
+        return max(0, self.task.budget - len(self.runs))
 
     @property
     def price(self) -> float:
