@@ -16,7 +16,7 @@ from mpm.arrays.features import Features
 from mpm.arrays.layout import Precision, Property
 from mpm.arrays.properties import properties_row
 from mpm.physics.mohr_coulomb import return_principal, softened
-from mpm.physics.stress import plastic_return, stress_step
+from mpm.physics.stress import stress_step
 
 Vector = NDArray[np.float64]
 
@@ -67,31 +67,6 @@ def path_kernel(features: Features) -> Callable[..., None]:
                     history[step * width + k] = stress[k]
 
     return follow_path
-
-
-@cache
-def tensor_kernel(features: Features) -> Callable[..., None]:
-    """(stresses, properties): tensors, a block of lanes per component, returned in place."""
-    real = ti.f32 if features.precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
-
-    @ti.kernel
-    def return_all(s: blocks, m: ti.types.ndarray()):
-        for e in range(s.shape[0] // ti.static(features.stresses)):
-            new = plastic_return(
-                [s[e * ti.static(features.stresses) + k] for k in ti.static(range(features.stresses))],
-                m[Property.SIN_PHI],
-                m[Property.SIN_PSI],
-                m[Property.STRENGTH],
-                m[Property.LIMIT],
-                m[Property.LAME],
-                m[Property.SHEAR],
-                features,
-            )
-            for k in ti.static(range(features.stresses)):
-                s[e * ti.static(features.stresses) + k] = new[k]
-
-    return return_all
 
 
 @cache
@@ -219,23 +194,3 @@ def returned_whole(
     return_kernel(features)(blocks.reshape(-1, lanes), properties)
     result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count].astype(np.float64)
     return result[:, :3], result[:, 3]
-
-
-def returned_tensors(material: Material, stresses: Vector, *, precision: Precision = "f64") -> Vector:
-    """Trial stresses [Pa], shape [E, 4 or 6], returned."""
-    runtime.start(precision)
-    count, width = stresses.shape
-    features = Features(dimension=2 if width == 4 else 3, precision=precision, dilates=True, cohesive=True)
-    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
-    blocks = aligned((-(-count // features.lanes), width, features.lanes), real)
-    padded = np.zeros((len(blocks) * features.lanes, width))
-    padded[:count] = stresses
-    blocks[:] = np.moveaxis(padded.reshape(-1, features.lanes, width), 1, 2)
-    tensor_kernel(features)(blocks.reshape(-1, features.lanes), np.array(properties_row(material, 1.0), real))
-    return np.moveaxis(blocks, 1, 2).reshape(-1, width)[:count].astype(np.float64)
-
-
-def yield_function(material: Material, stresses: Vector) -> Vector:
-    """F = s1 (1 + sin phi) - s3 (1 - sin phi) - 2 c cos phi [Pa] of sorted principal stresses, shape [E]."""
-    phi = np.radians(material.friction_deg)
-    return stresses[:, 0] * (1 + np.sin(phi)) - stresses[:, 2] * (1 - np.sin(phi)) - 2 * material.cohesion * np.cos(phi)

@@ -10,9 +10,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import AT_REST, WITH_FIELDS, simulate
-from mpm.arrays.layout import PADDING
-from mpm.initial.barriers import barriers, inside
+from mpm import WITH_FIELDS, simulate
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -105,38 +103,3 @@ def test_masses_have_their_own_times() -> None:
     # The free one falls meanwhile.
     falling = flow.velocities[20, particles.mass == 2, 1].mean()
     assert falling == pytest.approx(-9.81 * 0.05, rel=0.01)
-
-
-@pytest.mark.slow
-def test_rest_waits_for_the_release() -> None:
-    scene = with_masses(SCENE, dataclasses.replace(COLUMN, k0=0.5, release=0.2), duration=3.0, floor_friction=0.4)
-    flow = simulate(scene, threads=1, record=AT_REST)
-    assert flow.summary["rest_time"] > 0.5
-    settling = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=3.0, floor_friction=0.4)
-    flow = simulate(settling, threads=1, record=AT_REST)
-    assert flow.summary["rest_time"] > flow.summary["release_time"][0] + 0.3
-
-
-@pytest.mark.double
-def test_on_two_threads_as_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = with_masses(SCENE, dataclasses.replace(COLUMN, release="settled"), duration=0.1)
-    alone = simulate(scene, precision="f64", threads=1)
-    monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 300)
-    both = simulate(scene, precision="f64", threads=2)
-    np.testing.assert_allclose(both.positions, alone.positions, atol=1e-6)
-    assert both.summary["release_time"] == alone.summary["release_time"]
-
-
-def test_barriers_hold_the_nodes_beyond_a_face_beside_the_mass() -> None:
-    low, high = barriers(SCENE, COLUMN)
-    assert (low.axis, high.axis) == (0, 0)
-    assert low.nodes[:, 0].tolist() == [PADDING + 18, PADDING + 21]
-    assert high.nodes[:, 0].tolist() == [PADDING + 30, PADDING + 33]
-    # From below the floor to beyond what the topmost particles reach.
-    assert low.nodes[:, 1].tolist() == [PADDING - 2, PADDING + 15 + 3]
-    assert inside(low.nodes, np.array([[PADDING + 20, PADDING], [PADDING + 21, PADDING]])).tolist() == [True, False]
-    # A face on a wall has none, and off the lines of the grid the next line beyond the face is the first.
-    (only,) = barriers(SCENE, dataclasses.replace(COLUMN, lower=(0.0, 0.1), size=(0.21, 0.1)))
-    assert only.nodes[:, 0].tolist() == [PADDING + 11, PADDING + 14]
-    assert only.nodes[0, 1] == PADDING + 5
-    assert [barrier.axis for barrier in barriers(SCENE_3D, BLOCK)] == [0, 0, 2, 2]

@@ -25,6 +25,7 @@ TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
 """Thirteen times the wave speed of SAND."""
 
 
+@pytest.mark.slow
 def test_scenes_of_different_features_run_as_alone_and_come_back_in_order() -> None:
     clay = dataclasses.replace(SAND, cohesion=500.0, tension_cutoff=200.0)
     scenes = [

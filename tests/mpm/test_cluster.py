@@ -4,17 +4,14 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from mpm import LAST, simulate_many
 from mpm.cluster import Workers, connected
-from tests.mpm.test_generate import TINY, contents, generate
+from tests.mpm.test_generate import TINY
 
 distributed = pytest.importorskip("distributed")
 SCENES = [entry.scene for entry in TINY.entries(seed=3)]
@@ -40,14 +37,6 @@ def wait_and_name(number: float) -> tuple[float, int]:
 
 
 @pytest.mark.slow
-def test_trajectories_are_those_of_this_machine(cluster: Workers) -> None:
-    for record in ({}, {"record": LAST}):
-        for one, other in zip(cluster(SCENES, **record), simulate_many(SCENES, **record), strict=True):
-            np.testing.assert_array_equal(one.positions, other.positions)
-            assert one.scene == other.scene
-
-
-@pytest.mark.slow
 def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:
     found, first = {}, None
     for index, (number, process) in cluster.finished(wait_and_name, [(float(each),) for each in range(12)]):
@@ -56,16 +45,6 @@ def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:
             first = process
             os.kill(first, signal.SIGKILL)
     assert found == {index: float(index) for index in range(12)}
-
-
-@pytest.mark.slow
-def test_a_dataset_survives_a_killed_worker(workers: Any, cluster: Workers, tmp_path: Path) -> None:
-    generate(TINY, tmp_path / "whole", seed=7, count=None, jobs=1)
-    # It dies while it has the first task.
-    task = cluster.executor.submit(wait_and_name, 0.0)
-    os.kill(task.result()[1], signal.SIGKILL)
-    generate(TINY, tmp_path / "broken", seed=7, count=None, jobs=1, scheduler=workers.scheduler_address)
-    assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
 
 
 @pytest.mark.slow

@@ -142,6 +142,7 @@ def assert_outside(flow: Trajectory) -> None:
         assert nearest(surface, positions.astype(float)).distance.min() > -1.0e-5 * flow.scene.domain.cell
 
 
+@pytest.mark.slow
 def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
     for points in (
         ((0.0, 0.45), (0.35, 0.2), (0.4, 0.27), (0.8, 0.05)),
@@ -184,6 +185,7 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
+@pytest.mark.slow
 def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
     def slope(**surface: object) -> Trajectory:
         scene = Scene(
@@ -224,6 +226,7 @@ def test_adhesion_holds_cohesive_soil_under_a_ceiling() -> None:
     assert fall(0.0) > 0.1
 
 
+@pytest.mark.slow
 def test_open_sides_let_sand_out_and_count_it() -> None:
     scene = Scene(
         domain=Domain(size=(0.6, 0.4), cell=CELL),

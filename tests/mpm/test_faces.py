@@ -81,19 +81,3 @@ def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> Non
     lengths = np.diff(first)
     assert lengths.max() < (25 if dimension == 2 else 120)
     assert (lengths == 0).sum() > 0.2 * len(lengths)
-
-
-def test_an_empty_neighbourhood() -> None:
-    scene = scene_of(2)
-    distant = Surface(
-        corners=np.array([[[50.0, 50.0], [51.0, 50.0]]]),
-        normals=np.array([[0.0, -1.0]]),
-        corner_normals=np.array([[[0.0, -1.0]] * 2]),
-        edge_normals=np.zeros((1, 0, 2)),
-        solid=np.zeros(1, np.int32),
-        friction=np.zeros((1, 2)),
-        adhesion=np.zeros(1),
-    )
-    first, near_faces = faces_near(scene.domain, distant, cutoff=2.0)
-    assert len(near_faces) == 0
-    assert (first == 0).all()

@@ -119,6 +119,7 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
             np.testing.assert_array_equal(getattr(stored, key), getattr(expected, key))
 
 
+@pytest.mark.slow
 def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
     """The workers of a cluster on this machine, processes of their own that share the folder."""
     distributed = pytest.importorskip("distributed")
@@ -260,8 +261,8 @@ def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
 
 @pytest.mark.parametrize(
     ("number", "whole"),
-    [(signal.SIGINT, True), pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow), (signal.SIGTERM, False)],
-    ids=["Ctrl-C", "SIGTERM to all", "SIGTERM to the first"],
+    [(signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)],
+    ids=["Ctrl-C", "SIGTERM to the first"],
 )
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
     tmp_path: Path, number: signal.Signals, whole: bool

@@ -39,7 +39,12 @@ def same(one: Trajectory, other: Trajectory) -> None:
 
 
 @pytest.mark.parametrize(
-    ("precision", "shared"), [("f32", False), pytest.param("f64", False, marks=pytest.mark.slow), ("f32", True)]
+    ("precision", "shared"),
+    [
+        ("f32", False),
+        pytest.param("f64", False, marks=pytest.mark.slow),
+        pytest.param("f32", True, marks=pytest.mark.slow),
+    ],
 )
 def test_a_resumed_run_is_the_unbroken_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, precision: Any, shared: bool

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datasets.material import Material
-from tests.mpm.element import returned, returned_tensors, returned_whole
+from tests.mpm.element import returned, returned_whole
 from tests.mpm.lcp import elasticity, lcp_return, lipschitz, surfaces
 
 pytestmark = pytest.mark.double
@@ -104,18 +104,6 @@ def test_the_return_is_continuous(table: list[Material]) -> None:
     assert pairs > 5_900 * len(table)
 
 
-@pytest.mark.parametrize("dilation_deg", [0.0, 12.0])
-def test_without_cohesion_the_cheap_form_is_the_same(dilation_deg: float) -> None:
-    sand = Material(friction_deg=33.0, dilation_deg=dilation_deg)
-    trial = trials(sand, np.random.default_rng(5), 20_000)
-    general, opened = returned_whole(sand, trial)
-    cheap, cheap_opened = returned_whole(sand, trial, cohesive=False)
-    scale = scale_of(sand, trial)
-    assert (np.abs(general - cheap).max(axis=1) / scale).max() < 1e-12
-    assert (np.abs(opened - cheap_opened) / scale).max() < 1e-12
-    assert cheap.max() <= 0.0
-
-
 def test_what_opening_cost_is_the_mean_that_dilation_did_not_take(table: list[Material]) -> None:
     """K times the sum of the cutoff's multipliers, where these are unique; all of the mean's change where psi = 0."""
     random = np.random.default_rng(6)
@@ -137,60 +125,3 @@ def test_what_opening_cost_is_the_mean_that_dilation_did_not_take(table: list[Ma
         bulk = material.lame + 2.0 / 3.0 * material.shear_modulus
         opening = bulk * (strain[:, 0] - (1.0 + sin_psi) * plane)
         np.testing.assert_allclose(opened[edge], opening, atol=1e-10 * scale.max())
-
-
-def spun(principal: Array, width: int, random: np.random.Generator) -> Array:
-    """Components of stresses with these principal values [E, 3] in random axes, out of plane fixed in 2D."""
-    if width == 4:
-        order = random.permuted(np.tile(np.arange(3), (len(principal), 1)), axis=1)
-        a, b, z = np.take_along_axis(principal, order, axis=1).T
-        angle = random.uniform(0.0, np.pi, len(a))
-        radius, centre = (a - b) / 2, (a + b) / 2
-        turned = radius * np.cos(2 * angle), radius * np.sin(2 * angle)
-        return np.stack([centre + turned[0], centre - turned[0], z, turned[1]], axis=1)
-    axes, _ = np.linalg.qr(random.normal(size=(len(principal), 3, 3)))
-    full = axes @ (principal[:, :, None] * np.swapaxes(axes, 1, 2))
-    return np.stack([full[:, 0, 0], full[:, 1, 1], full[:, 2, 2], full[:, 0, 1], full[:, 1, 2], full[:, 2, 0]], axis=1)
-
-
-def norm(components: Array) -> Array:
-    """Frobenius norm of the tensors [E, 4 or 6]."""
-    return np.sqrt((components[:, :3] ** 2).sum(axis=1) + 2 * (components[:, 3:] ** 2).sum(axis=1))
-
-
-@pytest.mark.parametrize("width", [4, 6])
-def test_the_return_of_tensors_is_continuous(width: int) -> None:
-    """The same bound: an isotropic function stretches as its principal values do, or as the ratio of gaps, below 1.
-
-    In 3D, where principal stresses meet, these are known to half the digits: 1e-7 of the deviator is allowed.
-    """
-    random = np.random.default_rng(7)
-    for material in MATERIALS[::2]:
-        principal = trials(material, random, 1500)
-        # Of a third two stresses are equal, or all.
-        third = len(principal) // 3
-        principal[:third, 1] = principal[:third, 0]
-        principal[third // 2 : third, 2] = principal[third // 2 : third, 1]
-        one = spun(principal, width, random)
-        apart = unit(material) * 10.0 ** random.uniform(-9.0, 1.0, (len(one), 1)) * random.normal(size=one.shape)
-        other = one + apart
-        change = norm(returned_tensors(material, one) - returned_tensors(material, other))
-        scale = norm(one) + norm(other) + surfaces(material)[2].max()
-        over = change - lipschitz(material) * norm(apart) - (1e-12 if width == 4 else 1e-7) * scale
-        assert over.max() <= 0.0, material
-
-
-@pytest.mark.parametrize(("width", "digits"), [(4, 2e-6), (6, 2e-3)])
-def test_single_precision_returns_tensors_as_double_does(width: int, digits: float) -> None:
-    """Of the stress; near yield surfaces and where principal stresses meet alike."""
-    random, cases = np.random.default_rng(8), []
-    for material in MATERIALS[::5]:
-        principal = trials(material, random, 1000)
-        third = len(principal) // 3
-        principal[:third, 1] = principal[:third, 0]
-        one = spun(principal, width, random).astype(np.float32).astype(np.float64)
-        cases.append((material, one, returned_tensors(material, one)))
-    for material, one, exact in cases:
-        single = returned_tensors(material, one, precision="f32")
-        error = norm(single - exact) / (norm(one) + surfaces(material)[2].max())
-        assert error.max() < digits, material

@@ -41,28 +41,24 @@ def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("cell = 0.02\n[material]", None),
         ("cell = 0.02\ncel = 1\n[material]", "domain.cel: expected a known key"),
         ("cell = 0.3\n[material]", "whole number of cells"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str | None
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
 ) -> None:
     scene, out = tmp_path / "pile.toml", tmp_path / "out"
     scene.write_text(SCENE.replace("cell = 0.02\n[material]", change))
-    status = run(command, "mpm.run", [str(scene), "--out", str(out)])
+    assert run(command, "mpm.run", [str(scene), "--out", str(out)]) == 2
     error = capsys.readouterr().err
-    if said is None:
-        assert status == 0
-        return
-    assert status == 2
     assert said in error
     assert str(scene) in error
     assert error.count("\n") == 1
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
     scene, out = tmp_path / "pile.toml", tmp_path / "out"
     scene.write_text(SCENE + "[[baffles]]\nlower = [0.12, 0.0]\nsize = [0.1, 0.1]\n")

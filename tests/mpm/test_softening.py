@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
-from mpm import simulate
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_row
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
@@ -131,38 +129,6 @@ def test_an_open_crack_does_not_soften_by_being_there(angle: float) -> None:
     opening = 5e-3 - soil.poisson / (1 - soil.poisson) * 1e-4
     assert strain[19] == pytest.approx(2.0 / 3.0 * opening, rel=1e-3)
     np.testing.assert_allclose(strain[20:], strain[19], rtol=1e-6)
-
-
-def block(**material: object) -> Scene:
-    """A block of clay that slumps, 2D."""
-    clay = dataclasses.replace(
-        Material(friction_deg=0.0, cohesion=1500.0, tension_cutoff=1e6, young=2.0e6),
-        **material,  # type: ignore[arg-type]
-    )
-    return Scene(
-        domain=Domain(size=(1.0, 0.5), cell=0.025),
-        material=clay,
-        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.4)),),
-        duration=0.4,
-        frame_dt=0.02,
-        floor_friction=0.5,
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.double
-def test_a_run_softens_from_its_peak_to_its_residual_strength() -> None:
-    """Nothing happens before slip, everything at once where the length is tiny, and something between in between."""
-
-    def front(scene: Scene) -> float:
-        return float(simulate(scene, precision="f64").positions[-1, :, 0].max())
-
-    firm, weak = front(block()), front(block(cohesion=400.0))
-    assert weak > firm + 0.1
-    ends = {length: front(block(residual_cohesion=400.0, softening_length=length)) for length in (1e9, 0.05, 1e-9)}
-    assert ends[1e9] == pytest.approx(firm, abs=1e-6)
-    assert ends[1e-9] == pytest.approx(weak, abs=0.02)
-    assert firm + 0.01 < ends[0.05] < ends[1e-9] - 0.01
 
 
 def test_strength_that_grows_with_depth() -> None:

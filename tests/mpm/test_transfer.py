@@ -61,6 +61,7 @@ def test_slow_motion_far_from_the_origin_does_not_freeze(precision: Precision) -
     assert moved == pytest.approx(0.1, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.double
 def test_the_default_relaxation_scales_with_the_flow() -> None:
     """Ten times the length, sqrt(10) times the time and ten times the modulus give the same flow, scaled."""

@@ -37,6 +37,7 @@ def test_a_bed_at_rest_has_no_gaps() -> None:
     np.testing.assert_allclose(mindful.positions, plain.positions, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two grids holds a part of the mass: what is compared with the density is their sum."""
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)

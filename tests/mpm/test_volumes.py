@@ -16,22 +16,10 @@ THICK = Mass(lower=(0.55, 0.3), size=(0.2, 0.1))
 SCENE = Scene(
     domain=Domain(size=(0.8, 0.5), cell=0.02), material=SAND, masses=(THIN, THICK), duration=0.1, frame_dt=0.01
 )
-FALLING = pytest.mark.filterwarnings("ignore:masses:UserWarning")
-
-
-@FALLING
-@pytest.mark.parametrize("precision", ["f32", pytest.param("f64", marks=pytest.mark.slow)])
-def test_a_thin_and_a_thick_mass_fall_with_their_own_weight(precision: str) -> None:
-    flow = simulate(SCENE, precision=precision, threads=1)  # type: ignore[arg-type]
-    mass = SAND.density * (0.4 * 0.003 + 0.2 * 0.1)
-    kinetic = flow.summary["energy"]["kinetic"]
-    assert kinetic[-1] == pytest.approx(0.5 * mass * (9.81 * 0.1) ** 2, rel=1e-4)
-    fallen = flow.summary["energy"]["potential"][0] - flow.summary["energy"]["potential"][-1]
-    assert fallen == pytest.approx(kinetic[-1], rel=0.02)
 
 
 @pytest.mark.double
-@FALLING
+@pytest.mark.filterwarnings("ignore:masses:UserWarning")
 def test_the_floor_takes_the_weight_of_each() -> None:
     # Both lie on the floor: a layer of a seventh of a cell and a slab, which spreads.
     masses = tuple(dataclasses.replace(mass, lower=(mass.lower[0], 0.0)) for mass in (THIN, THICK))

@@ -67,27 +67,3 @@ def test_every_operation_by_hand() -> None:
             inside, slope[1], (np.clip(a - b, -1, 1) * np.sqrt(2.0 * moved[0] ** 2 + 2.0 * moved[1] ** 2)).imag / h
         )
         np.testing.assert_allclose(y[row], (slope * bars).sum(axis=0), rtol=1e-12)
-
-
-def test_a_root_at_zero_has_no_slope() -> None:
-    """Where speed or stress is 0 a bar is 0, not infinite."""
-    runtime.start("f64", enough=1)
-
-    @ti.kernel
-    def run(x: BLOCKS, y: BLOCKS):
-        for _ in range(1):
-            step = ti.static([Pullback(inner_root, ([x[0], x[1]],))])[0]
-            values_bar = ti.static(step([x[2]]))
-            y[0] = values_bar[0][0]
-
-    x, y = (aligned((3, LANES), np.dtype(np.float64)) for _ in range(2))
-    x[:] = 0.0
-    x[2], y[:] = 1.0, np.nan
-    run(x, y)
-    assert not y[0].any()
-
-
-@ti.func
-def inner_root(values: ti.template()):
-    """The length of a vector."""
-    return ti.sqrt(inner(values, 1.0))

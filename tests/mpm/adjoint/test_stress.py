@@ -171,22 +171,3 @@ def test_beside_a_crack_equal_stresses_turn_freely(dimension: int) -> None:
     found = reversed_step(features, inputs, bar)
     np.testing.assert_allclose(found[3], 1.0, atol=1e-12)
     np.testing.assert_allclose(found[:3], 0.0, atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_single_precision_is_double_to_its_digits(dimension: int) -> None:
-    """But for the few elements so close to a piece's end that rounding puts them on the other one."""
-    random = np.random.default_rng(6)
-    arguments = {"dimension": dimension, "dilates": True, "cohesive": True}
-    double = Features(precision="f64", **arguments)
-    stress = random_stresses(double.stresses, 2000, random)
-    inputs = inputs_of(stress, random, dilates=True, cohesive=True, size=0.05).astype(np.float32).astype(np.float64)
-    bar = random.normal(size=stress.shape).astype(np.float32).astype(np.float64)
-    exact = reversed_step(double, inputs, bar)
-    single = reversed_step(Features(precision="f32", **arguments), inputs, bar)
-    assert np.isfinite(single).all()
-    scale = np.abs(exact).max(axis=0)
-    apart = np.abs(single - exact).max(axis=0) / scale
-    assert np.median(apart) < 1e-6
-    assert (apart < 1e-3).mean() > 0.99
