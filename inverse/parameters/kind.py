@@ -72,13 +72,9 @@ class Kind(ABC):
     order: int = 2
     """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
 
-    def number(self, value: float) -> str:
-        """A value without its unit."""
-        return f"{value:z.{self.digits}f}"
-
     def text(self, value: float) -> str:
         """A value with its unit."""
-        return f"{self.number(value)} {self.unit}".removesuffix(" -")
+        return f"{value:z.{self.digits}f} {self.unit}".removesuffix(" -")
 
     @abstractmethod
     def check(self, scene: Scene) -> None:

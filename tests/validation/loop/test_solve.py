@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse import deposits
 from inverse.found import Purpose, Verdict
-from tests.validation.loop.flows import WIDTH, Case, Coarse, Folded, layers, length, wedge
+from tests.validation.loop.flows import WIDTH, Coarse, Folded, layers, length, wedge
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 
@@ -72,10 +71,11 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("count", "seed", "widest"), [(2, 3, 0.06), (4, 5, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)]
+    ("count", "seed", "widest"),
+    [(2, 3, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)],
 )
 def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: int, widest: float) -> None:
-    """Over seeds of the target's jitter the widest half-width is 0.02 of the range at four, 0.10 to 0.13 at ten."""
+    """Over seeds of the target's jitter the widest half-width is 0.10 to 0.13 of the range at ten layers."""
     result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, seed=seed).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert result.certainty is not None
@@ -121,6 +121,7 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     assert identified.unknowns["friction_deg"] == pytest.approx(22.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_what_is_not_constrained_is_ambiguous(tmp_path: Path) -> None:
     """The furthest tenth of the particles is the last layer's: it does not depend on the first."""
     result = layers(tmp_path, count=4, kind="toe", scatter=0.002).solve(tmp_path)
@@ -136,17 +137,9 @@ def test_what_is_not_constrained_is_ambiguous(tmp_path: Path) -> None:
     assert "Not identifiable: `masses[0].velocity_x`" in (tmp_path / "report.md").read_text()
 
 
-HARD: list[Any] = [
-    (wedge, {"truth": 42.0, "scatter": 0.003}, 17),
-    pytest.param(layers, {"count": 4, "scatter": 0.002, "bend": 0.05}, 24, marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.parametrize(("make", "hard", "after"), HARD)
-def test_what_ran_before_a_kill_is_not_run_again(
-    tmp_path: Path, make: Callable[..., Case], hard: dict[str, Any], after: int
-) -> None:
-    whole, case = make(tmp_path, **hard), make(tmp_path, **hard)
+def test_what_ran_before_a_kill_is_not_run_again(tmp_path: Path) -> None:
+    after = 17
+    whole, case = (wedge(tmp_path, truth=42.0, scatter=0.003) for _ in range(2))
     unbroken = whole.solve(tmp_path / "whole")
     case.mpm.killed_after = after
     with pytest.raises(KeyboardInterrupt):
@@ -212,9 +205,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert len(figure.axes) == 3
 
 
-def test_a_measured_number_and_a_measured_profile_are_enough(tmp_path: Path) -> None:
-    result = wedge(tmp_path, value=0.79, scatter=0.001).solve(tmp_path / "number")
-    assert result.verdict is Verdict.CONFIRMED
+def test_a_measured_profile_is_enough(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, kind="profile", scatter=0.001)
     observation: Any = case.target.observation
     rows = zip(observation.stations, observation.heights(case.target.deposit), strict=True)
