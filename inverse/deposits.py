@@ -164,11 +164,8 @@ def explanation(found: Found, scenes: Mapping[str, Scene]) -> list[Patch | Line2
 
 
 def profiles(axis: Axes, found: Found, deposits: Mapping[str, Deposit], scene: Scene) -> None:
-    """The height profiles of all deposits and of the runs in the 95 % region, and what is known of a target."""
+    """The height profiles of all deposits, and what is known of a target."""
     target, profile = found.target, Profile(scene, 2.0 * scene.domain.cell)
-    for run in found.likely_runs:
-        heights = profile.heights(run.trajectory.positions[-1])
-        axis.plot(profile.stations, heights, color=COLOURS["MPM"], linewidth=0.5, alpha=0.3)
     for name, deposit in deposits.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)

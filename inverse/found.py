@@ -218,18 +218,6 @@ class Found:
         box = self.problem.box
         return box.lower + box.range * self.posterior.samples.points
 
-    @property
-    def likely_runs(self) -> list[MpmRun]:
-        """The MPM runs in the region that holds 95 % of the posterior."""
-        runs = [each for each in self.mpm_runs if each.purpose is not Purpose.CELLS]
-        if self.posterior is None or not runs:
-            return []
-        box = self.problem.box
-        points = (np.stack([each.parameters for each in runs]) - box.lower) / box.range
-        threshold = float(np.quantile(self.posterior.samples.log_likelihood, 1.0 - CONSTANTS.credible))
-        likely = self.posterior.likelihood(points) >= threshold
-        return [run for run, each in zip(runs, likely, strict=True) if each]
-
     @cached_property
     def combinations(self) -> list[Combination]:
         """The principal directions of the posterior, best known first, in fractions of the ranges."""
