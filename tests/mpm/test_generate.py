@@ -221,8 +221,6 @@ def test_a_full_disk_ends_it_and_what_is_finished_stays(
         (["absent.toml"], "absent.toml: expected a TOML file"),
         (["flow2d", "--jobs", "2", "--scheduler", "tcp://localhost:1"], "expected none with --scheduler"),
         (["paper3d", "--count", "1001"], "1 to 1000"),
-        (["paper2d", "--count", "386"], "1 to 385"),
-        (["paper2d", "--count", "0"], "1 to 385"),
         (["flow2d", "--seed", "-1"], "seed"),
         (["flow2d", "--jobs", "0"], "at least 1 job"),
         (["flow2d", "--cuont", "3"], "--count"),

@@ -151,9 +151,6 @@ def test_strength_that_grows_with_depth() -> None:
     np.testing.assert_array_equal(rows[0], properties_row(soil, 1.0))
     unchanged = [c for c in Property if "STRENGTH" not in c.name and "LIMIT" not in c.name]
     np.testing.assert_array_equal(rows[:, unchanged], np.tile(rows[0, unchanged], (3, 1)))
-    clay = Material(friction_deg=0.0, cohesion=5.0e3, strength_gradient=1.5e3, tension_cutoff=1.0e3)
-    np.testing.assert_allclose(properties_at(clay, depth)[:, Property.STRENGTH], 2.0 * (5.0e3 + 1.5e3 * depth))
-    np.testing.assert_allclose(properties_at(clay, depth)[:, Property.LIMIT], 1.0e3)
     default = dataclasses.replace(soil, tension_cutoff=None)
     np.testing.assert_allclose(properties_at(default, depth)[:, Property.LIMIT], 0.003 * cohesion)
     np.testing.assert_allclose(properties_at(default, depth)[:, Property.RESIDUAL_LIMIT], 0.003 * cohesion)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from mpm import LAST, simulate
@@ -48,28 +47,6 @@ def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.
     )
     flow = simulate(flat, threads=2, record=LAST)
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
-
-
-def test_gaps_are_remembered_where_a_body_is_in_flight() -> None:
-    box = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
-
-    def remembers(*masses: Mass, correction: bool | None = None) -> bool:
-        return remembers_gaps(dataclasses.replace(BED, masses=masses, volume_correction=correction))
-
-    assert not remembers(box)
-    assert not remembers(box, Mass(lower=(0.2, 0.1), size=(0.2, 0.1)))
-    assert remembers(Mass(lower=(0.1, 0.02), size=(0.2, 0.1)))
-    assert not remembers(Mass(lower=(0.1, 0.01), size=(0.2, 0.1)))
-    assert remembers(box, Mass(lower=(0.32, 0.1), size=(0.08, 0.1)))
-    # An overhang belongs to the body that it touches, however many masses are between it and the floor.
-    ledge = (Mass(lower=(0.1, 0.1), size=(0.25, 0.1)), Mass(lower=(0.35, 0.15), size=(0.05, 0.05)))
-    assert not remembers(box, *ledge)
-    assert remembers(*ledge)
-    # v^2 / (2 g) = 0.051 m, two and a half cells.
-    assert remembers(dataclasses.replace(box, velocity=(0.0, 1.0)))
-    assert not remembers(dataclasses.replace(box, velocity=(3.0, -1.0)))
-    assert not remembers(Mass(lower=(0.1, 0.2), size=(0.2, 0.1)), correction=False)
-    assert remembers(box, correction=True)
 
 
 @pytest.mark.double

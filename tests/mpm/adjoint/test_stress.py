@@ -126,17 +126,6 @@ def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
     np.testing.assert_allclose(reversed_step(features, inputs, bar)[: features.stresses], bar, atol=1e-12)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_what_is_open_in_every_direction_depends_on_nothing(dimension: int) -> None:
-    """Beyond the apex of sand the stress is 0, at equal principal stresses too: so are all bars."""
-    random = np.random.default_rng(3)
-    features = Features(dimension=dimension, precision="f64")
-    stress = same_axes(features.stresses, (2.0, 2.0, 2.0), 64, random)
-    inputs = inputs_of(stress, random, dilates=False, cohesive=False, size=0.0)
-    bar = random.normal(size=stress.shape)
-    assert not reversed_step(features, inputs, bar).any()
-
-
 @pytest.mark.parametrize(("pair", "single"), [(-1.0, -9.0), (-9.0, -1.0)])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single: float) -> None:
