@@ -1,7 +1,5 @@
 """python -m datasets.maps TRAJECTORY --out DIR: the deposit as rasters, outlines and pictures; in 2D as a profile."""
 
-import csv
-import io
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.command_line import listed, run
-from datasets.files import make_folder, write_json, write_text
+from datasets.command_line import run
+from datasets.files import make_folder, replacing, write_json
 from datasets.maps.files import LOCAL, Georeference, georeference, outline, write_outlines, write_raster
 from datasets.trajectory import Trajectory, read_trajectory
 
@@ -21,8 +19,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FORMATS = {2: ("csv", "png"), 3: ("tif", "png", "geojson")}
-"""What a trajectory in 2D and in 3D can be written as."""
 PROFILE, SUMMARY, OUTLINES = "profile.csv", "maps.json", "outline.geojson"
 
 
@@ -42,10 +38,8 @@ KINDS = {
 """Attributes of `PlanMaps`, and the names of their files."""
 
 
-def write_maps(
-    trajectory: Trajectory, maps: "PlanMaps", folder: Path, formats: tuple[str, ...], location: Georeference
-) -> None:
-    """Write the maps of a trajectory in 3D into `folder`, in `formats` of `FORMATS`, and maps.json.
+def write_maps(trajectory: Trajectory, maps: "PlanMaps", folder: Path, location: Georeference) -> None:
+    """Write the maps of a trajectory in 3D into `folder`: rasters, pictures, outlines, and maps.json.
 
     Raises WorkFailed.
     """
@@ -56,42 +50,35 @@ def write_maps(
         values = getattr(maps, name)
         if values is None:
             continue
-        if "tif" in formats:
-            write_raster(folder / f"{name}.tif", values, cell, location, name=kind.title, unit=kind.unit)
-        if "png" in formats:
-            label, title = f"{kind.title} [{kind.unit}]", heading(name, maps, said)
-            path = folder / f"{name}.png"
-            draw_map(path, maps, values, trajectory.scene, location, label=label, colours=kind.colours, title=title)
-    if "geojson" in formats:
-        write_outlines(folder / OUTLINES, outlines(maps, location), maps.threshold, location)
+        write_raster(folder / f"{name}.tif", values, cell, location, name=kind.title, unit=kind.unit)
+        label, title = f"{kind.title} [{kind.unit}]", heading(name, maps, said)
+        draw_map(folder / f"{name}.png", maps, values, location, label=label, colours=kind.colours, title=title)
+    write_outlines(folder / OUTLINES, outlines(maps, location), maps.threshold, location)
     write_json(folder / SUMMARY, said)
 
 
-def write_profile(trajectory: Trajectory, maps: "PlanMaps", folder: Path, formats: tuple[str, ...]) -> None:
-    """Write the profile of a trajectory in 2D into `folder`, in `formats` of `FORMATS`, and maps.json.
+def write_profile(trajectory: Trajectory, maps: "PlanMaps", folder: Path) -> None:
+    """Write the profile of a trajectory in 2D into `folder`: a CSV, a picture, and maps.json.
 
     Columns x and height of profile.csv are those of a measured profile of `equivalent` heights.
     """
     from datasets.maps.pictures import draw_profile
 
     said = summary(trajectory, maps, LOCAL)
-    if "csv" in formats:
-        columns = {
-            "x": maps.coordinates[0],
-            "height": maps.thickness,
-            "surface": maps.ground + maps.thickness,
-            "ground": maps.ground,
-            "largest_depth": maps.depth,
-            "largest_velocity": maps.velocity,
-        }
-        known = {name: column for name, column in columns.items() if column is not None}
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(known)
-        writer.writerows([f"{value:.9g}" for value in row] for row in np.stack(list(known.values()), axis=1))
-        write_text(folder / PROFILE, text.getvalue())
-    if "png" in formats:
-        draw_profile(folder / "profile.png", maps, [heading(name, maps, said) for name in ("thickness", "velocity")])
+    columns = {
+        "x": maps.coordinates[0],
+        "height": maps.thickness,
+        "surface": maps.ground + maps.thickness,
+        "ground": maps.ground,
+        "largest_depth": maps.depth,
+        "largest_velocity": maps.velocity,
+    }
+    known = {name: column for name, column in columns.items() if column is not None}
+    rows = np.stack(list(known.values()), axis=1)
+    with replacing(folder / PROFILE) as part:
+        np.savetxt(part, rows, fmt="%.9g", delimiter=",", header=",".join(known), comments="")
+    titles = [heading(name, maps, said) for name in ("thickness", "velocity") if getattr(maps, name) is not None]
+    draw_profile(folder / "profile.png", maps, titles)
     write_json(folder / SUMMARY, said)
 
 
@@ -152,7 +139,6 @@ def command(
     out: Path,
     cell: float | None = None,
     threshold: float | None = None,
-    formats: str | None = None,
 ) -> None:
     """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines; in 2D a profile.
 
@@ -166,22 +152,18 @@ def command(
         Edge of a cell of the maps, in 2D distance of the stations [m]; that of the scene's grid unless given.
     threshold
         Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
-    formats
-        Any of tif, png and geojson, in 2D of csv and png, separated by commas; all unless given.
     """
     from datasets.maps.plan import cell_edges, maps_of
 
     flow = read_trajectory(trajectory)
-    known = FORMATS[flow.scene.dimension]
-    chosen = known if formats is None else listed(formats, known, "--formats")
     edges = cell_edges(flow.scene, flow.scene.domain.cell if cell is None else cell)
     make_folder(out)
     location = georeference(flow.scene)
     maps = maps_of(flow, edges, threshold=threshold, progress=True)
     if flow.scene.dimension == 2:
-        write_profile(flow, maps, out, chosen)
+        write_profile(flow, maps, out)
     else:
-        write_maps(flow, maps, out, chosen, location)
+        write_maps(flow, maps, out, location)
     print(f"{heading('thickness', maps, summary(flow, maps, location))}, written to {out}")
 
 

@@ -221,16 +221,16 @@ def maps_of(
     )
 
 
-def ground(scene: Scene, edges: tuple[Floats, ...], *, terrain_alone: bool = False) -> Floats:
+def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
     """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; [X] or [X, Z].
 
-    Of cells that go beyond the box that at the nearest place in it. terrain_alone: without all other solids.
+    Of cells that go beyond the box that at the nearest place in it.
     """
     axes = plan_axes(scene)
     lines = [np.clip(c, 0.0, scene.domain.size[axis]) for c, axis in zip(coordinates_in(edges), axes, strict=True)]
     plan = np.stack([each.ravel() for each in np.meshgrid(*lines, indexing="ij")], axis=1)
     height = elevation(scene.solids, scene.domain, plan)
-    surface = None if terrain_alone else surface_of(scene)
+    surface = surface_of(scene)
     if surface is not None:
         others = [number for number, solid in enumerate(solids_of(scene)[0]) if solid.kind != "terrain"]
         for corners in surface.corners[np.isin(surface.solid, others)]:

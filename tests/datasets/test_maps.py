@@ -115,8 +115,8 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
 
 def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     maps = maps_of(flow, cell_edges(flow.scene, 0.05), threshold=0.02)
-    write_maps(flow, maps, tmp_path, ("tif", "geojson"), ALPS)
-    names = {f"{name}.tif" for name in ("thickness", "depth", "velocity")}
+    write_maps(flow, maps, tmp_path, ALPS)
+    names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "png")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"outline.geojson", "maps.json"}
     said = json.loads((tmp_path / "maps.json").read_text())
     assert said["volume"] == pytest.approx(0.2 * 0.1 * 0.1, rel=1e-9)
@@ -166,10 +166,7 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: p
         scene=scene,
     )
     flow.save(tmp_path / "trajectory.npz")
-    assert (
-        run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), "--formats", "tif,geojson"])
-        == 0
-    )
+    assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
     with rasterio.open(tmp_path / "thickness.tif") as raster:
         assert raster.crs.to_epsg() == 25832
         assert raster.bounds == pytest.approx((690_010.0, 5_300_005.0, 690_030.0, 5_300_035.0))
@@ -189,7 +186,7 @@ def deposits(folder: Path) -> list[Any]:
 def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
     flow = flat(flow)
     maps = maps_of(flow, cell_edges(flow.scene, 0.05))
-    write_profile(flow, maps, tmp_path, ("csv", "png"))
+    write_profile(flow, maps, tmp_path)
     rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
     assert rows.dtype.names == ("x", "height", "surface", "ground", "largest_depth", "largest_velocity")
     np.testing.assert_allclose(rows["x"], np.arange(21) * 0.05, atol=1e-9)
@@ -207,7 +204,6 @@ def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--formats", "tiff"], "--formats: expected some of tif, png, geojson, separated by commas, got 'tiff'"),
         (["--cell", "0"], "--cell: expected a length of at most 0.5 m"),
         (["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
     ],

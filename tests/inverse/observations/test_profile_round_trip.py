@@ -35,7 +35,7 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
         scene=scene,
     )
     maps = maps_of(flow, cell_edges(scene, spacing))
-    write_profile(flow, maps, tmp_path, ("csv",))
+    write_profile(flow, maps, tmp_path)
     path = tmp_path / "profile.csv"
     profile = profile_of(
         path, unit=LengthUnit.METRE, datum=0.0, heights=heights, length=1.0, released=0.08, ground=np.zeros_like
