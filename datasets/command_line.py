@@ -19,15 +19,6 @@ DISK_ERRORS = {
 """What a disk says that is full, read-only or broken: no mistake of the program's."""
 
 
-def listed(text: str, known: Sequence[str], key: str) -> tuple[str, ...]:
-    """The names in a list such as `tif,png`, each one of `known` and once. Raises InputError, which names `key`."""
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in known:
-            raise InputError(f"expected some of {', '.join(known)}, separated by commas, got {name!r}", key=key)
-    return tuple(dict.fromkeys(names))
-
-
 def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None = None) -> int:
     """Run `command` with the flags on the command line and return its exit status.
 
