@@ -44,7 +44,8 @@ def draw_map(
     if axis.lines:
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
     local = georeference.crs is None
-    axis.set(xlabel="x [m]" if local else "easting [m]", ylabel="z [m]" if local else "northing [m]", title=title)
+    axis.set(xlabel="x [m]" if local else "easting [m]", ylabel="z [m]" if local else "northing [m]")
+    axis.set_title(title, fontsize="small")
     axis.ticklabel_format(useOffset=False, style="plain")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)
