@@ -9,16 +9,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from datasets.definitions import NAMES, obstacle3d, read_definition
+from datasets.definitions import NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
-from datasets.definitions.flow2d import AREA, FLOW2D, KINDS
+from datasets.definitions.flow2d import FLOW2D, KINDS
 from datasets.definitions.held_out import is_held_out
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.particles import initial_particles, released_volume
+from datasets.particles import initial_particles
 from datasets.scene import Scene
 
 every = pytest.mark.parametrize("definition", [read_definition(name) for name in NAMES], ids=NAMES)
@@ -90,43 +90,9 @@ def test_paper2d_is_the_paper_s() -> None:
         assert getattr(entries[0].scene, key) == getattr(column, key)
 
 
-def test_flow2d_is_what_it_says() -> None:
-    entries = first_entries(FLOW2D, 400)
-    assert splits(entries) == {Split.TRAIN: 320, Split.VALID: 40, Split.TEST: 40}
-    assert FLOW2D.storage is not None
-    for entry in entries:
-        scene = entry.scene
-        assert scene.domain.cell == FLOW2D.storage.cell
-        assert 0.0 <= scene.damping <= 0.25
-        assert 0.1 <= scene.floor_friction <= 1.0
-        # On terrain a box or a layer is limited in height.
-        area = released_volume(scene) / AREA
-        assert 0.5 < area < 1.0 + 1e-9 if scene.solids else area == pytest.approx(1.0)
-    shared = [entry.scene for index, entry in enumerate(entries) if not is_variant(index, KINDS)]
-    angles = [scene.material.friction_deg for scene in shared]
-    assert 12.0 <= min(angles) < 15.0
-    assert 45.0 < max(angles) <= 48.0
-    cohesions = np.array([scene.material.cohesion for scene in shared])
-    assert 0.3 < np.mean(cohesions == 0.0) < 0.5
-    assert max(cohesions) <= 3000.0
-    # Each kind is a tenth or more of the set.
-    assert 0.08 < np.mean([len(scene.baffles) > 0 for scene in shared]) < 0.12
-    assert 0.08 < np.mean([len(scene.solids) > 0 for scene in shared]) < 0.12
-    assert 0.08 < np.mean([scene.slope_deg != 0.0 for scene in shared]) < 0.12
-    assert {len(scene.masses) for scene in shared} == set(range(1, 11))
-
-
 def test_no_flow_is_a_neighbour_of_what_is_held_out() -> None:
     for definition in (FLOW2D, COLUMNS2D, OBSTACLE3D, BAFFLES3D):
         assert [entry.name for entry in first_entries(definition) if is_held_out(entry.scene)] == []
-
-
-def test_the_papers_families_have_its_settings() -> None:
-    for definition, name in ((COLUMNS2D, "column-short-21"), (BAFFLES3D, "baffles-2")):
-        shipped = read_scene(name)
-        for scene in (entry.scene for entry in first_entries(definition)):
-            for key in ("floor_friction", "wall_friction", "damping", "gravity"):
-                assert getattr(scene, key) == getattr(shipped, key)
 
 
 def differences(scene: Scene, other: Scene) -> set[str]:
@@ -161,23 +127,6 @@ def test_a_variant_has_the_particles_of_its_base_and_differs_in_one_parameter() 
     for index in range(len(KINDS)):
         base_particles, particles = (initial_particles(entries[each].scene) for each in (index, index + len(KINDS)))
         np.testing.assert_array_equal(particles.positions, base_particles.positions)
-
-
-def test_obstacle3d_is_what_it_says() -> None:
-    scenes = [entry.scene for entry in first_entries(OBSTACLE3D)]
-    assert all(released_volume(scene) == pytest.approx(obstacle3d.VOLUME) for scene in scenes)
-    assert {len(scene.baffles) for scene in scenes} >= set(range(obstacle3d.MOST_BAFFLES))
-    with_baffles = [scene for scene in scenes if scene.baffles]
-    turned = [scene for scene in with_baffles if any(baffle.turned_deg for baffle in scene.baffles)]
-    assert 0.2 < len(turned) / len(with_baffles) < 0.5
-    assert any(scene.solids for scene in scenes)
-    assert any(scene.slope_deg for scene in scenes)
-    assert 0.2 < np.mean([scene.material.cohesion == 0.0 for scene in scenes]) < 0.6
-    # A variant is released from the same place.
-    for index in (index for index in range(SMALL) if is_variant(index, obstacle3d.KINDS)):
-        first, second = scenes[index - len(obstacle3d.KINDS)], scenes[index]
-        assert [mass.lower for mass in first.masses] == [mass.lower for mass in second.masses]
-        assert first != second
 
 
 @pytest.mark.parametrize(("name", "points", "baffles"), [("baffles-2", 11_010, 2), ("baffles-5", 32_113, 5)])

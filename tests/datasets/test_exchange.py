@@ -189,33 +189,12 @@ def toml_of(dimension: int) -> str:
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"bounds": [[0.0, 1.0]]}, "bounds: expected two ends"),
-        ({"dt": 0.0}, "dt: expected a positive"),
-    ],
-)
-def test_metadata_that_makes_no_scene(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], expected: str
-) -> None:
-    toy_dataset(tmp_path / "ours", 2)
-    exchange(tmp_path / "ours", "--to", "lagrangebench", "--out", tmp_path / "theirs")
-    described = tmp_path / "theirs" / "metadata.json"
-    write_json(described, {**json.loads(described.read_text()), **change})
-    line = refused(capsys, tmp_path / "theirs", "--from", "lagrangebench", "--out", tmp_path / "back")
-    assert str(described) in line
-    assert expected in line
-    assert not (tmp_path / "back").exists()
-
-
-@pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (("--out", "o"), "one of --to and --from"),
         (("--to", "geoelements", "--up", "z", "--out", "o"), "with --from alone"),
         (("--from", "geoelements", "--out", "o"), "metadata.json"),
         (("--to", "geoelements", "--out", "o"), "metadata.json"),
-        (("--to", "deepmind", "--out", "o"), "deepmind"),
     ],
 )
 def test_mistakes(
@@ -236,13 +215,6 @@ def stored_npz(path: Path, *parts: Any) -> Path:
     for index, part in enumerate(parts):
         data[index] = part
     np.savez(path, simulation_trajectory_0=data)
-    return path
-
-
-def stored_hdf5(path: Path, **arrays: Any) -> Path:
-    with h5py.File(path, "w") as file:
-        for name, array in arrays.items():
-            file[f"00000/{name}"] = array
     return path
 
 
@@ -285,7 +257,6 @@ def test_their_readers_take_what_talus_writes(tmp_path: Path, dimension: int) ->
         (None, None),
         (FRICTION.astype(np.float64)[:, None], FRICTION),
         (0.5, [0.5, 0.0, 0.5, 0.5, 0.0]),
-        (np.array(0.5), [0.5, 0.0, 0.5, 0.5, 0.0]),
         (FRICTION[TYPES == 6], FRICTION),
     ],
 )
@@ -303,13 +274,8 @@ def test_material_properties(tmp_path: Path, material: Any, expected: Any) -> No
     ("parts", "expected"),
     [
         ((POSITIONS,), "positions, particle types"),
-        ((POSITIONS[0], TYPES), "shape [T, N, 2 or 3]"),
         ((np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), "positions within"),
-        ((POSITIONS, TYPES[:3]), "for each of 5"),
-        ((POSITIONS, np.array([6, 5, 6, 6, 3])), "types of [3, 6], got [3, 5, 6]"),
         ((POSITIONS, 3), "sand that moves"),
-        ((POSITIONS, TYPES, np.ones(4)), "one material property"),
-        ((POSITIONS, TYPES, np.full(5, np.nan)), "a tan(phi)"),
         ((POSITIONS, TYPES, np.array(["a"] * 5)), "found the dtype"),
     ],
 )
@@ -319,12 +285,3 @@ def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected:
         only(path)
     assert expected in str(caught.value)
     assert (caught.value.where, caught.value.key) == (str(path), "simulation_trajectory_0")
-
-
-def test_links_out_of_the_file(tmp_path: Path) -> None:
-    stored_hdf5(tmp_path / "other.h5", position=POSITIONS)
-    path = stored_hdf5(tmp_path / "train.h5", particle_type=TYPES)
-    with h5py.File(path, "a") as file:
-        file["00000/position"] = h5py.ExternalLink("other.h5", "00000/position")
-    with pytest.raises(InputError, match="an array of numbers in the file"):
-        only(path)

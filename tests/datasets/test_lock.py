@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
 from datasets.files import PART
 from datasets.lock import HOLDER, LOCK, locked
 
@@ -96,11 +96,3 @@ def test_a_file_system_without_locks_is_stated(
         assert (tmp_path / HOLDER).exists()
     assert "no locks on this file system" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_is_no_folder_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="expected a folder"), locked(tmp_path / "file"):
-        pass
-    with pytest.raises(WorkFailed), locked(tmp_path), locked(tmp_path):
-        pass

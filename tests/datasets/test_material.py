@@ -87,17 +87,8 @@ def test_the_residual_material() -> None:
     ("wrong", "key"),
     [
         ({"residual_friction_deg": 31.0, "softening_length": 1.0}, "residual_friction_deg"),
-        ({"residual_cohesion": 1001.0, "softening_length": 1.0}, "residual_cohesion"),
-        ({"residual_cohesion": -1.0, "softening_length": 1.0}, "residual_cohesion"),
-        ({"tension_cutoff": -1.0}, "tension_cutoff"),
         ({"residual_tension_cutoff": 3.1, "softening_length": 1.0}, "residual_tension_cutoff"),
-        (
-            {"tension_cutoff": 0.0, "residual_tension_cutoff": 1.0, "softening_length": 1.0},
-            "residual_tension_cutoff",
-        ),
         ({"residual_cohesion": 10.0}, "residual_cohesion"),
-        ({"softening_length": 0.0}, "softening_length"),
-        ({"strength_gradient": -1.0}, "strength_gradient"),
         (
             {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0},
             "residual_friction_deg",

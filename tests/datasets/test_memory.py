@@ -2,15 +2,10 @@
 
 from pathlib import Path
 
-import psutil
 import pytest
 
 from datasets import memory
 from datasets.errors import InputError
-
-
-def test_some_is_free_and_no_more_than_there_is() -> None:
-    assert 0 < memory.free() <= psutil.virtual_memory().total
 
 
 def test_a_container_has_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,31 +44,12 @@ size = [0.1, 0.1]
 
 MISTAKES = {
     "unknown key": ("duration = 1.0", "duratoin = 1.0", "duratoin", "did you mean 'duration'"),
-    "unknown key of a part": ("cell = 0.01", "cel = 0.01", "domain.cel", "did you mean 'cell'"),
     "missing key": ("cell = 0.01", "", "domain.cell", "missing"),
     "text for a number": ("cohesion = 100.0", 'cohesion = "wet"', "material.cohesion", "number"),
-    "fraction for an integer": ("duration = 1.0", "seed = 1.5", "seed", "integer"),
     "not TOML": ("[domain]", "[domain", "", "readable TOML"),
     "cell that does not divide the domain": ("cell = 0.01", "cell = 0.03", "domain.size", "whole number of cells"),
-    "duration of half a frame": ("duration = 1.0", "duration = 0.00125", "duration", "whole number of frames"),
-    "damping of one": ("duration = 1.0", "damping = 1.0", "damping", "[0, 1)"),
-    "negative friction of the floor": ("duration = 1.0", "floor_friction = -0.1", "floor_friction", "at least 0"),
     "dilation above friction": ("cohesion = 100.0", "dilation_deg = 31.0", "material.dilation_deg", "friction_deg"),
     "mass outside the domain": ("lower = [0.0, 0.0]", "lower = [0.9, 0.0]", "masses[0]", "inside the domain"),
-    "mass of the wrong dimension": ("size = [0.2, 0.1]", "size = [0.2, 0.1, 0.1]", "masses[0].size", "2 lengths"),
-    "flat mass": ("size = [0.2, 0.1]", "size = [0.2, 0.0]", "masses[0].size", "positive"),
-    "spin about three axes in 2D": (
-        "velocity = [1, 0]",
-        "angular_velocity = [1, 0, 0]",
-        "masses[0].angular_velocity",
-        "in 3D",
-    ),
-    "mass of a wrong material": (
-        "velocity = [1, 0]",
-        "material = { friction_deg = 30.0, density = 0.0 }",
-        "masses[0].material.density",
-        "positive density",
-    ),
     "overlapping masses": (
         "[[baffles]]",
         "[[masses]]\nlower = [0.1, 0.05]\nsize = [0.2, 0.1]\n[[baffles]]",
@@ -96,12 +77,6 @@ def test_a_mistake_names_file_key_and_what_was_expected(
     assert "\n" not in line.rstrip()
 
 
-def test_boxes_may_touch(tmp_path: Path) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(GOOD.replace("lower = [0.5, 0.0]", "lower = [0.2, 0.0]"))
-    assert read_scene(str(path)).baffles[0].lower == (0.2, 0.0)
-
-
 def test_no_such_file_and_no_such_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is none"):
         read_scene(str(tmp_path / "absent.toml"))
@@ -119,12 +94,7 @@ def test_json_that_is_no_scene() -> None:
     ("keys", "message"),
     [
         ("k0 = 'geostatic'", r"masses\[0\].k0: expected a ratio of stresses or 'elastic', got 'geostatic'"),
-        ("k0 = -0.5", r"masses\[0\].k0: expected a ratio of at least 0, got -0.5"),
-        ("k0 = [0.5]", r"masses\[0\].k0: expected a valid number, got \[0.5\]"),
-        ("release = 'open'", r"masses\[0\].release: expected a time in s or 'settled', got 'open'"),
         ("release = 0.001", r"masses\[0\].release: expected a positive whole number of frames of 0.0025 s, got 0.001"),
-        ("release = 0.0", r"masses\[0\].release: expected a positive whole number of frames"),
-        ("release = 1.0", r"masses\[0\].release: expected a time before the end at 1 s, got 1.0"),
         ("release = 0.5\nvelocity = [1.0, 0.0]", r"masses\[0\].velocity: expected a mass at rest behind its barriers"),
     ],
 )

@@ -1,15 +1,11 @@
 """Streaming statistics against numpy on all samples at once, what goes into metadata.json; thinning keeps volumes."""
 
-import json
 from functools import reduce
 from operator import add
 
 import numpy as np
 import pytest
 
-from datasets.definitions import read_definition
-from datasets.definitions.definition import Split
-from datasets.training.metadata import metadata
 from datasets.training.statistics import MOVING_SPEED, Moments, motion_statistics
 from datasets.training.thinning import thin
 
@@ -61,22 +57,6 @@ def test_a_stop_counts_as_an_acceleration() -> None:
     assert (statistics.velocity.count, statistics.acceleration.count) == (2, 2)
     np.testing.assert_allclose(statistics.velocity.mean, [step, 0.0])
     np.testing.assert_allclose(statistics.acceleration.mean, [-step / 2, 0.0])
-
-
-def test_metadata_has_the_keys_of_geoelements_and_ours() -> None:
-    definition = read_definition("paper2d")
-    entries = definition.entries(seed=5, count=15)
-    written = metadata(definition, entries, seed=5, statistics=motion_statistics(walk(0, 6, 40), FRAME_DT))
-    read = json.loads(json.dumps(written))
-    assert read["bounds"] == [[0.0, 1.0], [0.0, 1.0]]
-    assert (read["sequence_length"], read["dim"], read["dt"]) == (401, 2, 0.0025)
-    assert read["default_connectivity_radius"] == 0.02
-    for key in ("vel_mean", "vel_std", "acc_mean", "acc_std"):
-        assert len(read[key]) == 2
-    assert (read["definition"], read["seed"], read["count"]) == ("paper2d", 5, 15)
-    assert read["splits"] == {split.value: count for split, count in zip(Split, (13, 1, 1), strict=True)}
-    assert read["material"]["cohesion"] == 100.0
-    assert read["friction_deg"] == [15.0, 45.0]
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
