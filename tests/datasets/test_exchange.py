@@ -218,6 +218,13 @@ def stored_npz(path: Path, *parts: Any) -> Path:
     return path
 
 
+def stored_hdf5(path: Path, **arrays: Any) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, array in arrays.items():
+            file[f"00000/{name}"] = array
+    return path
+
+
 def only(path: Path) -> Cloud:
     """The one trajectory of a file in either layout."""
     layout: Any = geoelements if path.suffix == ".npz" else lagrangebench
@@ -285,3 +292,12 @@ def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected:
         only(path)
     assert expected in str(caught.value)
     assert (caught.value.where, caught.value.key) == (str(path), "simulation_trajectory_0")
+
+
+def test_links_out_of_the_file(tmp_path: Path) -> None:
+    stored_hdf5(tmp_path / "other.h5", position=POSITIONS)
+    path = stored_hdf5(tmp_path / "train.h5", particle_type=TYPES)
+    with h5py.File(path, "a") as file:
+        file["00000/position"] = h5py.ExternalLink("other.h5", "00000/position")
+    with pytest.raises(InputError, match="an array of numbers in the file"):
+        only(path)

@@ -37,6 +37,19 @@ def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
         np.testing.assert_array_equal(particle_volumes(scene, len(points.volume)), points.volume)
 
 
+def test_volumes_equal_to_rounding_are_one_number(scene: Scene) -> None:
+    # 0.03 / 6 and 0.07 / 14 are not the same double.
+    masses = tuple(Mass(lower=(x, 0.0), size=(size, 0.03)) for x, size in ((0.0, 0.03), (0.03, 0.07), (0.1, 0.09)))
+    points = initial_particles(dataclasses.replace(scene, masses=masses))
+    assert points.common_volume == scene.particle_volume
+    odd = Mass(lower=(0.0, 0.0), size=(0.031, 0.03))
+    twins = (odd, dataclasses.replace(odd, lower=(0.1, 0.0)))
+    points = initial_particles(dataclasses.replace(scene, masses=twins))
+    assert points.common_volume == pytest.approx(0.031 * 0.03 / 36, rel=1e-12)
+    points = initial_particles(dataclasses.replace(scene, masses=(twins[0], masses[2])))
+    assert points.common_volume is None
+
+
 @pytest.mark.parametrize("name", ["column-tall-42", "column-short-21"])
 def test_masses_that_fit_the_lattice_are_as_ever(name: str) -> None:
     scene = read_scene(name)
@@ -72,6 +85,13 @@ def test_another_mass_leaves_the_points_of_the_first(scene: Scene) -> None:
     np.testing.assert_array_equal(together.velocities[count:], 0.0)
     assert [material.friction_deg for material in together.materials] == [30.0, 20.0]
     np.testing.assert_allclose(together.friction[[0, -1]], np.tan(np.radians([30.0, 20.0])), rtol=1e-6)
+
+
+def test_the_seed_decides_the_jitter(scene: Scene) -> None:
+    again = initial_particles(scene).positions
+    np.testing.assert_array_equal(initial_particles(scene).positions, again)
+    other = initial_particles(dataclasses.replace(scene, seed=1)).positions
+    assert 0.0 < np.abs(other - again).max() <= 0.8 * 0.005
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.initial import Start, initial_state
 from gns.settings import ModelSettings
 from gns.state import Units
-from tests.gns.conftest import spreading
 
 SETTINGS = ModelSettings()
 SOIL = Material(friction_deg=30.0, cohesion=500.0)
@@ -77,18 +76,6 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     assert initial.times[-1] == pytest.approx(SCENE.duration)
     assert len(initial.indices) > 2 * len(initial_state(SCENE, SETTINGS).indices)
     assert float(initial.conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
-
-
-def test_after_frames_the_baffles_are_there_too() -> None:
-    flow = spreading(30.0)
-    baffled = dataclasses.replace(flow.scene, baffles=(Baffle(lower=(0.5, 0.0), size=(0.05, 0.1)),))
-    start = dataclasses.replace(flow, positions=flow.positions[:21], time=flow.time[:21], scene=baffled)
-    initial = initial_state(baffled, SETTINGS, start)
-    assert initial.conditions.baffles is not None
-    assert initial.conditions.baffles.shape == (1, 1, 2, 2)
-    assert not initial.conditions.cohesion.any()
-    assert (initial.steps, len(initial.known), initial.start) == (20, 6, Start.FROM_MPM_FRAMES)
-    torch.testing.assert_close(initial.state.positions, torch.from_numpy(initial.known[-1]))
 
 
 def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:

@@ -7,7 +7,6 @@ from torch import Tensor
 from gns import network
 from gns.graph import Graph, radius_graph
 from gns.messages import message_sum, messages
-from gns.network import Interaction
 from gns.simulator import Simulator
 from tests.gns.conftest import Cloud
 
@@ -64,24 +63,6 @@ def test_a_step_of_the_network_is_the_definitions(
         results.append((positions, *torch.autograd.grad(positions.square().sum(), friction)))
     for fused, defined in zip(*results, strict=True):
         torch.testing.assert_close(fused, defined, atol=1e-6, rtol=1e-4)
-
-
-def test_double_precision_is_kept() -> None:
-    torch.manual_seed(0)
-    positions, x = torch.rand(30, 2, dtype=torch.float64), torch.randn(30, 8, dtype=torch.float64)
-    interaction = Interaction(8, 2).double()
-    found = interaction(x, radius_graph(positions, 0.4))
-    assert found.dtype == torch.float64
-    # A change that single precision does not know.
-    changed = interaction(x * (1.0 + 1e-12), radius_graph(positions, 0.4))
-    assert 0.0 < (changed - found).abs().max() < 1e-10
-
-
-def test_a_node_without_neighbours_gets_no_messages() -> None:
-    positions = torch.tensor([[0.0, 0.0], [0.1, 0.0], [5.0, 5.0]])
-    found = Interaction(8, 2)(torch.randn(3, 8), radius_graph(positions, 0.2))
-    assert found[2].abs().max() == 0.0
-    assert found[0].abs().max() > 0.0
 
 
 def test_nan_stays_visible() -> None:

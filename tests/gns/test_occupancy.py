@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gns.grid import Stencil, occupancy, stencil_of
 from gns.solids import Boxes
-from tests.gns.surroundings import ROOM, boxes, conditions, plane, scattered, turned_boxes
+from tests.gns.surroundings import ROOM, conditions, plane, scattered, turned_boxes
 
 dimensions = pytest.mark.parametrize("dimension", [2, 3])
 
@@ -98,17 +98,3 @@ def test_gradients_are_those_of_central_differences(dimension: int) -> None:
     assert torch.autograd.gradcheck(
         buried, (around.ground.elevation.requires_grad_(),), eps=1e-7, atol=1e-5, fast_mode=True
     )
-
-
-def test_a_baffle_fills_the_cells_it_covers_and_what_is_beyond_a_wall_is_no_room() -> None:
-    stencil = stencil_of(torch.tensor([[0.1, 0.1]]), torch.tensor([[0.41, 0.4]]), 0.1, None)
-    shape = stencil.shape
-    full = boxes([[0.0, 0.0, 0.0], [0.41, 0.2, 0.1]], dtype=torch.float32)
-    share = occupancy(stencil, conditions(1, full, size=(0.41, 0.4))).view(shape)
-    origin = stencil.origin[0]
-    column = share[2 - int(origin[0])]
-    torch.testing.assert_close(column[-int(origin[1]) :][:5], torch.tensor([1.0, 1.0, 0.5, 0.0, 0.5]))
-    without = occupancy(stencil, conditions(1, dtype=torch.float32, size=(0.41, 0.4))).view(shape)
-    corner = without[-int(origin[0]), -int(origin[1])]
-    assert corner == pytest.approx(0.75)
-    assert (without[: -int(origin[0])] == 1.0).all()

@@ -10,7 +10,7 @@ import torch
 
 from datasets import command_line, measures
 from datasets.trajectory import Trajectory
-from gns import checkpoint, inference, library
+from gns import checkpoint, library
 from gns.inference import energies
 from gns.rollout import rollout
 from gns.simulator import Simulator
@@ -95,18 +95,6 @@ def test_the_shipped_model_is_that_of_the_dimension(
     monkeypatch.setattr(library, "WEIGHTS", tmp_path)
     assert command_line.run(rollout, "rollout", [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 2
     assert f"{model}: expected whole weights of a model, there is none" in capsys.readouterr().err
-
-
-def test_an_interrupted_rollout_says_that_nothing_was_written(
-    files: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(inference, "unroll", interrupted)
-    assert run(files, tmp_path / "out") == 130
-    assert capsys.readouterr().err.splitlines()[-1] == "talus: interrupted; nothing was written"
-    assert not (tmp_path / "out").exists()
 
 
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

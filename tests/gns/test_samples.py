@@ -111,17 +111,6 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     assert found.friction_std == 1.0
 
 
-def test_samples_that_should_move_do(flows: Flows, settings: ModelSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gns.samples.SHARE_EARLY", 0.0)
-    monkeypatch.setattr("gns.samples.SHARE_MOVING", 1.0)
-    flow = flows[0]
-    resting = np.concatenate((flow.positions, np.repeat(flow.positions[-1:], 20, axis=0)))
-    longer = dataclasses.replace(flow, positions=resting)
-    sampler, rng = Sampler([[longer]], settings, TrainingSettings(first=0.0)), np.random.default_rng(0)
-    drawn = [sampler.sample(1, rng) for _ in range(30)]
-    assert all(np.abs(sample.targets[0] - sample.frames[-1]).max() > 1e-4 for sample in drawn)
-
-
 @pytest.mark.parametrize(("size", "ways"), [((0.6, 0.4), 2), ((0.6, 0.4, 0.6), 8), ((0.6, 0.4, 0.5), 8)])
 def test_samples_come_in_every_symmetry_of_their_box(size: tuple[float, ...], ways: int) -> None:
     rng = np.random.default_rng(0)

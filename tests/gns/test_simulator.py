@@ -5,11 +5,10 @@ import dataclasses
 import pytest
 import torch
 
-from gns.settings import ModelSettings
-from gns.simulator import Simulator, settled
-from gns.state import Conditions, State
+from gns.simulator import Simulator
+from gns.state import State
 from gns.unroll import unroll
-from tests.gns.conftest import NORMALISATION, Cloud
+from tests.gns.conftest import Cloud
 
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
@@ -58,36 +57,6 @@ def test_a_short_past_is_continued_with_the_initial_velocity(frames: int) -> Non
     torch.testing.assert_close(state.positions, track[-1])
 
 
-SMALL_3D = ModelSettings(dimension=3, cell=0.05, radius=0.12, width=8, layers=2, grid_channels=4, grid_cell=0.1)
-
-
-def cloud_3d(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[State, Conditions]:
-    """80 points at random in a cube."""
-    positions = 0.3 + 0.3 * torch.rand(80, 3, generator=torch.Generator().manual_seed(0))
-    settings = SMALL_3D
-    velocities = torch.tensor(velocity).expand_as(positions)
-    state = State.moving(positions, velocities, step=settings.step, history=settings.history)
-    conditions = Conditions(
-        friction=torch.full((80,), 0.5),
-        cohesion=torch.zeros(80),
-        volume=torch.full((80,), settings.particle_volume),
-        size=torch.tensor([[1.0, 0.8, 1.0]]),
-        gravity=torch.tensor([[0.0, -9.81, 0.0]]),
-        floor_friction=torch.tensor([0.4]),
-        wall_friction=torch.tensor([0.2]),
-        damping=torch.tensor([0.1]),
-    )
-    return state, conditions
-
-
-def test_what_hardly_moves_stands_still_and_the_rest_is_left_alone() -> None:
-    limit = 1e-4
-    faster = torch.tensor([[0.1, 0.0], [0.0, 1.0], [6.0, 8.0], [0.0, 0.0]]) * limit
-    kept = settled(faster, limit) / limit
-    expected = torch.tensor([[0.1 * 1e-4 / 1.0001, 0.0], [0.0, 0.5], [6e4 / 10001, 8e4 / 10001], [0.0, 0.0]])
-    torch.testing.assert_close(kept, expected)
-
-
 def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> None:
     # Small errors of the acceleration, of a network that is not exact, in sand that nothing else drives.
     with torch.no_grad():
@@ -102,24 +71,3 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
         speeds.append(float(moved.norm(dim=1).mean()) / (40 * lively.settings.step))
     assert speeds[0] > 1e-3
     assert speeds[1] < 0.05 * speeds[0]
-
-
-def box(*corners: tuple[float, float, float]) -> torch.Tensor:
-    """One baffle of one sample, [1, 1, 2, 3]."""
-    return torch.tensor(corners).view(1, 1, 2, 3)
-
-
-def test_no_particle_enters_a_baffle() -> None:
-    torch.manual_seed(0)
-    simulator = Simulator(SMALL_3D, NORMALISATION)
-    baffles = box((0.65, 0.0, 0.3), (0.8, 0.6, 0.6))
-    state, conditions = cloud_3d(velocity=(3.0, 0.0, 0.0))
-    conditions = dataclasses.replace(conditions, baffles=baffles, baffle_friction=torch.tensor([[0.3]]))
-    with torch.no_grad():
-        positions = unroll(simulator, state, conditions, 12)
-    inside = ((positions > baffles[0, 0, 0]) & (positions < baffles[0, 0, 1])).all(dim=2)
-    assert not inside.any()
-    # They touched it: the same flow without it moves on.
-    with torch.no_grad():
-        free = unroll(simulator, state, dataclasses.replace(conditions, baffles=None, baffle_friction=None), 12)
-    assert (free[-1, :, 0] - positions[-1, :, 0]).max() > 0.05

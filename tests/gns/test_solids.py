@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from gns.contact import GRAZE, SKIN, keep_out
-from gns.solids import Boxes, nearest_baffle, solid_features
+from gns.solids import Boxes, nearest_baffle
 from tests.gns.surroundings import PADDING, ROOM, boxes, conditions, scattered, turned_boxes
 
 CUTOFF = 0.06
@@ -103,37 +103,6 @@ def test_the_gradient_is_that_of_central_differences(dimension: int, is_turned: 
     )
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_features_are_continuous_everywhere(dimension: int) -> None:
-    baffles = boxes(BOX, [[0.46, 0.0, 0.2], [0.56, 0.35, 0.5]], dimension=dimension)
-    # Between the two boxes, along their edges, over their tops and beyond the cutoff.
-    turns = torch.linspace(0.0, 1.0, 40001, dtype=torch.float64)
-    path = torch.stack(
-        (0.24 + 0.4 * turns, 0.2 + 0.14 * torch.sin(40.0 * turns), 0.35 + 0.15 * torch.sin(23.0 * turns))
-    )
-    path = path[:dimension].T
-    outside = ~is_inside(path, baffles, torch.zeros(len(path), dtype=torch.long))
-    features = solid_features(path, conditions(len(path), baffles), CUTOFF)
-    jumps = (features[1:] - features[:-1]).norm(dim=1) / (path[1:] - path[:-1]).norm(dim=1)
-    assert (features[outside, 2 * dimension] < 1.0).sum() > 10000
-    assert jumps[outside[1:] & outside[:-1]].max() < 2.0 * 10.0 / CUTOFF
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_features_without_baffles_are_those_far_from_any(dimension: int) -> None:
-    generator = torch.Generator().manual_seed(0)
-    size = torch.tensor(ROOM[dimension], dtype=torch.float64)
-    points = torch.rand(50, dimension, generator=generator).double() * size
-    far = conditions(50, boxes(PADDING, PADDING, dimension=dimension))
-    features = solid_features(points, far, CUTOFF)
-    assert features.shape == (50, 3 * dimension + 2)
-    torch.testing.assert_close(features, solid_features(points, conditions(50, dimension=dimension), CUTOFF))
-    expected = torch.cat((points, size - points), dim=1).clamp(max=CUTOFF) / CUTOFF
-    torch.testing.assert_close(features[:, : 2 * dimension], expected)
-    assert (features[:, 2 * dimension] == 1.0).all()
-    assert not features[:, 2 * dimension + 1 :].any()
-
-
 MOVES = [
     # from, towards, where to: the box is 0.3 to 0.4 m wide and 0.1 to 0.3 m high
     ((0.29, 0.2), (0.31, 0.22), (0.3, 0.22)),  # into a face, sliding along it
@@ -202,15 +171,6 @@ def test_nothing_gets_in_or_out_whatever_the_moves(dimension: int, dtype: torch.
         held |= (moved != points + velocity).any(1)
         velocity, points = moved - points, moved
     assert held.float().mean() > 0.5
-
-
-def test_a_particle_inside_goes_to_a_face_that_nothing_covers() -> None:
-    # Nearest is the floor, then the neighbour, then the top.
-    pair = boxes([[0.6, 0.0, 0.0], [0.7, 0.1, 0.1]], [[0.7, 0.0, 0.0], [0.8, 0.2, 0.1]])
-    point = torch.tensor([[0.68, 0.01], [0.68, 0.05], [0.72, 0.12]], dtype=torch.float64)
-    got = hold(point, point, pair)
-    expected = torch.tensor([[0.6, 0.01], [0.68, 0.1], [0.7, 0.12]], dtype=torch.float64)
-    torch.testing.assert_close(got, expected, atol=2.0 * SKIN, rtol=0.0)
 
 
 @pytest.mark.parametrize("is_turned", [False, True])

@@ -99,15 +99,10 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
     ("flags", "message"),
     [
         (["--resume"], "there is no last.pt"),
-        (["--layers", "3"], "layers: expected a multiple of the 2 rounds"),
-        (["--batch", "0"], "batch: expected a positive number"),
         (["--shares", "1", "--shares", "1"], "shares: expected 1 shares, one of each dataset, got 2"),
         (["--minutes", "0"], "minutes: expected a positive number"),
-        (["--memory-gib", "-1"], "memory_gib: expected a positive number"),
         (["--frames-per-step", "3", "--frame-dt", "0.001"], "expected frames 0.003 s apart"),
         (["--unroll", "40"], "expected at least 40 steps of 0.01 s, got 25"),
-        (["--dimension", "3"], "expected a 3D trajectory"),
-        (["--widht", "3"], "widht"),
     ],
 )
 def test_mistakes_are_named_in_one_line(

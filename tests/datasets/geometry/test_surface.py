@@ -112,3 +112,15 @@ def test_baffles_come_first_with_their_own_friction_or_the_scenes() -> None:
     )
     found = surface(scene)
     assert [set(found.friction[found.solid == number].ravel().tolist()) for number in range(3)] == [{0.4}, {0.8}, {0.0}]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_it_follows_the_position_of_a_baffle(dimension: int) -> None:
+    point = np.array([[0.45, 0.1, 0.5]])[:, :dimension]
+    for x in (0.5, 0.5 + 1e-7, 0.5 + 1.3e-4):
+        wall = Baffle(lower=(x, 0.0, 0.2)[:dimension], size=(0.1, 0.3, 0.5)[:dimension])
+        other = Baffle(lower=(1.0, 0.0, 0.2)[:dimension], size=(0.1, 0.3, 0.5)[:dimension])
+        alone = nearest(surface(scene_of(size=SPACE[:dimension], baffles=(wall,))), point)
+        both = nearest(surface(scene_of(size=SPACE[:dimension], baffles=(wall, other))), point)
+        assert alone.distance[0] == pytest.approx(x - 0.45, abs=1e-12)
+        assert both.distance[0] == pytest.approx(x - 0.45 - (2e-8 if dimension == 3 else 0.0), abs=1e-12)
