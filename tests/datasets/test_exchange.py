@@ -20,7 +20,6 @@ from datasets.scene import Solid
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
-PAGE = Path(__file__).parents[2] / "docs" / "exchange.md"
 SPLITS = ("train", "valid", "test")
 
 layouts = pytest.mark.parametrize("layout", list(LAYOUTS))

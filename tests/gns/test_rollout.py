@@ -28,7 +28,6 @@ lower = [0.0, 0.0]
 size = [0.12, 0.16]
 """
 DEEP = SCENE.replace("0.4]", "0.4, 0.1]").replace("0.0]", "0.0, 0.0]").replace("0.16]", "0.16, 0.1]")
-BAFFLE = "[[baffles]]\nlower = [0.15, 0.0]\nsize = [0.05, 0.1]\n"
 
 
 @pytest.fixture

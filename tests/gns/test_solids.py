@@ -203,19 +203,6 @@ def test_a_particle_on_a_face_moves_with_the_face(dimension: int, is_turned: boo
     assert torch.autograd.gradcheck(moved, inputs, eps=1e-8, atol=1e-5, fast_mode=True)
 
 
-def test_a_wedge_of_a_turned_baffle_and_a_wall_holds_what_comes_into_it() -> None:
-    # The face meets the floor at an angle of 20 degrees: what is pushed into the corner neither passes nor leaves.
-    wedge = boxes([[0.3, 0.02, 0.0], [0.7, 0.1, 0.1]])
-    turn = torch.tensor([[math.radians(20.0)]], dtype=torch.float64)
-    point = torch.tensor([[0.75, 0.01]], dtype=torch.float64)
-    for _ in range(40):
-        after = hold(point + torch.tensor([[-0.02, -0.01]]), point, wedge, turn=turn)
-        assert after[0, 1] >= 0.0
-        assert not is_inside(after, wedge, torch.tensor([0]), turn).any()
-        point = after
-    assert 0.25 < point[0, 0] < 0.7
-
-
 def test_a_particle_on_a_wall_has_its_whole_gradient() -> None:
     point = torch.tensor([[0.0, 0.2], [-0.1, 0.2]], dtype=torch.float64, requires_grad=True)
     keep_out(point, point.detach(), conditions(2)).sum().backward()

@@ -1,9 +1,7 @@
 """The command that trains: what it leaves, what it begins with, and mistakes."""
 
 import dataclasses
-import errno
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -12,7 +10,7 @@ from datasets import command_line
 from datasets.lock import locked
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
-from gns import card, checkpoint, training
+from gns import card, checkpoint
 from gns.train import train
 from gns.training import LAST
 from tests.gns.conftest import TINY
@@ -62,18 +60,6 @@ def test_a_folder_that_another_process_writes_into_is_refused(
     with locked(tmp_path):
         assert run(dataset, tmp_path, "--updates", "1") == 1
     assert "writes here since" in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_a_full_disk_is_the_last_line(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / LAST))
-
-    monkeypatch.setattr(training, "save", full)
-    assert run(dataset, tmp_path, "--updates", "1") == 1
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == f"talus: {tmp_path / LAST}: No space left on device; what was finished is kept"
 
 
 def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:

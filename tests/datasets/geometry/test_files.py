@@ -162,23 +162,16 @@ def holes(path: Path) -> None:
     write_ascii(path, values)
 
 
-def open_ball(path: Path) -> None:
-    vertices, triangles = sphere(np.array([1.0, 0.4, 0.5]), 0.2, 2)
-    meshio.Mesh(vertices, [("triangle", triangles[1:])]).write(path)
-
-
 def csv(text: str) -> Callable[[Path], None]:
     return lambda path: path.write_text(text) and None
 
 
-SQUARE = "x,z,y\n0,0,1\n0,1,1\n2,0,1\n2,1,1\n"
 CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
     ("dem.asc", TERRAIN, holes, "expected a raster without holes in the box, got 2 cells without data"),
     ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
     ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     ("dem.asc", TERRAIN, None, "there is none"),
     ("dem.csv", TERRAIN, csv("a,b\n1,2\n"), "expected a header with the columns `x`, `z`, `y`, got a, b"),
-    ("m.stl", '[[solids]]\nkind = "mesh"\n', open_ball, "expected a closed surface, got one with 3 open edges"),
     ("p.npz", '[[masses]]\nkind = "particles"\n', csv("no archive"), "expected an NPZ of plain numbers"),
 ]
 
