@@ -246,7 +246,7 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         for each in found
     ]
     sentences.append(f"Cards warn of {'; '.join(parts)}.")
-    rested = [f"{worst(each.creeps):+.2g} mm/s (`{each.name}`)" for each in found if each.creeps]
+    rested = [f"{abs(worst(each.creeps)):.2g} mm/s (`{each.name}`)" for each in found if each.creeps]
     if rested:
         sentences.append(f"Deposits that should rest creep by at most {', '.join(rested)}.")
     return sentences
