@@ -26,6 +26,8 @@ from validation.report.plots import BLUE, ORANGE, figure, pane
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
+GRADIENT_MIB = 1024.0
+"""Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
 PRICED = "column-tall-42"
 SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
 """Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
@@ -146,7 +148,7 @@ def price(scene: Scene, repeats: int) -> Price:
     before = resident()
     work = {
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
-        "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1)),
+        "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
     found = turns(work, repeats, "gradient")
     return Price(

@@ -117,7 +117,7 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
     assert "off by 4.0% in 0.5 s, a coarse MPM takes 0.1 s for the same error." in sentences[1]
     assert "95% bands hold 1 of 1 fronts (`tiny`)." in sentences[2]
     assert "warn of 1 of 2 scenes out of range and of 1 of 2 in range (`tiny`)." in sentences[3]
-    assert "creep by at most -0.2 mm/s (`tiny`)." in sentences[4]
+    assert "creep by at most 0.2 mm/s (`tiny`)." in sentences[4]
     assert "not warned of: steep." in text
     assert "no coarse MPM is as good" in str(page([model(mpm={5: model().mpm[5]})], quick=False))
     assert "bands hold" not in str(page([model(bands="no members")], quick=False))
