@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.breaking import PROBLEM
 from tests.commands import README, ROOT, blocks, commands, status
 
 SCENE = """
@@ -18,21 +19,6 @@ friction_deg = 30.0
 [[masses]]
 lower = [0.0, 0.0]
 size = [0.08, 0.08]
-"""
-PROBLEM = """
-scene = "scene.toml"
-surrogate = "none"
-[[unknowns]]
-name = "friction_deg"
-initial = 28.0
-lower = 20.0
-upper = 40.0
-[[observations]]
-kind = "front"
-[target]
-twin = true
-[loop]
-mpm_runs = 8
 """
 RUN = {
     "mpm.run": ["scene.toml"],

@@ -44,7 +44,7 @@ NEGLIGIBLE = 1e-3
 SHORTEST, LONGEST = 0.03, 20.0
 """Correlation lengths between which the likeliest is looked for, in ranges."""
 LENGTH_STEPS = (0.8, 0.4, 0.2, 0.1)
-"""Steps of the search for their logarithms: a tenth in a length changes no prediction by what matters."""
+"""Steps of the search for their logarithms: the smallest is a tenth, well below what runs tell of a length."""
 SAME = 1e-6
 """Difference of two logarithms of a likelihood that is none."""
 
