@@ -272,8 +272,13 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
         ]
     )
     text.section("The experiments")
+    text.text("""
+        `validation/experiments/NAME/experiment.toml` has what each number is from, its spread, and what the authors do
+        not state with the choice that was made for it.
+    """)
     for shipped in findings.shipped:
-        describe(text, shipped)
+        one = shipped.experiment
+        text.text(f"- `{shipped.name}`: {one.title}. {one.source} ({one.licence.rstrip('.')}).")
     return text
 
 
@@ -312,25 +317,6 @@ def conclusion(findings: Findings) -> list[str]:
             f" {other:.1f}, on the coarse cells."
         )
     return lines
-
-
-def describe(text: Page, shipped: Shipped) -> None:
-    """Source, licence, numbers and choices of an experiment."""
-    one = shipped.experiment
-    text.section(shipped.name, level=3)
-    text.text(f"**{one.title}.** {one.what}\n\nSource: {one.source}\n\nLicence: {one.licence}.")
-    lines = [
-        f"- Angle ({angle.name}): {angle.lower_deg:g} to {angle.upper_deg:g}°; {angle.status}: {angle.source}."
-        for angle in one.angles
-    ]
-    lines += [
-        f"- {case.name}, {measured.quantity}: {measured.value:g} ± {measured.spread:g} m; {measured.status}:"
-        f" {measured.source}. Spread: {measured.spread_from}."
-        for case in one.cases
-        for measured in case.measured
-    ]
-    lines += [f"- Not stated: {each.what}; {each.choice}: {each.reason}." for each in one.assumptions]
-    text.text("\n".join(lines))
 
 
 def draw(path: Path, findings: Findings) -> None:
