@@ -28,7 +28,7 @@ from mpm.resolution import particle_steps
 from mpm.simulation import LARGE
 
 SHARE = "share_s"
-"""In the summary of a stored run: its share of the wall time of all that ran beside it [s]."""
+"""In the summary of a stored run: its share of the wall time of all that ran beside it, compilation left out [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,9 @@ class RunStore:
             outcomes = self.simulate([run.scene for run in batch], record=batch[0].record, **chosen)
         except ScenesFailed as error:
             failed, outcomes = error, error.outcomes
-        share = (time.perf_counter() - began) / len(batch)
+        finished = [outcome for outcome in outcomes if isinstance(outcome, Trajectory)]
+        compiled = max((float(each.summary.get("compile_s", 0.0)) for each in finished), default=0.0)
+        share = (time.perf_counter() - began - compiled) / len(batch)
         stored = []
         for run, outcome in zip(batch, outcomes, strict=True):
             if isinstance(outcome, Trajectory):
