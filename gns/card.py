@@ -4,12 +4,11 @@
 
 writes `runs/mine/best.json` beside the weights, as a training does at its end. Its ranges are the least and the
 greatest value of each quantity (`gns.ranges`) over the scenes that the model was trained on, in the folders that it
-names, or drawn anew from a shipped definition. A network interpolates; outside of these ranges its error is unknown.
- `python -m gns.score DATASET... --model MODEL --keep` adds scores and bands.
+names. A network interpolates; outside of these ranges its error is unknown.
+`python -m gns.score DATASET... --model MODEL --keep` adds scores and bands.
 """
 
 import dataclasses
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,8 +22,9 @@ from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory, trajectory_files
 from gns.library import model_path, shipped
-from gns.ranges import Body, Range, outside, ranges_of
+from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings, features
+from gns.units import Units
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
@@ -90,7 +90,7 @@ def describe(
     settings = simulator.settings
     constants = ("displacement_scale", "acceleration_scale", "friction_mean", "friction_std")
     across = {
-        name: [Body.from_scene(scene).length / scene.domain.cell for scene in some] for name, some in scenes.items()
+        name: [Units.of_body(scene).length / scene.domain.cell for scene in some] for name, some in scenes.items()
     }
     return Card(
         settings=settings,
@@ -107,29 +107,6 @@ def describe(
         scores=scores,
         ranges=ranges_of((scene for some in scenes.values() for scene in some), settings),
     )
-
-
-def named(provenance: Mapping[str, Any]) -> dict[str, list[Scene]]:
-    """The training scenes of the datasets that a model names, folders or shipped definitions: `flow2d: 640 ...`.
-
-    Raises InputError where one is neither.
-    """
-    # Here, because it takes half a second.
-    from datasets.definitions import NAMES, read_definition
-    from datasets.definitions.definition import Split
-
-    found: dict[str, list[Scene]] = {}
-    for each in map(str, provenance.get("datasets", [])):
-        definition = re.fullmatch(r"([\w-]+): (\d+) trajectories", each)
-        if definition is None:
-            found |= stored([Path(each)])
-        elif definition[1] in NAMES:
-            entries = read_definition(definition[1]).entries(seed=0)
-            found[definition[1]] = [each.scene for each in entries if each.split is Split.TRAIN][: int(definition[2])]
-        else:
-            message = f"expected the folders of its data, {definition[1]} is no shipped definition"
-            raise InputError(message, key="DATASET")
-    return found
 
 
 def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
@@ -212,14 +189,14 @@ def main(model: Path, /, *datasets: Path) -> None:
     model
         The model's file, or the name of a shipped one.
     datasets
-        Folders of its training data; those that the model names unless given, or shipped definitions of that name.
+        Folders of its training data; those that the model names unless given.
     """
     # Here, because torch takes seconds, which --help should not.
     from gns import checkpoint
 
     model = model_path(model)
     loaded, former = checkpoint.load(model), read(model)
-    scenes = stored(datasets) if datasets else named(loaded.provenance)
+    scenes = stored(datasets or [Path(each) for each in loaded.provenance.get("datasets", [])])
     if not scenes:
         raise InputError("expected the datasets in the model's provenance, there are none", where=str(model))
     card = describe(loaded.simulator, loaded.provenance, scenes)

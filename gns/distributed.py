@@ -33,16 +33,6 @@ def sums(*values: float) -> list[float]:
     return [float(value) for value in tensor.tolist()]
 
 
-def share(particles: int) -> float:
-    """Weight of this process's mean over its `particles` in the mean over the processes [-].
-
-    Averaged with these weights, means over the particles of each are the mean over all, and so are their gradients: as
-    those of one process with all samples.
-    """
-    total, count = sums(particles, 1.0)
-    return count * particles / total
-
-
 @contextmanager
 def joined(device: str | None) -> Iterator[torch.device]:
     """Join the processes that torchrun started, if any; the device of this one, a GPU where there is one unless given.

@@ -86,7 +86,7 @@ def simulate(
         "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity_vector),
         "wall_s": wall,
         "device": str(device),
-        "start": initial.start.value,
+        "start": "rest" if start is None else "frames",
     }
     return Trajectory(
         positions=positions,

@@ -2,9 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,8 @@ from datasets.training.samples import Surroundings, check_known
 from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory
 from gns.settings import ModelSettings
-from gns.state import Conditions, Ground, State, Tensors, Units
+from gns.state import Conditions, Ground, State, Tensors
+from gns.units import Units
 
 MOST_STEPS = 1_000_000
 """Of a rollout."""
@@ -28,17 +28,6 @@ GRID_COPIES = 8
 """Numbers of a channel on the grid that are there at once, over its cells."""
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
-NO_GROUND = (0,)
-"""Shape of the raster where there is no terrain."""
-
-
-class Start(StrEnum):
-    """Where a rollout of the surrogate begins."""
-
-    FROM_REST = "rest"
-    """At time 0: the scene's particles and their initial velocities."""
-    FROM_MPM_FRAMES = "frames"
-    """At the end of frames of the MPM, which fill the model's history."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +54,6 @@ class InitialState(Tensors):
     """Velocities at time 0 [m/s], shape [n, D]."""
     indices: NDArray[np.int64]
     """Indices of the particles among all of the scene's, shape [n]."""
-
-    @property
-    def start(self) -> Start:
-        """Whether MPM frames are known."""
-        return Start.FROM_REST if len(self.known) == 1 else Start.FROM_MPM_FRAMES
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -115,7 +99,7 @@ def initial_state(
     Raises InputError for a scene outside of what the model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
-    units = Units.of_scene(scene, settings)
+    units = Units.of_model(scene, settings)
     step = units.time * settings.step
     particles = initial_particles(scene)
     if frames is None:
@@ -136,7 +120,7 @@ def initial_state(
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(
-            tensors_of(Surroundings.of_scene(scene, cell)),
+            [Surroundings.of_scene(scene, cell)],
             friction=torch.from_numpy(particles.friction[kept]),
             cohesion=torch.from_numpy(particles.cohesion[kept]),
             volume=torch.from_numpy(thinned.volumes),
@@ -188,55 +172,8 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     check_known(scene, "the model")
 
 
-def tensors_of(
-    around: Surroundings,
-    *,
-    boxes: int | None = None,
-    turned: bool | None = None,
-    raster: tuple[int, ...] | None = None,
-) -> dict[str, Tensor]:
-    """What is around a flow, as tensors whose first axis is that of the samples, here of length 1.
-
-    | name                                   | unit   | shape                               |
-    | box, gravity                           | m, m/s^2 | [1, D]; extent of the box         |
-    | floor_friction, wall_friction, damping | -      | [1]                                 |
-    | baffles, baffle_friction               | m, -   | [1, K, 2, D], [1, K]; K may be 0    |
-    | baffle_turn                            | rad    | [1, K]; [1, 0] where none is turned |
-    | elevation, ground_friction             | m, -   | [1, X(, Z)]; X is 0 without terrain |
-
-    boxes, raster: pad to so many baffles and to ground of this shape, which lies far below where there is none; as many
-    as there are unless given. turned: whether turns are among them; where any is not zero unless given.
-    """
-    own, dimension = len(around.baffles), len(around.size)
-    count = own if boxes is None else boxes
-    baffles = np.full((count, 2, dimension), ABSENT, np.float32)
-    friction, turn = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    baffles[:own], friction[:own], turn[:own] = around.baffles, around.baffle_friction, around.baffle_turn
-    turned = bool(turn.any()) if turned is None else turned
-    if around.ground is None:
-        raster = raster or NO_GROUND
-        elevation, roughness = np.full(raster, ABSENT, np.float32), np.zeros(raster, np.float32)
-    else:
-        shape = around.ground[0].shape
-        ends = [(0, count - own) for count, own in zip(raster or shape, shape, strict=True)]
-        elevation, roughness = (np.pad(field, ends, mode="edge") for field in around.ground)
-    values: dict[str, Floats | float] = {
-        "box": around.size,
-        "gravity": around.gravity,
-        "floor_friction": around.floor_friction,
-        "wall_friction": around.wall_friction,
-        "damping": around.damping,
-        "baffles": baffles,
-        "baffle_friction": friction,
-        "baffle_turn": turn if turned else turn[:0],
-        "elevation": elevation,
-        "ground_friction": roughness,
-    }
-    return {name: torch.from_numpy(np.asarray(value, np.float32)).unsqueeze(0) for name, value in values.items()}
-
-
 def conditions_of(
-    around: Mapping[str, Tensor],
+    around: Sequence[Surroundings],
     *,
     friction: Tensor,
     cohesion: Tensor,
@@ -247,25 +184,47 @@ def conditions_of(
 ) -> Conditions:
     """The conditions of one flow, or of several side by side.
 
-    around: `tensors_of` them, joined along the first axis; spacing: between two elevations of their ground [m]; the
-    others: see `Conditions`.
+    around: what is around each of them; spacing: between two elevations of their ground [m]; the others: see
+    `Conditions`. A flow with fewer baffles than another gets boxes of no size far outside, one without terrain ground
+    far below, and a smaller raster goes on level.
     """
-    baffles, turn, elevation = around["baffles"], around["baffle_turn"], around["elevation"]
+    numbers = ("size", "gravity", "floor_friction", "wall_friction", "damping")
+    parts = {name: joined([getattr(each, name) for each in around]) for name in numbers}
+    if count := max(len(each.baffles) for each in around):
+        parts["baffles"] = joined([filled(each.baffles, count, ABSENT) for each in around])
+        parts["baffle_friction"] = joined([filled(each.baffle_friction, count, 0.0) for each in around])
+        if any(each.baffle_turn.any() for each in around):
+            parts["baffle_turn"] = joined([filled(each.baffle_turn, count, 0.0) for each in around])
+    grounds = [each.ground for each in around]
+    ground = None
+    if shapes := [each[0].shape for each in grounds if each is not None]:
+        shape = tuple(map(max, zip(*shapes, strict=True)))
+        absent = np.full(shape, ABSENT), np.zeros(shape)
+        elevation, roughness = (
+            joined([extended((absent if each is None else each)[field], shape) for each in grounds]) for field in (0, 1)
+        )
+        ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
     return Conditions(
         friction=friction,
         cohesion=cohesion,
         volume=volume,
-        size=around["box"],
-        gravity=around["gravity"],
-        floor_friction=around["floor_friction"],
-        wall_friction=around["wall_friction"],
-        damping=around["damping"],
         batch=batch,
-        baffles=baffles if baffles.shape[1] else None,
-        baffle_friction=around["baffle_friction"] if baffles.shape[1] else None,
-        baffle_turn=turn if turn.shape[1] else None,
-        ground=Ground(elevation=elevation, friction=around["ground_friction"], spacing=spacing)
-        if elevation.shape[1]
-        else None,
+        ground=ground,
         units=units or Units(),
+        **parts,
     )
+
+
+def joined(values: Sequence[Floats | float]) -> Tensor:
+    """Values of the samples, each of one shape, as a tensor whose first axis is that of the samples."""
+    return torch.from_numpy(np.stack([np.asarray(each, np.float32) for each in values]))
+
+
+def filled(rows: Floats, count: int, value: float) -> Floats:
+    """As many rows of `value` behind the `rows` that they are `count`."""
+    return np.pad(rows, [(0, count - len(rows)), *[(0, 0)] * (rows.ndim - 1)], constant_values=value)
+
+
+def extended(raster: NDArray[np.floating], shape: Sequence[int]) -> NDArray[np.floating]:
+    """A raster that goes on as at its edges, up to `shape`."""
+    return np.pad(raster, [(0, count - own) for count, own in zip(shape, raster.shape, strict=True)], mode="edge")

@@ -1,6 +1,6 @@
 """The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
 
-With l, g and rho, length of the released body, gravity and density (`gns.state.Units`), lengths are over l, speeds over
+With l, g and rho, length of the released body, gravity and density (`gns.units.Units`), lengths are over l, speeds over
 sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside, at any size.
 """
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.particles import released_volume
 from datasets.scene import Scene
 from gns.settings import ModelSettings
+from gns.units import Units
 
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""
@@ -36,42 +36,6 @@ class Bound(Enum):
     BOTH = auto()
     UPPER = auto()
     LOWER = auto()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Body:
-    """The units of a scene's released body."""
-
-    length: float
-    """l, the root of its volume [m]."""
-    gravity: float
-    """g [m/s^2], positive."""
-    density: float
-    """rho [kg/m^3]."""
-
-    @staticmethod
-    def from_scene(scene: Scene) -> "Body":
-        """Those of `scene`, which has gravity."""
-        return Body(
-            length=released_volume(scene) ** (1.0 / scene.dimension),
-            gravity=scene.gravity,
-            density=scene.material_of(scene.masses[0]).density,
-        )
-
-    @property
-    def speed(self) -> float:
-        """sqrt(g l) [m/s]."""
-        return math.sqrt(self.gravity * self.length)
-
-    @property
-    def time(self) -> float:
-        """sqrt(l / g) [s]."""
-        return math.sqrt(self.length / self.gravity)
-
-    @property
-    def stress(self) -> float:
-        """rho g l [Pa]."""
-        return self.density * self.gravity * self.length
 
 
 def logarithm(value: float) -> float:
@@ -144,7 +108,7 @@ ABSOLUTE = ("length", "density", "gravity")
 
 def values_of(scene: Scene) -> dict[str, list[float]]:
     """The values of each quantity in a scene with gravity, in its unit; none where the scene has no such thing."""
-    body, masses, baffles = Body.from_scene(scene), scene.masses, scene.baffles
+    body, masses, baffles = Units.of_body(scene), scene.masses, scene.baffles
     sand = [scene.material_of(mass) for mass in masses]
     # Where all masses together begin and end along each axis.
     low = [min(mass.lower[axis] for mass in masses) for axis in range(scene.dimension)]
@@ -209,8 +173,8 @@ def values_of(scene: Scene) -> dict[str, list[float]]:
         "baffles": [float(len(baffles))],
         "duration": [scene.duration / body.time],
         "length": [body.length],
-        "density": [body.density],
-        "gravity": [body.gravity],
+        "density": [sand[0].density],
+        "gravity": [scene.gravity],
     }
 
 
@@ -237,7 +201,7 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
     for scene in scenes:
         for name, values in values_of(scene).items():
             found[name] += values
-        body = settings.body_length or Body.from_scene(scene).length
+        body = settings.body_length or Units.of_body(scene).length
         found["spacing"].append(settings.cell / body)
     if settings.body_length is not None:
         for name in ABSOLUTE:

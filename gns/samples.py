@@ -1,19 +1,19 @@
-"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as PyTorch Geometric's `Batch`."""
+"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
+import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch_geometric.data import Batch, Data
 
 from datasets.training.samples import Flow, Flows, Sample, cut, exchanged, load_flows, mirrored
-from gns.initial import NO_GROUND, conditions_of, tensors_of
+from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation
-from gns.state import Conditions, State
+from gns.state import Conditions, State, Tensors
 
 SHARE_EARLY = 0.12
 """Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
@@ -38,77 +38,61 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     return cut(flow, now=now, steps=steps, history=history, cell=cell, kept=kept, rng=rng)
 
 
-class Particles(Data):  # type: ignore[misc]
-    """The particles of a sample, or of multiple samples joined by `Batch`, which then has these properties too.
+@dataclass(frozen=True, kw_only=True)
+class Batch(Tensors):
+    """Samples side by side: where they start, what is constant during their rollout, and where it should lead."""
 
-    | attribute                      | unit       | shape                                           |
-    | pos                            | m          | [N, D]                                          |
-    | displacements                  | m per step | [H, N, D], newest last                          |
-    | targets                        | m          | [K, N, D], the coming steps                     |
-    | friction, cohesion, volume     | -, Pa, m^D | [N]                                             |
+    state: State
+    conditions: Conditions
+    targets: Tensor
+    """Positions after each of the coming steps [m], shape [K, N, D]."""
 
-    and what `gns.initial.tensors_of` lists, [B, ...].
-    """
 
-    def __cat_dim__(self, key: str, value: Any, *args: Any, **kwargs: Any) -> int:
-        # The first axis of these is time.
-        return 1 if key in ("displacements", "targets") else 0
+def batched(samples: Sequence[Sample], settings: ModelSettings) -> Batch:
+    """Join samples; they have equally many targets."""
 
-    @property
-    def state(self) -> State:
-        """Where the samples start."""
-        return State(positions=self.pos, displacements=self.displacements)
+    def joined(name: str, axis: int = 0) -> Tensor:
+        return torch.from_numpy(np.concatenate([getattr(sample, name) for sample in samples], axis=axis))
 
-    def conditions(self, spacing: float) -> Conditions:
-        """What is constant during their rollout; spacing: between two elevations of the ground [m]."""
-        return conditions_of(
-            self,
-            friction=self.friction,
-            cohesion=self.cohesion,
-            volume=self.volume,
-            spacing=spacing,
-            batch=self.batch,
+    states = [
+        State.observed(
+            torch.from_numpy(sample.frames),
+            torch.from_numpy(sample.velocity0),
+            step=settings.step,
+            history=settings.history,
         )
+        for sample in samples
+    ]
+    counts = torch.tensor([len(sample.friction) for sample in samples])
+    return Batch(
+        state=State(
+            positions=torch.cat([state.positions for state in states]),
+            displacements=torch.cat([state.displacements for state in states], dim=1),
+        ),
+        conditions=conditions_of(
+            [sample.surroundings for sample in samples],
+            friction=joined("friction"),
+            cohesion=joined("cohesion"),
+            volume=joined("volume"),
+            spacing=settings.cell,
+            batch=torch.arange(len(samples)).repeat_interleave(counts),
+        ),
+        targets=joined("targets", axis=1),
+    )
 
 
-def batched(samples: Sequence[Sample], *, step: float, history: int) -> Particles:
-    """Join samples; they have equally many targets. `.to(device)` moves all of it."""
-    boxes = max(len(sample.surroundings.baffles) for sample in samples)
-    turned = any(bool(sample.surroundings.baffle_turn.any()) for sample in samples)
-    rasters = [sample.surroundings.ground[0].shape for sample in samples if sample.surroundings.ground is not None]
-    raster = tuple(max(counts) for counts in zip(*rasters, strict=True)) or NO_GROUND
-    parts = []
-    for sample in samples:
-        frames, velocity0 = torch.from_numpy(sample.frames), torch.from_numpy(sample.velocity0)
-        state = State.observed(frames, velocity0, step=step, history=history)
-        parts.append(
-            Particles(
-                pos=state.positions,
-                displacements=state.displacements,
-                targets=torch.from_numpy(sample.targets),
-                friction=torch.from_numpy(sample.friction),
-                cohesion=torch.from_numpy(sample.cohesion),
-                volume=torch.from_numpy(sample.volume),
-                **tensors_of(sample.surroundings, boxes=boxes, turned=turned, raster=raster),
-            )
-        )
-    batch: Particles = Batch.from_data_list(parts)
-    return batch
-
-
-def perturbed(batch: Particles, noise: float, generator: torch.Generator) -> Particles:
+def perturbed(batch: Batch, noise: float, generator: torch.Generator) -> Batch:
     """The batch with a random walk in the past displacements, `noise` [m] at its end (Sanchez-Gonzalez et al. 2020).
 
     The targets move with the particles, so that the true displacement is asked for from a wrong past. The walk is
     drawn on the CPU: it is the same on every device.
     """
-    past: Tensor = batch.displacements
+    past = batch.state.displacements
     walk = torch.randn(past.shape, generator=generator).cumsum(0) * (noise / len(past) ** 0.5)
     walk = walk.to(past.device)
     shift = walk.sum(0)
-    noisy: Particles = batch.clone()
-    noisy.pos, noisy.displacements, noisy.targets = batch.pos + shift, past + walk, batch.targets + shift
-    return noisy
+    noisy = State(positions=batch.state.positions + shift, displacements=past + walk)
+    return dataclasses.replace(batch, state=noisy, targets=batch.targets + shift)
 
 
 class Sampler:
@@ -119,10 +103,10 @@ class Sampler:
         shares = np.array(training.shares or [1.0] * len(datasets))
         self._shares = shares / shares.sum()
 
-    def batch(self, steps: int, rng: np.random.Generator) -> Particles:
+    def batch(self, steps: int, rng: np.random.Generator) -> Batch:
         """Samples with `steps` targets, side by side; of a single step with noise in their past."""
         samples = [self.sample(steps, rng) for _ in range(self._training.batch)]
-        batch = batched(samples, step=self._settings.step, history=self._settings.history)
+        batch = batched(samples, self._settings)
         if steps == 1 and self._training.noise > 0.0:
             return perturbed(batch, self._training.noise, torch.Generator().manual_seed(int(rng.integers(2**63))))
         return batch

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from tabulate import tabulate
 
 from datasets import command_line, files, measures
 from datasets.errors import InputError
@@ -18,9 +20,6 @@ from gns.library import members, model_path
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
-
-ERRORS = ("profile_error", "kinetic_error")
-"""Beside that of the front."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +39,42 @@ class Score:
     """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Deposit:
+    """Where the MPM's deposit of a flow ends, beside which others are measured."""
+
+    positions: Floats
+    """[m], shape [N, D]."""
+    volume: NDArray[np.floating]
+    """Of the particles [m^D], shape [N]."""
+    x: tuple[float, float]
+    """Of its ends, at smaller and at larger x [m]."""
+    side: int
+    """Which of them the flow has moved farther, 0 or 1: the front."""
+
+    @staticmethod
+    def of_positions(start: Floats, end: Floats, volume: NDArray[np.floating]) -> "Deposit":
+        """That of particles that moved from `start` to `end` [m], both [N, D]."""
+        before, after = measures.ends(start), measures.ends(end)
+        return Deposit(positions=end, volume=volume, x=after, side=int(after[1] - before[1] >= before[0] - after[0]))
+
+    @property
+    def extent(self) -> float:
+        """Distance of the two ends [m]."""
+        return self.x[1] - self.x[0]
+
+    @property
+    def front(self) -> float:
+        """The x of the front [m]."""
+        return self.x[self.side]
+
+    def errors(self, positions: Floats, volume: NDArray[np.floating]) -> tuple[float, float]:
+        """Those of front and profile of another deposit of the same scene: see `Score`."""
+        beyond = measures.ends(positions)[self.side] - self.front
+        apart = measures.transport_distance(positions, volume, self.positions, self.volume)
+        return (beyond if self.side == 1 else -beyond) / self.extent, apart / self.extent
+
+
 def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> list[Score]:
     """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
@@ -53,23 +88,16 @@ def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> lis
     for flow in flows:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
-        batch = batched([sample], step=settings.step, history=settings.history)
-        batch = batch.to(simulator.displacement_scale.device)
+        batch = batched([sample], settings).to(simulator.displacement_scale.device)
         with torch.no_grad():
-            moved = unroll(simulator, batch.state, batch.conditions(settings.cell), steps)[1:].cpu().numpy()
-        deposit = flow.positions[-1]
-        start, end = np.array(measures.ends(flow.positions[0])), np.array(measures.ends(deposit))
-        extent = float(end[1] - end[0])
-        # Outwards on both sides; the end that ran farther is the front.
-        outward = np.array([-1.0, 1.0])
-        side = int(np.argmax(outward * (end - start)))
-        off = outward * (np.array(measures.ends(moved[-1])) - end)
-        apart = measures.transport_distance(moved[-1], sample.volume, deposit, flow.volume)
+            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].cpu().numpy()
+        truth = Deposit.of_positions(flow.positions[0], flow.positions[-1], flow.volume)
+        front, profile = truth.errors(moved[-1], sample.volume)
         scores.append(
             Score(
                 released=flow.released,
-                front_error=float(off[side]) / extent,
-                profile_error=apart / extent,
+                front_error=front,
+                profile_error=profile,
                 kinetic_error=kinetic_error(moved, sample, settings.step),
             )
         )
@@ -97,22 +125,24 @@ def validation_score(scores: Sequence[Score]) -> float:
 
 def table(scores: Sequence[Score]) -> str:
     """Markdown: releases and moving starts apart, mean over the flows of each and the worst front."""
-    lines = [
-        "| start | flows | front error, mean of absolute values | mean | worst | profile error | kinetic energy |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         group = [score for score in scores if score.released == released]
         if not group:
             continue
         front = 100.0 * np.array([score.front_error for score in group])
-        worst = front[np.abs(front).argmax()]
-        profile, kinetic = (100.0 * np.mean([getattr(score, key) for score in group]) for key in ERRORS)
-        lines.append(
-            f"| {title} | {len(group)} | {np.abs(front).mean():.1f} % | {front.mean():+.1f} % | {worst:+.1f} % "
-            f"| {profile:.1f} % | {kinetic:.1f} % |"
+        rows.append(
+            {
+                "start": title,
+                "flows": len(group),
+                "front error, mean of absolute values": f"{np.abs(front).mean():.1f} %",
+                "mean": f"{front.mean():+.1f} %",
+                "worst": f"{front[np.abs(front).argmax()]:+.1f} %",
+                "profile error": f"{100.0 * np.mean([score.profile_error for score in group]):.1f} %",
+                "kinetic energy": f"{100.0 * np.mean([score.kinetic_error for score in group]):.1f} %",
+            }
         )
-    return "\n".join(lines) + "\n"
+    return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"
 
 
 def score(

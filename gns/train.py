@@ -21,7 +21,6 @@ def train(
     seed: int = 0,
     threads: int = 1,
     device: Literal["cpu", "cuda"] | None = None,
-    tensorboard: bool = False,
     model: Annotated[ModelSettings, Parameter(name="*")] = MODEL,
     training: Annotated[TrainingSettings, Parameter(name="*")] = TRAINING,
 ) -> None:
@@ -48,8 +47,6 @@ def train(
         Threads of torch.
     device
         cpu or cuda; a GPU where there is one unless given.
-    tensorboard
-        Write OUT/tensorboard too.
     """
     # Here, because torch takes seconds, which --help should not.
     import torch
@@ -71,7 +68,6 @@ def train(
         resume=resume,
         seed=seed,
         device=device,
-        tensorboard=tensorboard,
     )
 
 

@@ -10,7 +10,7 @@ running average of the weights.
 
 | symbol | variable           | meaning                                    |
 | x, v   | `positions`        | of the model, and their differences        |
-| X, V   | `Particles.targets` | of the MPM                                |
+| X, V   | `Batch.targets`    | of the MPM                                 |
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
@@ -20,7 +20,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,8 +42,8 @@ from datasets.reading import reading
 from datasets.training.samples import Flow, Flows
 from gns import card, checkpoint
 from gns.checkpoint import Model
-from gns.distributed import joined, rank, share, sums
-from gns.samples import Particles, Sampler, flows_of, statistics
+from gns.distributed import joined, rank, sums
+from gns.samples import Batch, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -99,14 +99,14 @@ class UnrolledLoss(nn.Module):
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
         self._particle_bytes = 0.0
 
-    def forward(self, batch: Particles) -> Tensor:
+    def forward(self, batch: Batch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
-        conditions, steps = batch.conditions(self.simulator.settings.cell), len(batch.targets)
+        state, conditions, steps = batch.state, batch.conditions, len(batch.targets)
+        particles = len(state.positions)
         if not self._particle_bytes:
-            measured = step_activation_bytes(self.simulator, batch.state, conditions)
-            self._particle_bytes = MARGIN * measured / len(batch.pos)
-        kept = min(steps, int(self.memory / (self._particle_bytes * len(batch.pos))))
-        positions = unroll(self.simulator, batch.state, conditions, steps, kept_steps=kept)
+            self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
+        kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
+        positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
         return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
 
 
@@ -145,7 +145,6 @@ def fit(
     resume: bool = False,
     seed: int = 0,
     device: str | None = None,
-    tensorboard: bool = False,
 ) -> None:
     """Train a model; for the parameters see `gns.train.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
     if resume and not (out / LAST).exists():
@@ -178,7 +177,6 @@ def fit(
             "datasets": [str(path) for path in datasets],
             "training": asdict(training),
         }
-        board = stack.enter_context(closing(summary_writer(out, position))) if tensorboard and first else None
         bar = stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
         clock = time.process_time if training.clock == "cpu" else time.perf_counter
@@ -195,12 +193,7 @@ def fit(
                     # Saved before, so that a stop costs no updates, and after.
                     save(out / LAST, model, parts, position)
                     with stop.at_once():
-                        row = validate(
-                            average.module, valid, out, position, history, float(np.mean(losses or [math.nan]))
-                        )
-                    if board is not None:
-                        for name, value in row.items():
-                            board.add_scalar(f"validation/{name}", value, position.updates)
+                        validate(average.module, valid, out, position, history, float(np.mean(losses or [math.nan])))
                 losses.clear()
                 position.seconds = position.scored_seconds = clock() - begun
                 position.scored_updates = position.updates
@@ -210,7 +203,7 @@ def fit(
             steps, rate = unrolled_steps(training.unroll, progress), learning_rate(training, progress, position.updates)
             batch = sampler.batch(steps, np.random.default_rng([seed, rank(), position.updates]))
             loss = loss_of(batch.to(where))
-            (share(len(batch.pos)) * loss).backward()
+            loss.backward()
             norm = nn.utils.clip_grad_norm_(simulator.parameters(), training.clip)
             if not math.isfinite(norm):
                 number = position.updates + 1
@@ -223,9 +216,6 @@ def fit(
             average.update_parameters(simulator)
             position.updates += 1
             losses.append(loss.item())
-            if board is not None:
-                board.add_scalar("training/loss", losses[-1], position.updates)
-                board.add_scalar("training/learning_rate", rate, position.updates)
             bar.set_description_str(f"{steps} steps, loss {np.mean(losses[-RECENT:]):.4f}", refresh=False)
             bar.update(100.0 * position.progress(training) - bar.n)
         if first:
@@ -278,7 +268,7 @@ def continued(model: Model, settings: ModelSettings) -> Simulator:
 
 def validate(
     simulator: nn.Module, flows: Sequence[Flow], out: Path, position: Position, history: Mapping[str, Any], loss: float
-) -> dict[str, float]:
+) -> None:
     """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far."""
     assert isinstance(simulator, Simulator)
     scores = evaluate(simulator, flows, seed=0)
@@ -299,7 +289,6 @@ def validate(
         position.best = total
         checkpoint.save(out / "best.safetensors", simulator, {**history, "score": total, "log": row})
         files.write_text(out / "scores.md", table(scores))
-    return row
 
 
 def described(path: Path, datasets: Sequence[Path], scores: str) -> str:
@@ -329,13 +318,3 @@ def restored(path: Path, settings: ModelSettings, parts: Mapping[str, Any]) -> P
         for name, part in parts.items():
             part.load_state_dict(found[name])
         return Position(**found["position"])
-
-
-def summary_writer(out: Path, position: Position) -> Any:
-    """TensorBoard's, which is another package. Raises InputError."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        message = "expected the package tensorboard to be installed: pip install tensorboard"
-        raise InputError(message, key="tensorboard") from None
-    return SummaryWriter(log_dir=str(out / "tensorboard"), purge_step=position.updates + 1)

@@ -150,8 +150,8 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
     for flow in tqdm(flows, desc="bands", unit="flow"):
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
-        batch = batched([sample], step=settings.step, history=settings.history)
-        own = rolled_out(models, batch.state, batch.conditions(settings.cell), steps)
+        batch = batched([sample], settings)
+        own = rolled_out(models, batch.state, batch.conditions, steps)
         found.append((own.front - measures.front(flow.positions[-1]), own.spread, own.extent))
     errors, spreads, extents = np.array(found, dtype=np.float64).reshape(-1, 3).T
     calibration = calibrated(errors, spreads, extents)

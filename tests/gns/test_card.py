@@ -29,7 +29,6 @@ SCALED = ModelSettings(body_length=0.08**0.5, history=2, width=8, layers=1, roun
 PROVENANCE = {
     "command": "python -m gns.train data/flow2d --out runs/a",
     "seed": 4,
-    "datasets": ["flow2d: 200 trajectories"],
     "log": {"updates": 3000},
 }
 
@@ -39,8 +38,10 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model of another name than those that ship, with its card."""
     path = tmp_path_factory.mktemp("card") / "own.safetensors"
     torch.manual_seed(0)
-    checkpoint.save(path, Simulator(SCALED, NORMALISATION), PROVENANCE)
-    assert command_line.run(card.main, "python -m gns.card", [str(path)]) == 0
+    simulator = Simulator(SCALED, NORMALISATION)
+    scenes = [each.scene for each in FLOW2D.entries(seed=0, count=300) if each.split is Split.TRAIN][:200]
+    card.write(path, card.describe(simulator, PROVENANCE, {"flow2d": scenes}))
+    checkpoint.save(path, simulator, PROVENANCE)
     return path
 
 
@@ -76,11 +77,14 @@ def test_the_ranges_are_those_of_the_training_scenes(model: Path) -> None:
     assert all(low <= high for low, high in ranges.values())
 
 
-def test_the_folders_of_the_data_do_as_well(model: Path, dataset: Path, tmp_path: Path) -> None:
+def test_a_card_is_written_again_from_the_folders_of_the_data(
+    model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     own = tmp_path / "piles.safetensors"
     named = {"datasets": [f"{dataset.name}: 4 trajectories"]}
     checkpoint.save(own, checkpoint.load(model).simulator, named)
     assert command_line.run(card.main, "gns.card", [str(own)]) == 2
+    assert "expected trajectories in train" in capsys.readouterr().err
     assert command_line.run(card.main, "gns.card", [str(own), str(dataset)]) == 0
     found = known(own)
     assert found.data.scenes == {dataset.name: 4}

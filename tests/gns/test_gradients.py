@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from gns.simulator import Simulator
-from gns.state import Conditions, Ground, State, Units
+from gns.state import Conditions, Ground, State
+from gns.units import Units
 from gns.unroll import unroll
 from tests.gns.conftest import Cloud
 

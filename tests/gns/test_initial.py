@@ -10,9 +10,9 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
-from gns.initial import Start, initial_state
+from gns.initial import initial_state
 from gns.settings import ModelSettings
-from gns.state import Units
+from gns.units import Units
 
 SETTINGS = ModelSettings()
 SOIL = Material(friction_deg=30.0, cohesion=500.0)
@@ -90,7 +90,7 @@ def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:
                 torch.testing.assert_close(wide.float(), before)
             else:
                 assert before == on == wide, field.name
-    assert (there.steps, there.scene, there.start) == (25, SCENE, Start.FROM_REST)
+    assert (there.steps, there.scene) == (25, SCENE)
 
 
 def test_the_mass_of_each_particle() -> None:

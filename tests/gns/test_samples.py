@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datasets.training.samples import Flows, Sample, Surroundings, cut
-from gns.samples import Particles, Sampler, batched, flows_of, perturbed, statistics, turned
+from gns.samples import Sampler, batched, flows_of, perturbed, statistics, turned
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 
@@ -23,16 +23,11 @@ def samples(dataset: Path, settings: ModelSettings, starts: tuple[int, int] = (0
     ]
 
 
-def joined(some: list[Sample], settings: ModelSettings) -> Particles:
-    """The samples as a batch."""
-    return batched(some, step=settings.step, history=settings.history)
-
-
 def after(simulator: Simulator, some: list[Sample]) -> torch.Tensor:
     """Where a step takes the particles of samples side by side [m]."""
-    batch = joined(some, simulator.settings)
+    batch = batched(some, simulator.settings)
     with torch.no_grad():
-        return simulator(batch.state, batch.conditions(simulator.settings.cell)).positions
+        return simulator(batch.state, batch.conditions).positions
 
 
 def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simulator, dataset: Path) -> None:
@@ -53,12 +48,13 @@ def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simu
 
 
 def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset: Path) -> None:
-    batch = joined(samples(dataset, settings), settings)
+    batch = batched(samples(dataset, settings), settings)
     noisy = perturbed(batch, 1e-3, torch.Generator().manual_seed(0))
-    torch.testing.assert_close(noisy.targets - noisy.pos, batch.targets - batch.pos)
-    walk = noisy.displacements - batch.displacements
+    before, after = batch.state, noisy.state
+    torch.testing.assert_close(noisy.targets - after.positions, batch.targets - before.positions)
+    walk = after.displacements - before.displacements
     assert 0.8e-3 < walk[-1].std() < 1.2e-3
-    torch.testing.assert_close(walk.sum(0), noisy.pos - batch.pos, atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(walk.sum(0), after.positions - before.positions, atol=1e-6, rtol=0.0)
 
 
 @pytest.fixture
@@ -84,7 +80,7 @@ def test_a_batch_joins_domains_and_datasets_have_their_shares(flows: Flows, sett
     wide = [dataclasses.replace(flow, surroundings=around) for flow in flows]
     training = TrainingSettings(batch=2, shares=(1.0, 3.0))
     sampler, rng = Sampler([flows, wide], settings, training), np.random.default_rng(0)
-    sizes = torch.cat([sampler.batch(1, rng).box for _ in range(100)])
+    sizes = torch.cat([sampler.batch(1, rng).conditions.size for _ in range(100)])
     assert {tuple(size) for size in sizes.tolist()} == {
         tuple(size) for size in torch.tensor([[0.6, 0.4], [1.2, 0.4]]).tolist()
     }

@@ -11,7 +11,7 @@ import torch
 import gns
 from datasets import measures
 from datasets.library import read_scene
-from gns.initial import Start, initial_state
+from gns.initial import initial_state
 from gns.library import models
 from gns.simulator import Simulator
 from gns.unroll import unroll
@@ -63,7 +63,7 @@ def test_a_simulation_is_a_trajectory_with_volumes_and_its_own_frames(simulator:
     assert trajectory.volume.sum() == pytest.approx(material, rel=1e-5)
     np.testing.assert_allclose(np.diff(trajectory.time), trajectory.scene.frame_dt)
     assert trajectory.scene.frames == len(trajectory.positions) == len(trajectory.time) == 11
-    assert trajectory.summary["start"] == Start.FROM_REST
+    assert trajectory.summary["start"] == "rest"
     assert trajectory.summary["front"] == measures.front(trajectory.positions[-1])
 
 

@@ -13,7 +13,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
-from gns.state import Units
+from gns.units import Units
 
 SCENE = Scene(
     domain=Domain(size=(0.6, 0.4), cell=0.01),
@@ -99,7 +99,7 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     scene = dataclasses.replace(
         SCENE, masses=(Mass(lower=(0.0, 0.0), size=(side, 0.3)),), duration=duration, gravity=3.71
     )
-    units = Units.of_scene(scene, settings)
+    units = Units.of_model(scene, settings)
     assert scene.gravity * units.time**2 / units.length == pytest.approx(GRAVITY)
     steps = scene.duration / (units.time * settings.step)
     body = math.sqrt(released_volume(scene)) / units.length
@@ -113,6 +113,6 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
 
 
 def test_without_a_body_length_a_scene_is_run_as_it_is_and_without_gravity_not_at_all() -> None:
-    assert Units.of_scene(SCENE, ModelSettings()) == Units()
+    assert Units.of_model(SCENE, ModelSettings()) == Units()
     with pytest.raises(InputError, match="gravity: expected gravity"):
-        Units.of_scene(dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28))
+        Units.of_model(dataclasses.replace(SCENE, gravity=0.0), ModelSettings(body_length=0.28))

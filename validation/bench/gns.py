@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,16 +14,19 @@ from tqdm import tqdm
 
 import gns
 from datasets.errors import InputError
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from gns import card, uncertainty
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import (
     SEED,
-    Deposit,
     Errors,
     HeldOut,
+    at_wall,
     coarse,
     creep,
+    deposit_of,
     held_out,
     mean,
     out_of_range,
@@ -34,6 +37,8 @@ from validation.report.page import GNS, MPM, Page, Row, signed
 from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 from validation.runs import Run, RunStore
 
+SCENES = {2: 14, 3: 4}
+"""Held-out scenes, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
 QUICK_CELLS = {2: 10, 3: 4}
@@ -42,6 +47,8 @@ LEVEL = 0.95
 """Of the bands."""
 TIMES = 4
 """How many times as long as its scene a rollout is whose deposit should rest."""
+LONG = 4
+"""How many scenes are."""
 ALL = "all"
 
 
@@ -55,57 +62,64 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Compared:
+    """One held-out scene by a model and by the coarse MPM."""
+
+    scene: HeldOut
+    extent: float
+    """Of the reference's deposit [m]."""
+    free: bool
+    """Whether no wall holds the reference's front."""
+    rollout: Measured
+    mpm: Mapping[int, Measured]
+    """Coarse runs, by their cells across the body."""
+    band: tuple[float, float] | None
+    """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
+    warned: bool
+    """Whether the card warns of the scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """All that was measured of one model."""
 
     name: str
     dimension: int
-    scenes: Sequence[HeldOut]
-    truths: Sequence[Deposit]
-    rollouts: Sequence[Measured]
-    """In the order of the scenes."""
-    mpm: Mapping[int, Sequence[Measured]]
-    """Coarse runs, by their cells across the body."""
+    compared: Sequence[Compared]
     creeps: Sequence[float]
     """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
-    bands: Mapping[str, tuple[float, float]] | str
-    """By scene whose front is free: error of the predicted front and half-width of its band [m]; why there are none."""
     outside: Mapping[str, bool]
     """In 2D: what is out of range, and whether the card warns of it."""
-    within: Mapping[str, bool]
-    """Held-out scene, and whether the card warns of it."""
 
-    def of_kind(self, kind: str) -> list[Measured]:
-        """The rollouts of scenes of a kind."""
-        pairs = zip(self.scenes, self.rollouts, strict=True)
-        return [rollout for scene, rollout in pairs if kind in (ALL, scene.kind)]
+    def of_kind(self, kind: str) -> list[Compared]:
+        """The scenes of a kind."""
+        return [each for each in self.compared if kind in (ALL, each.scene.kind)]
 
     def fronts(self, kind: str = ALL) -> list[float]:
         """Errors of the fronts that no wall holds [-]."""
-        found = zip(self.scenes, self.truths, self.rollouts, strict=True)
-        return [each.errors.front for scene, truth, each in found if kind in (ALL, scene.kind) and not truth.at_wall]
+        return [each.rollout.errors.front for each in self.of_kind(kind) if each.free]
 
     def profiles(self, kind: str = ALL) -> list[float]:
         """Errors of the profiles [-]."""
-        return [each.errors.profile for each in self.of_kind(kind)]
+        return [each.rollout.errors.profile for each in self.of_kind(kind)]
 
     @property
-    def held(self) -> int:
-        """How many fronts lie within their bands."""
-        assert not isinstance(self.bands, str)
-        return sum(abs(error) <= width for error, width in self.bands.values())
+    def points(self) -> dict[int, tuple[float, float]]:
+        """`point` of the coarse MPM, by its cells across the body."""
+        return {cells: point([each.mpm[cells] for each in self.compared]) for cells in self.compared[0].mpm}
+
+    @property
+    def own(self) -> tuple[float, float]:
+        """`point` of its rollouts."""
+        return point([each.rollout for each in self.compared])
+
+    @property
+    def held(self) -> list[bool]:
+        """Of each front with a band whether it lies within."""
+        return [abs(each.band[0]) <= each.band[1] for each in self.compared if each.band]
 
 
-def bench(
-    out: Path,
-    *,
-    quick: bool,
-    keep: Path,
-    model: tuple[Path, ...] = (),
-    scenes: int = 14,
-    scenes_3d: int = 4,
-    long: int = 4,
-) -> str:
+def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -> str:
     """Compare models with the MPM on fine cells; some eight minutes, most of them for the references.
 
     Parameters
@@ -118,83 +132,74 @@ def bench(
         Folder of the MPM's runs, which are not made again.
     model
         A model's file or the name of one that ships, once or more often; all that ship unless given.
-    scenes
-        Held-out scenes in 2D, one of every kind after the other.
-    scenes_3d
-        The same in 3D, whose references are dear.
-    long
-        Scenes in each dimension that are rolled out four times as long.
     """
     paths = [model_path(each) for each in model] or models()
     found = []
     for path in paths:
         dimension = gns.load(path).settings.dimension
-        number = 2 if quick else {2: scenes, 3: scenes_3d}[dimension]
-        chosen = held_out(dimension, number)
+        chosen, cells = held_out(dimension, 2 if quick else SCENES[dimension]), CELLS[dimension][: 2 if quick else None]
         if quick:
             chosen = [dataclasses.replace(each, scene=coarse(each.scene, QUICK_CELLS[dimension])) for each in chosen]
-        cells = CELLS[dimension][: 2 if quick else None]
-        found.append(measure(path, chosen, keep, cells=cells, long=1 if quick else long))
+        found.append(measure(path, chosen, keep, cells=cells, long=1 if quick else LONG))
     draw(out / "gns.png", found)
-    flags = "".join(f" --model {path}" for path in model) + "".join(
-        f" --{name} {value}"
-        for name, value, usual in (("scenes", scenes, 14), ("scenes-3d", scenes_3d, 4), ("long", long, 4))
-        if value != usual
-    )
+    flags = "".join(f" --model {path}" for path in model)
     return page(found, flags=flags, quick=quick).write(out / "gns.md")
 
 
 def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequence[int], long: int) -> Model:
     """Everything of one model."""
-    simulator = gns.load(path).requires_grad_(False)
-    references = RunStore(keep / f"{simulator.settings.dimension}d").run(
-        [Run(scene=each.scene, record=AT_REST) for each in scenes]
-    )
-    truths = [Deposit.of_flow(flow) for flow in references]
+    simulator = gns.load(path)
+    dimension = simulator.settings.dimension
+    references = RunStore(keep / f"{dimension}d").run([Run(scene=each.scene, record=AT_REST) for each in scenes])
     # Kernels are compiled, or read from their cache, at a first call.
     gns.simulate(scenes[0].scene, model=simulator)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    rollouts = []
-    mpm: dict[int, list[Measured]] = {number: [] for number in cells}
-    for each, truth in tqdm([*zip(scenes, truths, strict=True)], desc=f"{path.stem}, deposits", unit="scene"):
-        for number in cells:
-            flow = simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST)
-            mpm[number].append(Measured(seconds=flow.summary["wall_s"], errors=truth.errors(flow)))
-        flow = gns.simulate(each.scene, model=simulator)
-        rollouts.append(Measured(seconds=flow.summary["wall_s"], errors=truth.errors(flow)))
+    compared = []
+    for each, reference in tqdm([*zip(scenes, references, strict=True)], desc=f"{path.stem}, deposits", unit="scene"):
+        truth = deposit_of(reference)
+        free = not at_wall(truth, each.scene)
+
+        def measured(flow: Trajectory) -> Measured:
+            return Measured(seconds=flow.summary["wall_s"], errors=Errors.of_flow(flow, truth))  # noqa: B023
+
+        compared.append(
+            Compared(
+                scene=each,
+                extent=truth.extent,
+                free=free,
+                rollout=measured(gns.simulate(each.scene, model=simulator)),
+                mpm={
+                    number: measured(simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST))
+                    for number in cells
+                },
+                band=band(path, each.scene, truth.front) if free and truth.side == 1 else None,
+                warned=card.warning(path, each.scene) is not None,
+            )
+        )
     torch.set_num_threads(threads)
     resting = [each for each, flow in zip(scenes, references, strict=True) if flow.summary["rest_time"] is not None]
     longer = [dataclasses.replace(each.scene, duration=TIMES * each.scene.duration) for each in resting[:long]]
     creeps = [
         creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{path.stem}, rest", unit="scene")
     ]
-    outside = out_of_range() if simulator.settings.dimension == 2 else {}
+    outside = out_of_range() if dimension == 2 else {}
     return Model(
         name=path.stem,
-        dimension=simulator.settings.dimension,
-        scenes=scenes,
-        truths=truths,
-        rollouts=rollouts,
-        mpm=mpm,
+        dimension=dimension,
+        compared=compared,
         creeps=creeps,
-        bands=bands(path, scenes, truths),
         outside={name: card.warning(path, scene) is not None for name, scene in outside.items()},
-        within={each.name: card.warning(path, each.scene) is not None for each in scenes},
     )
 
 
-def bands(path: Path, scenes: Sequence[HeldOut], truths: Sequence[Deposit]) -> Mapping[str, tuple[float, float]] | str:
-    """By scene whose front is free and lies at larger x: see `Model.bands`."""
-    free = [pair for pair in zip(scenes, truths, strict=True) if pair[1].side == 1 and not pair[1].at_wall]
-    found = {}
+def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
+    """See `Compared.band`."""
     try:
-        for each, truth in tqdm(free, desc=f"{path.stem}, bands", unit="scene"):
-            prediction = uncertainty.predict(each.scene, model=path, level=LEVEL)
-            found[each.name] = (prediction.front - truth.front, prediction.half_width)
-    except InputError as error:
-        return str(error)
-    return found
+        prediction = uncertainty.predict(scene, model=path, level=LEVEL)
+    except InputError:
+        return None
+    return prediction.front - front, prediction.half_width
 
 
 def point(runs: Sequence[Measured]) -> tuple[float, float]:
@@ -202,12 +207,12 @@ def point(runs: Sequence[Measured]) -> tuple[float, float]:
     return float(np.mean([each.seconds for each in runs])), rms([each.errors.largest for each in runs])
 
 
-def mpm_seconds(mpm: Mapping[int, Sequence[Measured]], error: float) -> float | None:
+def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:
     """What the MPM takes for an error no larger than `error` [s]; None where no run of it is so good.
 
-    Interpolated in the logarithms between resolutions; that of its cheapest run where this is good enough.
+    points: see `Model.points`. Interpolated in their logarithms; that of the cheapest where this is good enough.
     """
-    points = sorted(point(runs) for runs in mpm.values())
+    points = sorted(points)
     if error >= points[0][1]:
         return points[0][0]
     for (cheap, large), (dear, small) in pairwise(points):
@@ -219,8 +224,8 @@ def mpm_seconds(mpm: Mapping[int, Sequence[Measured]], error: float) -> float | 
 
 def price_sentence(model: Model) -> str:
     """What a rollout costs and how far it is off, beside the MPM's seconds for the same error."""
-    seconds, error = point(model.rollouts)
-    same = mpm_seconds(model.mpm, error)
+    seconds, error = model.own
+    same = mpm_seconds(model.points.values(), error)
     cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
     return f"`{model.name}` is off by {error:.1%} in {seconds:.2g} s, {cheaper}"
 
@@ -236,13 +241,11 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(fronts)}.",
         f"One rollout: {'; '.join(map(price_sentence, found))}.",
     ]
-    held = [each for each in found if not isinstance(each.bands, str) and each.bands]
-    if held:
-        parts = [f"{each.held} of {len(each.bands)} fronts (`{each.name}`)" for each in held]
+    if parts := [f"{sum(each.held)} of {len(each.held)} fronts (`{each.name}`)" for each in found if each.held]:
         sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")
     parts = [
         (f"{sum(each.outside.values())} of {len(each.outside)} scenes out of range and of " if each.outside else "")
-        + f"{sum(each.within.values())} of {len(each.within)} in range (`{each.name}`)"
+        + f"{sum(one.warned for one in each.compared)} of {len(each.compared)} in range (`{each.name}`)"
         for each in found
     ]
     sentences.append(f"Cards warn of {'; '.join(parts)}.")
@@ -274,7 +277,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst.
     """)
     for each in found:
-        kinds = [*dict.fromkeys(scene.kind for scene in each.scenes), ALL]
+        kinds = [*dict.fromkeys(one.scene.kind for one in each.compared), ALL]
         result.table([kind_row(each, kind) for kind in kinds])
     result.section("Error over seconds")
     result.text("""
@@ -283,12 +286,11 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         larger of the front's and the profile's, rms over the scenes.
     """)
     for each in found:
-        rows = [(f"MPM, {cells} cells across", point(runs)) for cells, runs in each.mpm.items()]
-        rows.append((f"`{each.name}`", point(each.rollouts)))
+        rows = {f"MPM, {cells} cells across": at for cells, at in each.points.items()} | {f"`{each.name}`": each.own}
         result.table(
             [
                 {f"{each.dimension}D": name, "seconds": f"{seconds:.3g}", "error": f"{error:.1%}"}
-                for name, (seconds, error) in rows
+                for name, (seconds, error) in rows.items()
             ]
         )
     result.section("What it knows of itself, and rest")
@@ -321,17 +323,13 @@ def kind_row(model: Model, kind: str) -> Row:
 
 def self_row(model: Model) -> Row:
     """Bands, warnings and rest of a model."""
-    held, width = "-", "-"
-    if not isinstance(model.bands, str) and model.bands:
-        extents = {scene.name: truth.extent for scene, truth in zip(model.scenes, model.truths, strict=True)}
-        held = f"{model.held} of {len(model.bands)}"
-        width = f"{mean([half / extents[name] for name, (_, half) in model.bands.items()]):.1%}"
+    widths = [each.band[1] / each.extent for each in model.compared if each.band]
     return {
         "model": f"`{model.name}`",
-        "fronts in their bands": held,
-        "half-width over the extent": width,
+        "fronts in their bands": f"{sum(model.held)} of {len(model.held)}" if widths else "-",
+        "half-width over the extent": f"{mean(widths):.1%}" if widths else "-",
         "warned of, out of range": f"{sum(model.outside.values())} of {len(model.outside)}" if model.outside else "-",
-        "warned of, in range": f"{sum(model.within.values())} of {len(model.within)}",
+        "warned of, in range": f"{sum(each.warned for each in model.compared)} of {len(model.compared)}",
         "creep, mean [mm/s]": f"{mean(model.creeps):.2f}",
         "worst [mm/s]": f"{worst(model.creeps):+.2f}",
     }
@@ -347,7 +345,7 @@ def draw(path: Path, found: Sequence[Model]) -> None:
 
 def draw_fronts(axis: Axes, model: Model) -> None:
     """A point for each scene."""
-    kinds = list(dict.fromkeys(each.kind for each in model.scenes))
+    kinds = list(dict.fromkeys(each.scene.kind for each in model.compared))
     for index, kind in enumerate(kinds):
         values = 100.0 * np.array(model.fronts(kind))
         axis.plot(np.full(len(values), index), values, "o", color=ORANGE, markersize=4)
@@ -359,12 +357,11 @@ def draw_fronts(axis: Axes, model: Model) -> None:
 
 def draw_price(axis: Axes, model: Model) -> None:
     """The coarse MPM's curve and the model."""
-    points = {cells: point(runs) for cells, runs in model.mpm.items()}
+    points, (seconds, error) = model.points, model.own
     x, y = zip(*points.values(), strict=True)
     axis.loglog(x, [100.0 * each for each in y], "o-", color=BLUE, label="MPM")
     for cells, at in points.items():
         axis.annotate(f"{cells} cells", (at[0], 100.0 * at[1]), xytext=(3, 4), textcoords="offset points", fontsize=7)
-    seconds, error = point(model.rollouts)
     axis.loglog(seconds, 100.0 * error, "*", ms=11, color=ORANGE, label=model.name)
     axis.set_xlabel("seconds on one thread")
     axis.set_ylabel("error of the deposit [% of its extent]")

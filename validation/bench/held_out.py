@@ -17,6 +17,7 @@ from datasets.definitions import flow2d, obstacle3d
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from gns.score import Deposit
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 
 SEED = 1
@@ -76,56 +77,29 @@ def coarse(scene: Scene, cells: int) -> Scene:
     return dataclasses.replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Deposit:
-    """Where a deposit ends, beside which others are measured."""
+def deposit_of(flow: Trajectory) -> Deposit:
+    """That of a reference: the MPM on fine cells."""
+    return Deposit.of_positions(initial_particles(flow.scene).positions, flow.positions[-1], flow.volumes)
 
-    truth: Trajectory
-    """The MPM's on fine cells; its last frame alone is used."""
-    x: tuple[float, float]
-    """Of its ends, at smaller and at larger x [m]."""
-    side: int
-    """Which of them the flow has moved farther: the front."""
 
-    @staticmethod
-    def of_flow(truth: Trajectory) -> "Deposit":
-        """That of the reference."""
-        start, end = measures.ends(initial_particles(truth.scene).positions), measures.ends(truth.positions[-1])
-        return Deposit(truth=truth, x=end, side=int(end[1] - start[1] >= start[0] - end[0]))
-
-    @property
-    def extent(self) -> float:
-        """Distance of the two ends [m]."""
-        return self.x[1] - self.x[0]
-
-    @property
-    def front(self) -> float:
-        """The x of the front [m]."""
-        return self.x[self.side]
-
-    @property
-    def at_wall(self) -> bool:
-        """Whether the front leans on the wall ahead, which then bounds everyone's."""
-        length = self.truth.scene.domain.size[0]
-        return (length - self.front if self.side == 1 else self.front) < AT_WALL * length
-
-    def errors(self, flow: Trajectory) -> "Errors":
-        """Those of another flow of the same scene."""
-        positions, volume = flow.positions[-1], flow.volumes
-        beyond = measures.ends(positions)[self.side] - self.front
-        apart = measures.transport_distance(positions, volume, self.truth.positions[-1], self.truth.volumes)
-        return Errors(front=(beyond if self.side == 1 else -beyond) / self.extent, profile=apart / self.extent)
+def at_wall(deposit: Deposit, scene: Scene) -> bool:
+    """Whether the front leans on the wall ahead, which then bounds everyone's."""
+    length = scene.domain.size[0]
+    return (length - deposit.front if deposit.side == 1 else deposit.front) < AT_WALL * length
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors of a deposit over the extent of the reference's [-]."""
+    """Errors of a deposit over the extent of the reference's [-], as those of `gns.score.Score`."""
 
     front: float
-    """Of the end that the reference's flow has moved farther, which 99.5 % of the particles are behind; positive where
-    it is farther than the reference's."""
     profile: float
-    """Rms distance along x of equal shares of the two deposits (`datasets.measures.transport_distance`)."""
+
+    @staticmethod
+    def of_flow(flow: Trajectory, reference: Deposit) -> "Errors":
+        """Those of a flow of the same scene."""
+        front, profile = reference.errors(flow.positions[-1], flow.volumes)
+        return Errors(front=front, profile=profile)
 
     @property
     def largest(self) -> float:

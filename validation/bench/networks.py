@@ -35,7 +35,7 @@ def network_rows(*, rounds: int = 3, sizes: int = 3) -> list[dict[str, str]]:
     torch.set_num_threads(1)
     rows = []
     for path in models():
-        simulator = gns.load(path).requires_grad_(False)
+        simulator = gns.load(path)
         # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
         simulator.settings = dataclasses.replace(simulator.settings, body_length=None)
         for length in LENGTHS[simulator.settings.dimension][:sizes]:

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from validation.bench.__main__ import main
-from validation.bench.gns import Measured, Model, draw, mpm_seconds, page
-from validation.bench.held_out import Deposit, Errors, HeldOut, coarse, held_out, out_of_range
+from validation.bench.gns import Compared, Measured, Model, draw, mpm_seconds, page
+from validation.bench.held_out import Errors, HeldOut, at_wall, coarse, deposit_of, held_out, out_of_range
 from validation.report import plots
 
 BLOCK = Scene(
@@ -45,16 +44,16 @@ def stretched(scene: Scene, by: float) -> Trajectory:
 
 
 def test_errors_of_deposits_of_known_length() -> None:
-    truth = Deposit.of_flow(stretched(BLOCK, 2.0))
+    truth = deposit_of(stretched(BLOCK, 2.0))
     assert truth.side == 1
     assert truth.extent == pytest.approx(0.4, rel=0.03)
-    errors = truth.errors(stretched(BLOCK, 2.5))
+    errors = Errors.of_flow(stretched(BLOCK, 2.5), truth)
     assert errors.front == pytest.approx(0.25, rel=0.02)
     # Equal shares at q of the block lie 0.1 q apart: rms 0.1 / sqrt(3) of an extent of 0.4.
     assert errors.profile == pytest.approx(0.25 / math.sqrt(3.0), rel=0.03)
-    assert truth.errors(stretched(BLOCK, 2.0)) == Errors(front=0.0, profile=0.0)
-    assert not truth.at_wall
-    assert Deposit.of_flow(stretched(BLOCK, 4.5)).at_wall
+    assert Errors.of_flow(stretched(BLOCK, 2.0), truth) == Errors(front=0.0, profile=0.0)
+    assert not at_wall(truth, BLOCK)
+    assert at_wall(deposit_of(stretched(BLOCK, 4.5)), BLOCK)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -80,47 +79,46 @@ def test_held_out_scenes_are_of_all_kinds_and_the_same_each_time() -> None:
     assert len({each.to_json() for each in out_of_range().values()}) == len(out_of_range())
 
 
-def model(**changes: Any) -> Model:
+def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
     def measured(seconds: float, front: float) -> Measured:
         return Measured(seconds=seconds, errors=Errors(front=front, profile=0.01))
 
-    scene = HeldOut(kind="column", number=1, scene=BLOCK)
-    parts: dict[str, Any] = {
-        "name": "tiny",
-        "dimension": 2,
-        "scenes": [scene, dataclasses.replace(scene, number=2)],
-        "truths": [Deposit.of_flow(stretched(BLOCK, by)) for by in (2.0, 4.5)],
-        "rollouts": [measured(0.5, -0.04), measured(0.5, 0.04)],
-        "mpm": {cells: [measured(10.0**-index, 0.02 * 2**index)] * 2 for index, cells in enumerate((20, 10, 5))},
-        "creeps": [-0.2],
-        "bands": {"column 1": (0.01, 0.02)},
-        "outside": {"steep": False, "soft": True},
-        "within": {"column 1": False, "column 2": True},
-    }
-    return Model(**parts | changes)
+    mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
+    first = Compared(
+        scene=HeldOut(kind="column", number=1, scene=BLOCK),
+        extent=0.4,
+        free=True,
+        rollout=measured(0.5, -0.04),
+        mpm=mpm,
+        band=(0.01, 0.02) if bands else None,
+        warned=False,
+    )
+    second = dataclasses.replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
+    outside = {"steep": False, "soft": True}
+    return Model(name="tiny", dimension=2, compared=[first, second], creeps=[-0.2], outside=outside)
 
 
 def test_the_price_of_an_error_is_read_off_the_curve() -> None:
-    mpm = model().mpm
-    assert mpm_seconds(mpm, 0.2) == pytest.approx(0.01)
-    assert mpm_seconds(mpm, 0.04) == pytest.approx(0.1)
-    assert mpm_seconds(mpm, 0.04 / math.sqrt(2.0)) == pytest.approx(math.sqrt(0.1))
-    assert mpm_seconds(mpm, 0.001) is None
+    points = model().points.values()
+    assert mpm_seconds(points, 0.2) == pytest.approx(0.0625)
+    assert mpm_seconds(points, 0.04) == pytest.approx(0.25)
+    assert mpm_seconds(points, 0.04 / math.sqrt(2.0)) == pytest.approx(0.5)
+    assert mpm_seconds(points, 0.001) is None
 
 
 def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = str(page([model()], quick=False))
     sentences = [line for line in text.splitlines() if line.startswith("- ")]
     assert "`tiny` 4.0% on average, worst -4.0 % of 1, profiles 1.0%." in sentences[0]
-    assert "off by 4.0% in 0.5 s, a coarse MPM takes 0.1 s for the same error." in sentences[1]
+    assert "off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[1]
     assert "95% bands hold 1 of 1 fronts (`tiny`)." in sentences[2]
     assert "warn of 1 of 2 scenes out of range and of 1 of 2 in range (`tiny`)." in sentences[3]
     assert "creep by at most 0.2 mm/s (`tiny`)." in sentences[4]
     assert "not warned of: steep." in text
-    assert "no coarse MPM is as good" in str(page([model(mpm={5: model().mpm[5]})], quick=False))
-    assert "bands hold" not in str(page([model(bands="no members")], quick=False))
+    assert "no coarse MPM is as good" in str(page([model(resolutions=(5,))], quick=False))
+    assert "bands hold" not in str(page([model(bands=False)], quick=False))
     monkeypatch.setattr(plots, "DPI", 30)
     draw(tmp_path / "gns.png", [model(), model()])
     assert (tmp_path / "gns.png").stat().st_size > 1000
