@@ -109,7 +109,7 @@ def initial_particles(scene: Scene) -> Particles:
             depths.append(depth)
         arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
         own = mass.velocity or (0.0,) * scene.dimension
-        velocities.append(np.array(own if mass.velocities is None else mass.velocities) + arm @ mass.spin.T)
+        velocities.append(np.array(own) + arm @ mass.spin.T)
         gradients.append(np.broadcast_to(mass.spin, (len(offset), *mass.spin.shape)))
         material = scene.material_of(mass)
         if material not in materials:
@@ -164,10 +164,7 @@ def mass_counts(scene: Scene) -> list[int]:
 def mass_volumes(scene: Scene) -> NDArray[np.float64]:
     """Volume of each mass [m^D], exactly that of its shape, shape [masses]."""
     return np.array(
-        [
-            math.prod(mass.size) if mass.kind == "box" else float(filling(scene, mass).volumes.sum())
-            for mass in scene.masses
-        ]
+        [math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses]
     )
 
 
@@ -189,14 +186,12 @@ def mass_centroids(scene: Scene) -> NDArray[np.float64]:
             found.append(np.array(mass.lower) + 0.5 * np.array(mass.size))
         else:
             filled = filling(scene, mass)
-            found.append(filled.volumes @ filled.raised(filled.lattice) / filled.volumes.sum())
+            found.append(filled.raised(filled.lattice).mean(axis=0))
     return np.array(found)
 
 
 def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
     """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
-
-    Particles that a file gives volumes of their own have those (`initial_volumes`), this is their mean.
 
     Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
     """
@@ -213,12 +208,7 @@ def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
 
 def initial_volumes(scene: Scene) -> NDArray[np.float64]:
     """Initial volume of each particle [m^D], shape [N]."""
-    volumes = np.repeat(mass_particle_volumes(scene), counts := mass_counts(scene))
-    for number, mass in enumerate(scene.masses):
-        if isinstance(mass.volume, tuple):
-            first = sum(counts[:number])
-            volumes[first : first + counts[number]] = mass.volume
-    return volumes
+    return np.repeat(mass_particle_volumes(scene), mass_counts(scene))
 
 
 def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
@@ -243,7 +233,6 @@ def warn_if_unresolved(scene: Scene) -> None:
         index
         for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
         if count > 1
-        and mass.kind != "particles"
         and thinnest(scene, mass) < cell - TOLERANCE
         and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
     ]

@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class Mass(Record):
     """
 
     kind: str = "box"
-    """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `particles`."""
+    """`box`, `polygon` (2D), `mesh` (3D) or `layer` (on the ground: terrain, else the floor)."""
     lower: Vector = ()
     """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
     size: Vector = ()
@@ -76,12 +76,6 @@ class Mass(Record):
     """Distance between thicknesses along x and z [m]."""
     outline: Rows | None = None
     """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
-    positions: Rows | None = None
-    """Positions of particles [m], shape [N, D]."""
-    velocities: Rows | None = None
-    """Initial velocities of these particles [m/s], shape [N, D], in place of `velocity`."""
-    volume: float | Vector | None = None
-    """Initial volume of each of these particles, or of all [m^D]; that of the lattice where absent."""
     velocity: Vector | None = None
     """Initial velocity [m/s]; at rest where absent."""
     angular_velocity: float | Vector | None = None
@@ -282,4 +276,11 @@ class Scene(Record):
             data = json_object(text)
         except InputError as error:
             raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
-        return from_mapping(Scene, data)
+        return from_mapping(Scene, stated(data))
+
+
+def stated(value: Any) -> Any:
+    """What a JSON states: without the keys that are null, which are as good as absent."""
+    if isinstance(value, dict):
+        return {key: stated(each) for key, each in value.items() if each is not None}
+    return [stated(each) for each in value] if isinstance(value, list) else value

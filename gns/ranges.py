@@ -116,7 +116,7 @@ def values_of(scene: Scene) -> dict[str, list[float]]:
     extents = [last - first for first, last in zip(low, high, strict=True)]
     rooms = [whole - own for whole, own in zip(scene.domain.size, extents, strict=True)]
     # None of a mass at rest.
-    velocities = [mass.velocities or ((mass.velocity,) if mass.velocity else ()) for mass in masses]
+    velocities = [(mass.velocity,) if mass.velocity else () for mass in masses]
     stresses = [
         each.poisson / (1.0 - each.poisson) if isinstance(mass.k0, str) else mass.k0
         for mass, each in zip(masses, sand, strict=True)
@@ -183,7 +183,7 @@ def terrain(scene: Scene, length: float) -> dict[str, list[float]]:
     if not scene.solids:
         return {}
     spacing = GROUND_SPACING * length
-    elevation, friction = ground_raster(scene, spacing)
+    elevation, friction, _ = ground_raster(scene, spacing)
     rise = max(float(np.abs(np.diff(elevation, axis=axis)).max()) for axis in range(elevation.ndim))
     return {
         "ground_friction": [float(friction.min()), float(friction.max())],

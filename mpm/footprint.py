@@ -77,9 +77,8 @@ def footprint(
     """
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
     volumes = set(mass_particle_volumes(scene).tolist())
-    own = any(isinstance(mass.volume, tuple) for mass in scene.masses)
     varies = any(field.quantity == FRICTION for field in scene.fields)
-    planned = Planned(materials, None if own or len(volumes) > 1 else volumes.pop(), varies)
+    planned = Planned(materials, None if len(volumes) > 1 else volumes.pop(), varies)
     features = features_of([scene], [planned], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, materials)
     steps = substeps * (scene.frames - 1)

@@ -1,8 +1,9 @@
 """Bodies that are no boxes: what shape a mass has, its exact volume, and the particles that fill it.
 
 A body is filled with the lattice of `datasets.particles`, cut by its shape; each of the N particles has the volume of
-the shape over N. A particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows
-the ground: it is laid in x, z and the height above the ground, a shear that keeps volumes.
+the shape over N; that of a layer whose thickness varies is the area times its mean at places half a spacing apart. A
+particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows the ground: it is
+laid in x, z and the height above the ground, a shear that keeps volumes.
 """
 
 import dataclasses
@@ -12,11 +13,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from datasets.errors import InputError
-from datasets.geometry.ground import TOUCHING, elevation, grid_triangles, interpolated
+from datasets.geometry.ground import TOUCHING, elevation, interpolated, plan_axes
+from datasets.geometry.nearest import inside
+from datasets.geometry.planar import check_simple
 from datasets.geometry.shapes import FARTHEST, check_grid, check_ground_line, check_mass, require
+from datasets.geometry.spatial import manifold, outward, sliced
+from datasets.geometry.surface import surface_around
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid
 
@@ -33,9 +40,9 @@ class Filling:
     lattice: Floats
     """Their places [m], shape [N, D]; of a layer y counts from the ground."""
     spacing: Floats
-    """Of the lattice [m], shape [D]; 0 where particles stay where they are."""
-    volumes: Floats
-    """Of each particle [m^D], shape [N]."""
+    """Of the lattice [m], shape [D]."""
+    volume: float
+    """Of the body [m^D], which its particles share evenly."""
     lower: Floats
     """Lower corner of the box around the body [m], shape [D]."""
     upper: Floats
@@ -68,13 +75,9 @@ def with_boxes(scene: Scene) -> tuple[Mass, ...]:
 
 def filling(scene: Scene, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
-    return fill(
-        dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None),
-        scene.domain,
-        tuple(solid for solid in scene.solids if solid.kind == "terrain") if mass.kind == "layer" else (),
-        scene.particle_spacing,
-        key,
-    )
+    shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
+    ground = tuple(solid for solid in scene.solids if solid.kind == "terrain") if mass.kind == "layer" else ()
+    return fill(shape, scene.domain, ground, scene.particle_spacing, key)
 
 
 @lru_cache(maxsize=64)
@@ -84,102 +87,75 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     if mass.kind == "polygon":
         found = polygon(mass, share, key)
     elif mass.kind == "mesh":
-        found = mesh(mass, domain, share, key)
-    elif mass.kind == "layer":
-        found = layer(mass, domain, ground, share, key)
+        found = mesh(mass, share, key)
     else:
-        found = particles(mass, domain, share, key)
+        found = layer(mass, domain, ground, share, key)
     if not len(found.lattice):
         raise InputError(f"expected a body that a lattice of {share:g} m puts particles into, it has none", key=key)
     return found
 
 
-def shared(volume: float, lattice: Floats) -> Floats:
-    """The volume [m^D] of a body shared evenly by its N particles, shape [N]."""
-    return np.full(len(lattice), volume / max(1, len(lattice)))
-
-
 def polygon(mass: Mass, share: float, key: str) -> Filling:
     """A polygon in 2D."""
-    import shapely
-
-    from datasets.geometry.planar import check_simple
-
     vertices = np.array(mass.vertices)
     check_simple(vertices, f"{key}.vertices")
     shape = shapely.Polygon(vertices)
     shapely.prepare(shape)
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
-    lattice = lattice[shapely.contains_xy(shape, lattice[:, 0], lattice[:, 1])]
     return Filling(
-        lattice=lattice,
+        lattice=lattice[shapely.contains_xy(shape, lattice)],
         spacing=spacing,
-        volumes=shared(shape.area, lattice),
+        volume=shape.area,
         lower=lower,
         upper=upper,
-        outside=lambda places: ~np.asarray(shapely.contains_xy(shape, places[:, 0], places[:, 1])),
+        outside=lambda places: ~np.asarray(shapely.contains_xy(shape, places)),
     )
 
 
-def mesh(mass: Mass, domain: Domain, share: float, key: str) -> Filling:
+def mesh(mass: Mass, share: float, key: str) -> Filling:
     """A closed surface of triangles in 3D."""
-    from datasets.geometry.spatial import enclosed_volume, enclosing, outward, sliced
-
     vertices = np.array(mass.vertices)
     triangles = outward(vertices, np.array(mass.triangles, np.int64), f"{key}.triangles")
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     within = sliced(vertices, triangles, lattice)
     # A particle all of whose neighbours in the lattice are in the body stays in it wherever its jitter puts it.
-    counts = [round(float(length / step)) for length, step in zip(upper - lower, spacing, strict=True)]
-    buried = enclosing(within, counts)[within]
-    lattice = lattice[within]
+    counts = np.rint((upper - lower) / spacing).astype(int)
+    buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
     def outside(places: Floats) -> NDArray[np.bool_]:
         found = np.zeros(len(places), bool)
-        found[~buried] = ~inside_mesh(mass, domain.cell, key, places[~buried])
+        found[~buried] = ~inside(surface_around(vertices, triangles), places[~buried])
         return found
 
     return Filling(
-        lattice=lattice,
+        lattice=lattice[within],
         spacing=spacing,
-        volumes=shared(enclosed_volume(vertices, triangles), lattice),
+        volume=manifold(vertices, triangles).volume(),
         lower=lower,
         upper=upper,
         outside=outside,
     )
 
 
-def inside_mesh(mass: Mass, cell: float, key: str, places: Floats) -> NDArray[np.bool_]:
-    """Which places [m], shape [N, 3], lie in a mesh, shape [N]."""
-    from datasets.geometry.nearest import inside
-    from datasets.geometry.surface import surface_in
-
-    # In a box of its own, whose sides it does not reach.
-    vertices = np.array(mass.vertices)
-    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-    solid = Solid(kind="mesh", vertices=tuple(map(tuple, (vertices - lower + 1.0).tolist())), triangles=mass.triangles)
-    own = Domain(size=tuple((upper - lower + 2.0).tolist()), cell=cell)
-    return inside(surface_in(own, (solid,), (key,)), places - lower + 1.0)
-
-
 def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
     """A layer of given vertical thickness on the ground."""
     plan = Plan(mass, domain, key)
-    level = [axis for axis in range(domain.dimension) if axis != 1]
+    level = plan_axes(domain.dimension)
     thickest = float(plan.values.max())
     lattice, spacing = lattice_in(np.insert(plan.lower, 1, 0.0), np.insert(plan.upper, 1, thickest), share)
     flat = lattice[:, level]
     lattice = lattice[plan.contains(flat) & (lattice[:, 1] < plan.thickness(flat))]
-    stations, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
-    stations = stations[plan.contains(stations) & (plan.thickness(stations) > 0.0)]
-    if not len(stations):
+    places, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
+    places = places[plan.contains(places)]
+    thickness = plan.thickness(places)
+    if not thickness.any():
         raise InputError("expected a layer with some thickness in the box, it has none", key=f"{key}.thickness")
-    floor = elevation(ground, domain, stations)
-    top = floor + plan.thickness(stations)
-    inside = top.max() <= domain.size[1] + TOUCHING
-    require(inside, key, f"a layer inside the domain {list(domain.size)}", f"its top at y = {top.max():g}")
+    floor = elevation(ground, domain, places)[thickness > 0.0]
+    top = floor + thickness[thickness > 0.0]
+    fits = top.max() <= domain.size[1] + TOUCHING
+    require(fits, key, f"a layer inside the domain {list(domain.size)}", f"its top at y = {top.max():g}")
 
     def raised(places: Floats) -> Floats:
         moved = places.copy()
@@ -192,7 +168,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
     return Filling(
         lattice=lattice,
         spacing=spacing,
-        volumes=shared(plan.volume, lattice),
+        volume=plan.area * (float(thickness.mean()) if plan.stations else float(plan.values)),
         lower=np.insert(plan.lower, 1, float(floor.min())),
         upper=np.insert(plan.upper, 1, float(top.max())),
         outside=outside,
@@ -205,14 +181,12 @@ class Plan:
     """A layer in plan, in 2D a range of x, in 3D a polygon of x and z; how thick it is there. Raises InputError."""
 
     def __init__(self, mass: Mass, domain: Domain, key: str) -> None:
-        import shapely
-
-        given, self.dimension = mass.thickness, domain.dimension
+        given, spatial = mass.thickness, domain.dimension == 3
         self.stations: tuple[Floats, ...] = ()
         """Where thicknesses are given along each axis in plan [m]; nowhere where it is the same everywhere."""
         self.values: Floats = np.array(given, np.float64) if isinstance(given, float | int) else np.zeros(0)
         """The thickness [m]: a number, or those at the stations."""
-        gridded = isinstance(given, tuple) and self.dimension == 3
+        gridded = isinstance(given, tuple) and spatial
         for name in ("origin", "spacing"):
             grid = "x and z of a grid of thicknesses" if gridded else "no such key without a grid of thicknesses"
             require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", grid, "others")
@@ -220,14 +194,15 @@ class Plan:
             check_grid(mass, given, key, "thickness")
             self.values = np.array(given)
             origin, spacing = mass.origin or (), mass.spacing or ()
-            axes = (origin[k] + spacing[k] * np.arange(self.values.shape[k]) for k in range(2))
-            self.stations = tuple(np.asarray(axis, np.float64) for axis in axes)
+            self.stations = tuple(
+                np.asarray(o + s * np.arange(n)) for o, s, n in zip(origin, spacing, self.values.shape, strict=True)
+            )
         elif isinstance(given, tuple):
             check_ground_line(given, f"{key}.thickness")
             self.stations, self.values = (np.array(given)[:, 0],), np.array(given)[:, 1]
         some = self.values.min() >= 0.0 and 0.0 < self.values.max() <= FARTHEST
         require(some, f"{key}.thickness", "thicknesses in m of at least 0, and some above", f"{self.values.min():g}")
-        size = np.array([length for axis, length in enumerate(domain.size) if axis != 1])
+        size = np.array(domain.size)[plan_axes(domain.dimension)]
         lower, upper = np.zeros_like(size), size
         if self.stations:
             lower = np.maximum(lower, [axis[0] for axis in self.stations])
@@ -237,91 +212,35 @@ class Plan:
             lower, upper = np.maximum(lower, outline.min(axis=0)), np.minimum(upper, outline.max(axis=0))
         if (upper <= lower).any():
             raise InputError("expected a layer that lies in the box, in plan it does not", key=key)
-        self.region = shapely.box(*lower, *upper) if self.dimension == 3 else None
+        self.region = shapely.box(*lower, *upper) if spatial else None
         if self.region is not None and outline is not None:
-            from datasets.geometry.planar import check_simple
-
             check_simple(outline, f"{key}.outline")
             self.region = self.region.intersection(shapely.Polygon(outline))
             if self.region.area <= 0.0:
                 raise InputError("expected an outline that lies in the box", key=f"{key}.outline")
             lower, upper = np.array(self.region.bounds).reshape(2, 2)
+        shapely.prepare(self.region)
         self.lower: Floats = lower
         """Least x, and z, of the layer [m], shape [D - 1]."""
         self.upper: Floats = upper
         """Greatest [m]."""
-        if self.region is not None:
-            shapely.prepare(self.region)
+        self.area = float(upper[0] - lower[0]) if self.region is None else float(self.region.area)
+        """Of the layer in plan [m^2], in 2D its length [m]."""
 
     def contains(self, plan: Floats) -> NDArray[np.bool_]:
         """Which places in plan [m], shape [N, D - 1], are in the layer's outline, shape [N]."""
-        import shapely
-
         if self.region is None:
             return np.asarray(((plan >= self.lower) & (plan <= self.upper)).all(axis=1))
-        return np.asarray(shapely.contains_xy(self.region, plan[:, 0], plan[:, 1]), bool)
+        return np.asarray(shapely.contains_xy(self.region, plan), bool)
 
     def thickness(self, plan: Floats) -> Floats:
         """Thickness [m] at places in plan, shape [N]."""
         if not self.stations:
             return np.full(len(plan), float(self.values))
-        if self.dimension == 2:
+        if self.region is None:
             return np.asarray(np.interp(plan[:, 0], self.stations[0], self.values))
         x, z = self.stations
         return interpolated(x, z, self.values, plan)
-
-    @property
-    def volume(self) -> float:
-        """Volume of the layer [m^D]: thickness, linear between what is given, over the outline."""
-        if self.region is None:
-            (low,), (high,) = self.lower, self.upper
-            if not self.stations:
-                return float((high - low) * self.values)
-            (x,) = self.stations
-            x = np.unique(np.concatenate([[low, high], x[(x > low) & (x < high)]]))
-            return float(np.trapezoid(self.thickness(x[:, None]), x))
-        if not self.stations:
-            return float(self.region.area * self.values)
-        return self.gridded_volume()
-
-    def gridded_volume(self) -> float:
-        """The volume over the part of each triangle of the grid that is in the outline: area times mean height."""
-        import shapely
-
-        nodes = np.stack([*np.meshgrid(*self.stations, indexing="ij"), self.values], axis=-1).reshape(-1, 3)
-        halves = nodes[grid_triangles(self.values)[:, [0, 2, 1]]]
-        halves = halves[halves[..., 2].any(axis=1)]
-        parts = shapely.intersection(shapely.polygons(halves[..., :2]), self.region)
-        area, centre = shapely.area(parts), shapely.centroid(parts)
-        kept = area > 0.0
-        plan = np.stack([shapely.get_x(centre[kept]), shapely.get_y(centre[kept])], axis=1)
-        # The height of a triangle is linear: its mean over a part is that at the part's centroid.
-        first, edges = halves[kept][:, 0], halves[kept][:, 1:] - halves[kept][:, :1]
-        share = np.linalg.solve(edges[:, :, :2].swapaxes(1, 2), (plan - first[:, :2])[..., None])[..., 0]
-        height = first[:, 2] + (share * edges[:, :, 2]).sum(axis=1)
-        return float((area[kept] * height).sum())
-
-
-def particles(mass: Mass, domain: Domain, share: float, key: str) -> Filling:
-    """Particles where a file has them."""
-    positions, size = np.array(mass.positions, np.float64), np.array(domain.size)
-    for index in np.flatnonzero(((positions < -TOUCHING) | (positions > size + TOUCHING)).any(axis=1)):
-        expected = f"positions inside the domain {list(domain.size)}"
-        require(False, f"{key}.positions[{index}]", expected, positions[index].tolist())
-    given = np.asarray(share**domain.dimension if mass.volume is None else mass.volume, np.float64)
-    require(given.ndim == 0 or len(given) == len(positions), f"{key}.volume", f"{len(positions)} volumes", given.size)
-    ok = bool(((given > 0.0) & (given <= FARTHEST)).all())
-    require(ok, f"{key}.volume", f"positive volumes in m^{domain.dimension}", "others")
-    volumes = np.broadcast_to(given, len(positions)).copy()
-    half = 0.5 * (volumes ** (1.0 / domain.dimension))[:, None]
-    return Filling(
-        lattice=positions,
-        spacing=np.zeros(domain.dimension),
-        volumes=volumes,
-        lower=np.maximum((positions - half).min(axis=0), 0.0),
-        upper=np.minimum((positions + half).max(axis=0), domain.size),
-        outside=lambda moved: np.zeros(len(moved), bool),
-    )
 
 
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:

@@ -20,34 +20,26 @@ CLOSING = 1.0e-6
 OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
 
 
+def plan_axes(dimension: int) -> list[int]:
+    """The level axes: x and, in 3D, z."""
+    return list(range(0, dimension, 2))
+
+
 def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats:
     """Elevation [m] of the highest terrain, or of the floor y = 0, at places in plan [m], [N, D - 1]; shape [N]."""
     return highest(solids, domain, plan, 0.0)[0]
 
 
-def ground_raster(scene: Scene, spacing: float) -> tuple[Floats, Floats]:
-    """Elevation [m] and Coulomb coefficient [-] of the ground of `scene`, `spacing` [m] apart from the box's corner on.
+def ground_raster(scene: Scene, spacing: float) -> tuple[Floats, Floats, Integers]:
+    """`highest` of a scene at places `spacing` [m] apart, from the box's corner on; each of shape [X], in 3D [X, Z].
 
-    Both of shape [X], in 3D [X, Z], to the first place at or beyond the end of the box. Where no terrain is, it is the
-    floor.
+    To the first place at or beyond the end of the box.
     """
-    height, friction, _ = raster(scene, spacing)
-    return height, friction
-
-
-def topmost(scene: Scene, spacing: float) -> Integers:
-    """Number of the solid that is the ground at each place of `ground_raster`, -1 for the floor; shape [X(, Z)]."""
-    return raster(scene, spacing)[2]
-
-
-def raster(scene: Scene, spacing: float) -> tuple[Floats, Floats, Integers]:
-    """`highest` of a scene at places `spacing` [m] apart, each of shape [X(, Z)]."""
-    lengths = [length for axis, length in enumerate(scene.domain.size) if axis != 1]
-    axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths]
-    grids = np.meshgrid(*axes, indexing="ij")
-    plan = np.stack([grid.ravel() for grid in grids], axis=1)
-    height, friction, top = highest(scene.solids, scene.domain, plan, scene.floor_friction)
-    shape = grids[0].shape
+    lengths = np.array(scene.domain.size)[plan_axes(scene.dimension)]
+    axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths.tolist()]
+    plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    shape, places = plan.shape[:-1], plan.reshape(-1, len(axes))
+    height, friction, top = highest(scene.solids, scene.domain, places, scene.floor_friction)
     return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
 
 
@@ -99,13 +91,11 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats,
     return axes[0], axes[1], heights, friction
 
 
-def check_covers(
-    at: Floats, name: str, length: float, slack: float, key: str, *, what: str = "ground", where: str = ""
-) -> None:
+def check_covers(at: Floats, name: str, length: float, slack: float, key: str, *, what: str = "ground") -> None:
     """Raise InputError unless coordinates [m] go from 0 to `length`, or to within `slack` of both."""
     if at[0] > slack + TOUCHING or at[-1] < length - slack - TOUCHING:
         expected = f"expected {what} over the whole box, {name} from 0 to {length:g} or within a cell of it"
-        raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", where=where, key=key)
+        raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=key)
 
 
 def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:

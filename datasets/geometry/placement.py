@@ -3,23 +3,32 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry.bodies import Plan, filling, inside_mesh, lattice_in
-from datasets.geometry.ground import CLOSING, TOUCHING, elevation
-from datasets.geometry.surface import Surface, solids_of, surface_in, surface_of
+from datasets.geometry import spatial
+from datasets.geometry.bodies import Plan, filling, lattice_in
+from datasets.geometry.ground import CLOSING, TOUCHING, elevation, plan_axes
+from datasets.geometry.nearest import inside
+from datasets.geometry.surface import (
+    CORNERS,
+    FACES,
+    Surface,
+    body_of,
+    solids_of,
+    surface_around,
+    surface_in,
+    surface_of,
+)
 from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
 
 Floats = NDArray[np.float64]
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""
-PAIRS = 4_000_000
-"""Pairs of a place and a face that are looked at together."""
 
 
 def check_overlaps(scene: Scene) -> None:
@@ -71,53 +80,29 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
 
 
 def overlaps_solid(scene: Scene, mass: Mass, solid: Solid, key: str) -> bool:
-    """Whether a mass shares volume with a solid: boxes, polygons and meshes exactly, others by their particles."""
-    if mass.kind == "layer" and solid.kind == "terrain":
-        return False  # it lies on the highest terrain
-    if mass.kind in ("layer", "particles"):
-        return bool(in_solid(solid, key, scene.domain, lattice_of(scene, mass)).any())
-    shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
-    return shapes_overlap(shape, solid, key, scene.domain)
-
-
-def in_solid(solid: Solid, key: str, domain: Domain, places: Floats) -> NDArray[np.bool_]:
-    """Which of N places [m], shape [N, D], lie in a solid, shape [N]."""
-    from datasets.geometry.nearest import inside
-
+    """Whether a mass shares volume with a solid: boxes, polygons and meshes exactly, a layer by its particles."""
+    if mass.kind != "layer":
+        shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
+        return shapes_overlap(shape, solid, key, scene.domain)
     if solid.kind == "terrain":
-        level = [axis for axis in range(domain.dimension) if axis != 1]
-        return np.asarray(places[:, 1] < elevation((solid,), domain, places[:, level]) - TOUCHING)
-    return inside(surface_in(domain, (solid,), (key,)), places)
+        return False  # it lies on the highest terrain
+    return bool(inside(surface_in(scene.domain, (solid,), (key,)), lattice_of(scene, mass)).any())
 
 
 @lru_cache(maxsize=256)
 def shapes_overlap(mass: Mass, solid: Solid, key: str, domain: Domain) -> bool:
     """Whether a box, a polygon or a mesh of material shares more than a margin of rounding with a solid."""
-    margin = 10.0 * TOUCHING
+    margin, other = 10.0 * TOUCHING, body_of(solid, key, domain)
     if domain.dimension == 2:
-        import shapely
-
-        from datasets.geometry.planar import ring_of
-
         box = shapely.box(*mass.lower, *np.add(mass.lower, mass.size))
         shape = shapely.Polygon(mass.vertices) if mass.kind == "polygon" else box
-        return bool(shape.buffer(-margin).intersects(shapely.Polygon(ring_of(solid, key, domain).points)))
-    from datasets.geometry import spatial
-
-    other = spatial.body_of(solid, key, domain)
-    body = mass_manifold(mass)
-    return bool((body ^ spatial.manifold(other.vertices, other.triangles)).volume() > margin * body.surface_area())
-
-
-def mass_manifold(mass: Mass) -> Any:
-    """A box or a mesh of material for the operations of manifold3d."""
-    from datasets.geometry import spatial
-
-    if mass.kind == "box":
-        vertices = np.array(mass.lower) + spatial.CUBE * np.array(mass.size)
-        return spatial.manifold(vertices, spatial.CUBE_TRIANGLES)
-    vertices = np.array(mass.vertices)
-    return spatial.manifold(vertices, spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses"))
+        return bool(shape.buffer(-margin).intersects(shapely.Polygon(other.vertices)))
+    vertices, faces = np.array(mass.lower) + CORNERS[3] * np.array(mass.size), FACES[3]
+    if mass.kind == "mesh":
+        vertices = np.array(mass.vertices)
+        faces = spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses")
+    body = spatial.manifold(vertices, faces)
+    return bool((body ^ spatial.manifold(other.vertices, other.faces)).volume() > margin * body.surface_area())
 
 
 def lattice_of(scene: Scene, mass: Mass) -> Floats:
@@ -130,21 +115,17 @@ def lattice_of(scene: Scene, mass: Mass) -> Floats:
 
 
 def contains(scene: Scene, mass: Mass, places: Floats) -> NDArray[np.bool_]:
-    """Which of N places [m], shape [N, D], lie in a body; none in single particles."""
+    """Which of N places [m], shape [N, D], lie in a body, shape [N]."""
     low, high = np.array(mass.lower) + TOUCHING, np.add(mass.lower, mass.size) - TOUCHING
     found = np.asarray(((places > low) & (places < high)).all(axis=1))
-    if mass.kind == "particles" or not found.any():
-        return np.zeros(len(places), bool)
     here = places[found]
     if mass.kind == "polygon":
-        import shapely
-
-        found[found] = shapely.contains_xy(shapely.Polygon(mass.vertices), here[:, 0], here[:, 1])
+        found[found] = shapely.contains_xy(shapely.Polygon(mass.vertices), here)
     elif mass.kind == "mesh":
-        found[found] = inside_mesh(mass, scene.domain.cell, "masses", here)
+        found[found] = inside(surface_around(np.array(mass.vertices), np.array(mass.triangles)), here)
     elif mass.kind == "layer":
         plan = Plan(mass, scene.domain, "masses")
-        level = here[:, [axis for axis in range(scene.dimension) if axis != 1]]
+        level = here[:, plan_axes(scene.dimension)]
         above = here[:, 1] - elevation(scene.solids, scene.domain, level)
         found[found] = plan.contains(level) & (above > 0.0) & (above < plan.thickness(level))
     return found
@@ -170,7 +151,7 @@ def heights_above_ground(scene: Scene) -> Floats:
     """
     count, shaped = len(scene.masses), has_shapes(scene)
     lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
-    level = [axis for axis in range(scene.dimension) if axis != 1]
+    level = plan_axes(scene.dimension)
     over = (lower[:, None, level] + TOLERANCE < upper[None][:, :, level]).all(axis=-1)
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
@@ -186,12 +167,12 @@ def heights_above_ground(scene: Scene) -> Floats:
 
 def heights_above_solids(scene: Scene) -> Floats:
     """Height [m] of the underside of each mass above the highest solid beneath it, or the floor; shape [masses]."""
-    surface = surface_of(scene)
+    surface, cell = surface_of(scene), scene.domain.cell
     heights = np.zeros(len(scene.masses))
     for index, mass in enumerate(scene.masses):
         if mass.kind != "layer":
             places = underside(scene, mass)
-            tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, scene.domain.cell)
+            tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, 10.0 * CLOSING * cell)
             heights[index] = max(0.0, float((places[:, 1] - tops).min()))
     return heights
 
@@ -199,7 +180,7 @@ def heights_above_solids(scene: Scene) -> Floats:
 def underside(scene: Scene, mass: Mass) -> Floats:
     """Places on the underside of a body [m], shape [N, D]."""
     low, size = np.array(mass.lower), np.array(mass.size)
-    level = [axis for axis in range(scene.dimension) if axis != 1]
+    level = plan_axes(scene.dimension)
     step = np.maximum(0.5 * scene.domain.cell, size / SAMPLES)[level]
     if mass.kind == "box":
         counts = [max(2, round(length / each) + 1) for length, each in zip(size[level], step, strict=True)]
@@ -213,29 +194,24 @@ def underside(scene: Scene, mass: Mass) -> Floats:
     return np.asarray(places[order][np.unique(column, axis=0, return_index=True)[1]])
 
 
-def tops_beneath(surface: Surface, points: Floats, cell: float) -> Floats:
-    """Elevation [m] of the highest place of the surface at or beneath each point, 0 where there is none; shape [N]."""
+def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:
+    """Elevation [m] of the highest place of the surface at or beneath each place [m], shape [N, D]; shape [N].
+
+    Of those up to `slack` [m] above it too, and 0, the floor's, where there is none.
+    """
+    level = plan_axes(surface.dimension)
     # Not more than rounding: the sides of a turned box have no area in plan.
     up = surface.normals[:, 1] > 1.0e-9
-    corners = surface.corners[up]
-    flat = [axis for axis in range(surface.dimension) if axis != 1]
-    tops = np.zeros(len(points))
-    portion = max(1, PAIRS // max(1, len(corners)))
-    for first in range(0, len(points), portion):
-        some = points[first : first + portion]
-        offset = some[:, None, flat] - corners[None, :, 0, flat]
-        edges = (corners[:, 1:] - corners[:, :1])[..., flat]
-        if surface.dimension == 2:
-            shares = [offset[..., 0] / edges[:, 0, 0]]
-        else:
-            area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-            shares = [
-                (offset[..., 0] * edges[:, 1, 1] - offset[..., 1] * edges[:, 1, 0]) / area,
-                (offset[..., 1] * edges[:, 0, 0] - offset[..., 0] * edges[:, 0, 1]) / area,
-            ]
-        over = (np.stack(shares) >= -1.0e-9).all(axis=0) & (sum(shares) <= 1.0 + 1.0e-9)
-        rise = corners[:, 1:, 1] - corners[:, :1, 1]
-        y = corners[:, 0, 1] + sum(share * rise[:, k] for k, share in enumerate(shares))
-        beneath = over & (y <= some[:, 1:2] + 10.0 * CLOSING * cell)
-        tops[first : first + portion] = np.where(beneath, y, 0.0).max(axis=1, initial=0.0)
+    corners, normals, plan = surface.corners[up], surface.normals[up], places[:, level]
+    if surface.dimension == 2:
+        plan, flat = np.insert(plan, 1, 0.0, axis=1), np.insert(corners[..., level], 1, 0.0, axis=2)
+        seen = shapely.linestrings(flat)
+    else:
+        seen = shapely.polygons(corners[..., level])
+    place, face = shapely.STRtree(seen).query(shapely.points(plan), predicate="dwithin", distance=TOUCHING)
+    offset = places[place][:, level] - corners[face, 0][:, level]
+    y = corners[face, 0, 1] - (offset * normals[face][:, level]).sum(axis=1) / normals[face, 1]
+    beneath = y <= places[place, 1] + slack
+    tops = np.zeros(len(places))
+    np.maximum.at(tops, place[beneath], y[beneath])
     return tops

@@ -1,4 +1,4 @@
-"""Fields over the plan from files: ESRI ASCII and GeoTIFF rasters, and CSV with columns x, z and a value.
+"""Fields over the plan from files: ESRI ASCII and GeoTIFF rasters.
 
 Plan coordinates are x, to the east, and z, to the north. A raster's values stand at the centres of its cells; by
 default the lower left corner of its extent becomes the corner x = 0, z = 0 of the box.
@@ -15,15 +15,10 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.memory import require
-from datasets.reading import file_size, read_columns, reading
+from datasets.reading import file_size, reading
 
 Floats = NDArray[np.float64]
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
-"""Units of lengths in a CSV, in metres."""
-RASTERS = (".asc", ".tif", ".tiff")
-REGULAR = 1.0e-6
-"""Largest difference between two spacings of a regular grid, over the spacing."""
 LARGEST = 2**30
 """Bytes of a raster's file."""
 VALUE = 32
@@ -43,11 +38,9 @@ class Raster:
     values: Floats
     """NaN in holes, shape [X, Z]."""
     corner: tuple[float, float]
-    """Lower left corner of the extent in the file's own coordinates [m]; (0, 0) of a CSV."""
-    extra: Floats | None = None
-    """Another column of a CSV on the same grid, shape [X, Z]."""
+    """Lower left corner of the extent in the file's own coordinates [m]."""
     crs: str | None = None
-    """Coordinate reference system of a raster, as an authority's code or in WKT, where it names one."""
+    """Coordinate reference system, as an authority's code or in WKT, where it names one."""
 
     def moved(self, offset: tuple[float, float]) -> "Raster":
         """The field at other coordinates."""
@@ -61,32 +54,14 @@ class Raster:
             high = min(len(coordinates), int(np.searchsorted(coordinates, length + margin)) + 1)
             parts.append(slice(min(low, len(coordinates) - 2), max(high, low + 2)))
         i, k = parts
-        extra = None if self.extra is None else self.extra[i, k]
-        return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k], extra=extra)
+        return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k])
 
-    def check_whole(self, path: Path) -> None:
+    def check_whole(self) -> None:
         """Raise InputError for a field with holes."""
         holes = np.argwhere(np.isnan(self.values))
         for i, k in holes[:1]:
             where = f"{len(holes)} cells without data, the first at x = {self.x[i]:g}, z = {self.z[k]:g}"
-            raise InputError(f"expected a raster without holes in the box, got {where}", where=str(path))
-
-
-def read_field(path: Path, column: str, unit: str = "m", extra: str | None = None) -> Raster:
-    """A field from a raster or from the columns x, z and `column` of a CSV. Raises InputError, which names the file.
-
-    unit: of the lengths in a CSV; extra: another column of a CSV, if it is there.
-    """
-    try:
-        if path.suffix.lower() in RASTERS:
-            if unit != "m":
-                raise InputError(f"expected a raster in metres, not in {unit}")
-            return read_raster(path)
-        if path.suffix.lower() == ".csv":
-            return gridded(read_columns(path, ("x", "z", column), (extra,) if extra else ()), column, unit, extra)
-        raise InputError(f"expected a raster ({', '.join(RASTERS)}) or a CSV")
-    except InputError as error:
-        raise error.at(str(path)) from None
+            raise InputError(f"expected a raster without holes in the box, got {where}")
 
 
 def read_raster(path: Path) -> Raster:
@@ -135,31 +110,3 @@ def check_units(crs: Any, unit: str | None) -> None:
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     if name.lower() not in METRES:
         raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
-
-
-def gridded(columns: dict[str, Floats], column: str, unit: str, extra: str | None) -> Raster:
-    """Rows x, z, value as a regular grid, with holes where rows are missing. Raises InputError for rows not on one."""
-    x, i = np.unique(columns["x"], return_inverse=True)
-    z, k = np.unique(columns["z"], return_inverse=True)
-    if min(len(x), len(z)) < 2:
-        raise InputError("expected rows on a grid of at least 2 x 2 places in x and z")
-    for name, coordinates in (("x", x), ("z", z)):
-        steps = np.diff(coordinates)
-        if steps.max() - steps.min() > REGULAR * steps.max():
-            raise InputError(f"expected a regular grid, {name} has steps of {steps.min():g} and of {steps.max():g}")
-    if len(np.unique(i * len(z) + k)) < len(i):
-        raise InputError("expected each place once, some are there twice")
-
-    def grid(values: Floats) -> Floats:
-        found = np.full((len(x), len(z)), np.nan)
-        found[i, k] = values
-        return found
-
-    metres = UNITS[unit]
-    return Raster(
-        x=metres * x,
-        z=metres * z,
-        values=metres * grid(columns[column]),
-        corner=(0.0, 0.0),
-        extra=grid(columns[extra]) if extra and extra in columns else None,
-    )

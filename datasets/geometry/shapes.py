@@ -19,17 +19,15 @@ MASSES: dict[tuple[str, int], tuple[str, ...]] = {
     ("box", 2): (),
     ("polygon", 2): ("vertices",),
     ("layer", 2): ("thickness",),
-    ("particles", 2): ("positions",),
     ("box", 3): (),
     ("mesh", 3): ("vertices", "triangles"),
     ("layer", 3): ("thickness",),
-    ("particles", 3): ("positions",),
 }
 """Keys that a kind of mass needs, beside the box around it, which a scene works out where it is no box itself."""
 OPTIONAL = {
-    "terrain": ("corner", "crs"),
-    "layer": ("origin", "spacing", "outline"),
-    "particles": ("velocities", "volume"),
+    ("terrain", 3): ("corner", "crs"),
+    ("layer", 2): ("outline",),
+    ("layer", 3): ("origin", "spacing", "outline"),
 }
 """Keys that a kind may have."""
 CONTACTS = ("coulomb", "no-slip")
@@ -52,7 +50,7 @@ def check_keys(shape: Solid | Mass, table: Mapping[tuple[str, int], tuple[str, .
     """Raise InputError unless a solid or a mass has the keys that its kind needs, and none of another kind."""
     kinds = [kind for kind, axes in table if axes == dimension]
     require(shape.kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(shape.kind))
-    needed, optional = table[shape.kind, dimension], OPTIONAL.get(shape.kind, ())
+    needed, optional = table[shape.kind, dimension], OPTIONAL.get((shape.kind, dimension), ())
     every = set(itertools.chain(*table.values(), *OPTIONAL.values()))
     for name in sorted(name for name in every if hasattr(shape, name)):
         given = getattr(shape, name) is not None
@@ -114,13 +112,6 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
         check_triangles(solid, key)
     if solid.heights is not None:
         check_grid(solid, solid.heights, key, "heights")
-    for name in ("corner", "crs"):
-        require(
-            not getattr(solid, name) or solid.heights is not None,
-            f"{key}.{name}",
-            "no such key but of a terrain in 3D",
-            "one",
-        )
     if solid.corner is not None:
         check_vector(solid.corner, f"{key}.corner", 2)
     check_friction(solid, key)
@@ -155,15 +146,9 @@ def check_friction(solid: Solid, key: str) -> None:
 def check_mass(mass: Mass, key: str, dimension: int) -> None:
     """Raise InputError for a mass that is no box and whose keys give no shape in `dimension` dimensions."""
     check_keys(mass, MASSES, key, dimension)
-    for name, least in (("vertices", dimension + 1), ("positions", 1), ("velocities", 1)):
-        rows = getattr(mass, name)
-        if rows is not None:
-            check_rows(rows, f"{key}.{name}", dimension, least=least)
+    if mass.vertices is not None:
+        check_rows(mass.vertices, f"{key}.vertices", dimension, least=dimension + 1)
     if mass.triangles is not None:
         check_triangles(mass, key)
     if mass.outline is not None:
         check_rows(mass.outline, f"{key}.outline", dimension - 1, least=dimension)
-    if mass.velocities is not None:
-        same = len(mass.velocities) == len(mass.positions or ())
-        require(same, f"{key}.velocities", "one for each position", len(mass.velocities))
-        require(mass.velocity is None, f"{key}.velocity", "no velocity of the whole beside those of particles", "one")

@@ -1,18 +1,13 @@
-"""Solids in three dimensions: each as a closed surface of triangles, and the boundary of their union."""
-
-import itertools
-from dataclasses import dataclass
-from typing import Any
+"""Solids in three dimensions by manifold3d: closed triangles, what of them goes on beyond the box, their union."""
 
 import manifold3d
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from datasets.errors import InputError
-from datasets.geometry.ground import BEYOND, CLOSING, OUTSIDE, TOUCHING, grid_triangles, ground_grid
-from datasets.geometry.planar import turned, unit
+from datasets.geometry.closed import Body, pseudonormals
+from datasets.geometry.ground import BEYOND, OUTSIDE, TOUCHING, grid_triangles, ground_grid
 from datasets.scene import Domain, Solid
 
 Floats = NDArray[np.float64]
@@ -20,53 +15,6 @@ Integers = NDArray[np.int64]
 
 FLAT = 1.0e-6
 """What makes the place of a vertex between faces of one plane unique [-]."""
-CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
-"""Corners of the unit cube; the last coordinate changes fastest."""
-CUBE_TRIANGLES = np.array(
-    [
-        *([0, 1, 3], [0, 3, 2]),  # x = 0
-        *([4, 6, 7], [4, 7, 5]),  # x = 1
-        *([0, 4, 5], [0, 5, 1]),  # y = 0
-        *([2, 3, 7], [2, 7, 6]),  # y = 1
-        *([0, 2, 6], [0, 6, 4]),  # z = 0
-        *([1, 5, 7], [1, 7, 3]),  # z = 1
-    ]
-)
-"""Its faces, anticlockwise from outside."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Body:
-    """The surface of a solid, closed."""
-
-    vertices: Floats
-    """[m], shape [V, 3]."""
-    triangles: Integers
-    """Vertices of each triangle, anticlockwise from outside, shape [T, 3]."""
-    friction: Floats
-    """Coulomb coefficient at each vertex [-], shape [V]."""
-    key: str
-    """Where the solid stands in the scene, such as `solids[0]`."""
-
-
-def body_of(solid: Solid, key: str, box: Domain) -> Body:
-    """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
-    if solid.kind == "terrain":
-        return ground_body(solid, key, box)
-    if solid.kind == "box":
-        low, size = np.array(solid.lower), np.array(solid.size)
-        vertices, triangles = low + CUBE * size, CUBE_TRIANGLES
-        if solid.turned_deg != 0.0:
-            vertices[:, ::2] = turned(vertices[:, ::2], (low + 0.5 * size)[::2], solid.turned_deg)
-    else:
-        vertices, triangles = np.array(solid.vertices), np.array(solid.triangles, np.int64)
-        triangles = outward(vertices, triangles, f"{key}.triangles")
-    assert isinstance(solid.friction, int | float)
-    body = Body(vertices=vertices, triangles=triangles, friction=np.full(len(vertices), solid.friction), key=key)
-    # The floor last.
-    for axis, side in itertools.product((0, 2, 1), (0, 1)):
-        body = continued(body, axis, side, box)
-    return body
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
@@ -90,34 +38,35 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     """All that lies below a height field, some cells beyond the box; it goes on level, or straight from a side."""
     x, z, heights, friction = ground_grid(solid, key, box)
-    count = len(x) * len(z)
     deep = min(0.0, float(heights.min())) - BEYOND * box.cell
     plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
-    number = np.arange(count).reshape(len(x), len(z))
+    number = np.arange(len(top)).reshape(len(x), len(z))
     # Around the edge once, then down to a floor far below that fans from one corner.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
-    below = count + np.arange(len(rim))
-    after, below_after = np.roll(rim, -1), np.roll(below, -1)
+    below = len(top) + np.arange(len(rim))
     bottom = top[rim] * [1.0, 0.0, 1.0] + [0.0, deep, 0.0]
-    skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
-    middle = count + len(rim)
-    floor = np.stack([below, below_after, np.full(len(rim), middle)], axis=1)
+    floor = np.stack([below, np.roll(below, -1), np.full(len(rim), len(top) + len(rim))], axis=1)
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
+    skirt = walls(rim, np.roll(rim, -1), below, np.roll(below, -1))
     return Body(
         vertices=np.concatenate([top, bottom, centre]),
-        triangles=np.concatenate([grid_triangles(heights), skirt, floor]),
+        faces=np.concatenate([grid_triangles(heights), skirt, floor]),
         friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
         key=key,
     )
 
 
+def walls(a: Integers, b: Integers, c: Integers, d: Integers) -> Integers:
+    """The triangles between edges a-b and their copies c-d beyond, shape [2 E, 3]."""
+    return np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+
+
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     """The body cut off at a side of the box (0 or 1 of `axis`) and continued straight beyond, where it reaches it."""
     limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
-    vertices, triangles, friction = body.vertices.copy(), body.triangles, body.friction
-    near = np.abs(vertices[:, axis] - limit) <= TOUCHING
-    vertices[near, axis] = limit
+    vertices, triangles, friction = body.vertices.copy(), body.faces, body.friction
+    vertices[np.abs(vertices[:, axis] - limit) <= TOUCHING, axis] = limit
     height = out * (vertices[:, axis] - limit)
     if height.max() < 0.0:
         return body
@@ -130,8 +79,7 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
         mesh = part.to_mesh64()
         vertices, triangles = np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
         friction = np.full(len(vertices), friction[0])
-        near = np.abs(vertices[:, axis] - limit) <= TOUCHING
-        vertices[near, axis] = limit
+        vertices[np.abs(vertices[:, axis] - limit) <= TOUCHING, axis] = limit
     on_side = (vertices[triangles][..., axis] == limit).all(axis=1)
     if not on_side.any():
         return body
@@ -145,10 +93,9 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     known = {tuple(edge) for edge in edges.tolist()}
     rim = np.array([(b, a) not in known for a, b in edges.tolist()])
     (a, b), (c, d) = edges[rim].T, ends[rim].T
-    skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
     return Body(
         vertices=np.concatenate([vertices, moved]),
-        triangles=np.concatenate([triangles[~on_side], renamed, skirt]),
+        faces=np.concatenate([triangles[~on_side], renamed, walls(a, b, c, d)]),
         friction=np.concatenate([friction, friction[used]]),
         key=body.key,
     )
@@ -161,38 +108,14 @@ def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = No
     return manifold3d.Manifold(mesh)
 
 
-def boundary(solids: list[Body], box: Domain) -> dict[str, NDArray[Any]]:
-    """The boundary of the union of `solids` as triangles; touching solids are one.
-
-    The arrays of `datasets.geometry.surface.Surface` by their names, but for contact without slip and adhesion.
-    """
-    if len(solids) == 1:
-        (body,) = solids
-        vertices, triangles, friction = body.vertices, body.triangles, body.friction[body.triangles]
-        owner = np.zeros(len(triangles), np.int32)
-    else:
-        vertices, triangles, friction, owner = union(solids, CLOSING * box.cell)
-    normals, corner_normals, edge_normals = pseudonormals(vertices, triangles)
-    found: dict[str, NDArray[Any]] = {
-        "corners": vertices[triangles],
-        "normals": normals,
-        "corner_normals": corner_normals,
-        "edge_normals": edge_normals,
-        "solid": owner,
-        "friction": friction,
-    }
-    # Triangles without area have no normal.
-    return {name: values[normals.any(axis=1)] for name, values in found.items()}
-
-
-def union(solids: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
-    """Vertices [V, 3], triangles [T, 3], friction at their corners [T, 3] and the body of each [T].
+def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+    """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
 
     Every body grows by `gap`, so that those that touch but for rounding share volume.
     """
     parts, numbers = [], {}
-    for number, body in enumerate(solids):
-        part = manifold(grown(body, gap), body.triangles, body.friction).as_original()
+    for number, body in enumerate(bodies):
+        part = manifold(grown(body, gap), body.faces, body.friction).as_original()
         if part.status() != manifold3d.Error.NoError:
             raise InputError("expected a closed surface that does not cross itself", key=body.key)
         parts.append(part)
@@ -215,42 +138,13 @@ def grown(body: Body, gap: float) -> Floats:
 
     A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
     """
-    normals, _, _ = pseudonormals(body.vertices, body.triangles)
+    normals, _, _ = pseudonormals(body.vertices, body.faces)
     matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
     for corner in range(3):
-        np.add.at(matrix, body.triangles[:, corner], normals[:, :, None] * normals[:, None, :])
-        np.add.at(right, body.triangles[:, corner], gap * normals)
+        np.add.at(matrix, body.faces[:, corner], normals[:, :, None] * normals[:, None, :])
+        np.add.at(right, body.faces[:, corner], gap * normals)
     matrix += FLAT * np.eye(3)
     return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
-
-
-def pseudonormals(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats, Floats]:
-    """Unit normals of the triangles [T, 3], 0 of one without area, of their corners and of their edges, both [T, 3, 3].
-
-    A corner's is the sum of the normals around its vertex, weighted by their angles there, an edge's that of its two
-    (Baerentzen & Aanaes 2005).
-    """
-    corners = vertices[triangles]
-    edges = np.roll(corners, -1, axis=1) - corners
-    across = np.cross(edges[:, 0], edges[:, 1])
-    longest = (edges * edges).sum(-1).max(axis=1)
-    across[np.linalg.norm(across, axis=1) <= 1.0e-14 * longest] = 0.0
-    normals = unit(across)
-    ahead, back = unit(edges), -unit(np.roll(edges, 1, axis=1))
-    angles = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=-1), (ahead * back).sum(-1))
-    at_vertex = np.zeros_like(vertices)
-    np.add.at(at_vertex, triangles, angles[..., None] * normals[:, None])
-    pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    _, edge = np.unique(pairs, axis=0, return_inverse=True)
-    at_edge = np.zeros((int(edge.max()) + 1, 3))
-    np.add.at(at_edge, edge.ravel(), np.repeat(normals, 3, axis=0))
-    return normals, unit(at_vertex)[triangles], unit(at_edge)[edge.ravel()].reshape(-1, 3, 3)
-
-
-def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
-    """Volume [m^3] inside a closed surface whose triangles face outwards."""
-    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
-    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
 
 
 def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
@@ -265,9 +159,3 @@ def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np
             # A ring inside another one is a hole.
             within[here] ^= np.asarray(shapely.contains_xy(ring, lattice[here, 0], lattice[here, 2]), bool)
     return within
-
-
-def enclosing(within: NDArray[np.bool_], counts: list[int]) -> NDArray[np.bool_]:
-    """Of a lattice of `counts` places along its axes, those whose neighbours are all in the body too, shape [N]."""
-    eroded = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False)
-    return np.asarray(eroded.ravel(), bool)

@@ -5,18 +5,41 @@ some cells beyond the box where it reaches a side of it, so that no face lies on
 comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
+import dataclasses
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
+from datasets.geometry import planar, spatial
+from datasets.geometry.closed import Body, Floats, Integers, pseudonormals, ring, turned
+from datasets.geometry.ground import CLOSING
 from datasets.scene import Domain, Scene, Solid
-
-Floats = NDArray[np.float64]
 
 KEPT = 3.0
 """Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
+CORNERS = {
+    2: np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
+    3: np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64),
+}
+"""Of the unit square and of the unit cube, whose last coordinate changes fastest."""
+FACES = {
+    2: ring(4),
+    3: np.array(
+        [
+            *([0, 1, 3], [0, 3, 2]),  # x = 0
+            *([4, 6, 7], [4, 7, 5]),  # x = 1
+            *([0, 4, 5], [0, 5, 1]),  # y = 0
+            *([2, 3, 7], [2, 7, 6]),  # y = 1
+            *([0, 2, 6], [0, 6, 4]),  # z = 0
+            *([1, 5, 7], [1, 7, 3]),  # z = 1
+        ]
+    ),
+}
+"""Their faces, outwards."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +65,10 @@ class Surface:
     def dimension(self) -> int:
         """2 or 3."""
         return int(self.corners.shape[-1])
+
+    def chosen(self, faces: NDArray[np.bool_]) -> "Surface":
+        """Some of its faces, shape [F]."""
+        return Surface(**{field.name: getattr(self, field.name)[faces] for field in dataclasses.fields(self)})
 
 
 def surface_of(scene: Scene) -> Surface | None:
@@ -72,19 +99,67 @@ def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
 @lru_cache(maxsize=32)
 def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
     """The surface of `solids` in a box; errors name the keys."""
-    # The libraries of solid geometry load only where there is something solid.
-    if domain.dimension == 2:
-        from datasets.geometry import planar
-
-        found = planar.boundary([planar.ring_of(*each, domain) for each in zip(solids, keys, strict=True)], domain)
-    else:
-        from datasets.geometry import spatial
-
-        found = spatial.boundary([spatial.body_of(*each, domain) for each in zip(solids, keys, strict=True)], domain)
-    stuck = np.array([solid.contact == "no-slip" for solid in solids])[found["solid"]]
-    found["friction"] = np.where(stuck[:, None], np.inf, found["friction"])
-    found["adhesion"] = np.array([solid.adhesion for solid in solids])[found["solid"]]
+    bodies = [body_of(*each, domain) for each in zip(solids, keys, strict=True)]
+    found = boundary(bodies, CLOSING * domain.cell)
+    stuck = np.array([solid.contact == "no-slip" for solid in solids])[found.solid]
     margin, high = KEPT * domain.cell, np.array(domain.size)
-    corners = found["corners"]
-    near = ((corners.max(axis=1) >= -margin) & (corners.min(axis=1) <= high + margin)).all(axis=1)
-    return Surface(**{name: values[near] for name, values in found.items()})
+    near = ((found.corners.max(axis=1) >= -margin) & (found.corners.min(axis=1) <= high + margin)).all(axis=1)
+    found.friction[stuck] = np.inf
+    found.adhesion[:] = np.array([solid.adhesion for solid in solids])[found.solid]
+    return found.chosen(near)
+
+
+def surface_around(vertices: Floats, faces: Integers) -> Surface:
+    """The surface of a single body, wherever it lies."""
+    return boundary([Body(vertices=vertices, faces=faces, friction=np.zeros(len(vertices)), key="")], 0.0)
+
+
+def boundary(bodies: list[Body], gap: float) -> Surface:
+    """The boundary of the union of `bodies`, without adhesion; those that are no more than `gap` [m] apart are one."""
+    if len(bodies) == 1:
+        (body,) = bodies
+        vertices, faces, friction = body.vertices, body.faces, body.friction[body.faces]
+        owner = np.zeros(len(faces), np.int32)
+    else:
+        dimension = bodies[0].vertices.shape[1]
+        vertices, faces, friction, owner = (planar if dimension == 2 else spatial).union(bodies, gap)
+    normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
+    found = Surface(
+        corners=vertices[faces],
+        normals=normals,
+        corner_normals=corner_normals,
+        edge_normals=edge_normals,
+        solid=owner,
+        friction=friction,
+        adhesion=np.zeros(len(faces)),
+    )
+    # Triangles without area have no normal.
+    return found.chosen(np.asarray(normals.any(axis=1)))
+
+
+def body_of(solid: Solid, key: str, box: Domain) -> Body:
+    """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
+    dimension = box.dimension
+    if solid.kind == "terrain":
+        return planar.ground_body(solid, key, box) if dimension == 2 else spatial.ground_body(solid, key, box)
+    if solid.kind == "box":
+        low, size = np.array(solid.lower), np.array(solid.size)
+        vertices, faces = low + CORNERS[dimension] * size, FACES[dimension]
+        if solid.turned_deg != 0.0:
+            plane = slice(0, None, dimension - 1)
+            vertices[:, plane] = turned(vertices[:, plane], (low + 0.5 * size)[plane], solid.turned_deg)
+    elif dimension == 2:
+        vertices = np.array(solid.vertices, dtype=np.float64)
+        planar.check_simple(vertices, f"{key}.vertices")
+        faces = ring(len(vertices))
+    else:
+        vertices = np.array(solid.vertices, dtype=np.float64)
+        faces = spatial.outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
+    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(vertices)).copy()
+    if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
+        vertices, friction = vertices[::-1].copy(), friction[::-1].copy()
+    body = Body(vertices=vertices, faces=faces, friction=friction, key=key)
+    # The floor last.
+    for axis, side in itertools.product((0, 1) if dimension == 2 else (0, 2, 1), (0, 1)):
+        body = (planar if dimension == 2 else spatial).continued(body, axis, side, box)
+    return body

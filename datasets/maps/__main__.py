@@ -2,22 +2,25 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from shapely import MultiPolygon
 
 from datasets.command_line import run
 from datasets.files import make_folder, replacing, write_json
-from datasets.maps.files import LOCAL, Georeference, georeference, outline, write_outlines, write_raster
+from datasets.maps.files import (
+    LOCAL,
+    Georeference,
+    draw_map,
+    draw_profile,
+    georeference,
+    outline,
+    write_outlines,
+    write_raster,
+)
+from datasets.maps.plan import PlanMaps, areas_of, cell_edges, coordinates_of, maps_of
 from datasets.trajectory import Trajectory, read_trajectory
-
-if TYPE_CHECKING:
-    from shapely import MultiPolygon
-
-    from datasets.maps.plan import PlanMaps
-
-Floats = NDArray[np.float64]
 
 PROFILE, SUMMARY, OUTLINES = "profile.csv", "maps.json", "outline.geojson"
 
@@ -38,12 +41,11 @@ KINDS = {
 """Attributes of `PlanMaps`, and the names of their files."""
 
 
-def write_maps(trajectory: Trajectory, maps: "PlanMaps", folder: Path, location: Georeference) -> None:
+def write_maps(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georeference) -> None:
     """Write the maps of a trajectory in 3D into `folder`: rasters, pictures, outlines, and maps.json.
 
     Raises WorkFailed.
     """
-    from datasets.maps.pictures import draw_map
 
     cell, said = float(maps.edges[0][1]), summary(trajectory, maps, location)
     for name, kind in KINDS.items():
@@ -51,22 +53,21 @@ def write_maps(trajectory: Trajectory, maps: "PlanMaps", folder: Path, location:
         if values is None:
             continue
         write_raster(folder / f"{name}.tif", values, cell, location, name=kind.title, unit=kind.unit)
-        label, title = f"{kind.title} [{kind.unit}]", heading(name, maps, said)
+        label, title = f"{kind.title} [{kind.unit}]", heading(name, said)
         draw_map(folder / f"{name}.png", maps, values, location, label=label, colours=kind.colours, title=title)
     write_outlines(folder / OUTLINES, outlines(maps, location), maps.threshold, location)
     write_json(folder / SUMMARY, said)
 
 
-def write_profile(trajectory: Trajectory, maps: "PlanMaps", folder: Path) -> None:
+def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> None:
     """Write the profile of a trajectory in 2D into `folder`: a CSV, a picture, and maps.json.
 
     Columns x and height of profile.csv are those of a measured profile of `equivalent` heights.
     """
-    from datasets.maps.pictures import draw_profile
 
     said = summary(trajectory, maps, LOCAL)
     columns = {
-        "x": maps.coordinates[0],
+        "x": coordinates_of(maps.edges)[0],
         "height": maps.thickness,
         "surface": maps.ground + maps.thickness,
         "ground": maps.ground,
@@ -77,24 +78,25 @@ def write_profile(trajectory: Trajectory, maps: "PlanMaps", folder: Path) -> Non
     rows = np.stack(list(known.values()), axis=1)
     with replacing(folder / PROFILE) as part:
         np.savetxt(part, rows, fmt="%.9g", delimiter=",", header=",".join(known), comments="")
-    titles = [heading(name, maps, said) for name in ("thickness", "velocity") if getattr(maps, name) is not None]
-    draw_profile(folder / "profile.png", maps, titles)
+    draw_profile(folder / "profile.png", maps, [heading(name, said) for name in ("thickness", "velocity")])
     write_json(folder / SUMMARY, said)
 
 
-def outlines(maps: "PlanMaps", location: Georeference) -> dict[str, "MultiPolygon"]:
+def outlines(maps: PlanMaps, location: Georeference) -> dict[str, MultiPolygon]:
     """The polygons of the deposit, of all that the flow covered, and of the release where it is known."""
-    cell = float(maps.edges[0][1])
+
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     return {
-        name: outline(values, cell, location, maps.threshold) for name, values in shown.items() if values is not None
+        name: outline(values, float(maps.edges[0][1]), location, maps.threshold)
+        for name, values in shown.items()
+        if values is not None
     }
 
 
-def summary(trajectory: Trajectory, maps: "PlanMaps", location: Georeference) -> dict[str, Any]:
+def summary(trajectory: Trajectory, maps: PlanMaps, location: Georeference) -> dict[str, Any]:
     """What the maps come to: location, resolution, volume, area, extent and largest values, as plain numbers."""
-    flat = trajectory.scene.dimension == 2
-    covered = np.flatnonzero((maps.thickness > maps.threshold).reshape(len(maps.coordinates[0]), -1).any(axis=1))
+
+    flat, covered = trajectory.scene.dimension == 2, maps.thickness > maps.threshold
     said: dict[str, Any] = {
         "time": float(trajectory.time[-1]),
         "cell": float(maps.edges[0][-2] - maps.edges[0][-3]) if flat else float(maps.edges[0][1]),
@@ -103,8 +105,8 @@ def summary(trajectory: Trajectory, maps: "PlanMaps", location: Georeference) ->
         "left": maps.left,
     }
     if flat:
-        said["length"] = float(maps.areas[maps.thickness > maps.threshold].sum())
-        said["extent"] = float(maps.edges[0][covered[-1] + 1]) if len(covered) else None
+        said["length"] = float(areas_of(maps.edges)[covered].sum())
+        said["extent"] = float(maps.edges[0][1:][covered].max()) if covered.any() else None
     else:
         found = outlines(maps, location)
         said |= {f"area_{name}": polygons.area for name, polygons in found.items()}
@@ -118,16 +120,16 @@ def summary(trajectory: Trajectory, maps: "PlanMaps", location: Georeference) ->
     return said
 
 
-def heading(name: str, maps: "PlanMaps", said: dict[str, Any]) -> str:
+def heading(name: str, said: dict[str, Any]) -> str:
     """What stands above a picture."""
-    kind, spatial, final = KINDS[name], "area_deposit" in said, name == "thickness"
-    parts = [kind.title + (f", t = {said['time']:g} s" if final else "")]
-    if final:
-        parts.append(f"volume {maps.volume:.4g} {'m³' if spatial else 'm²'}")
-    if spatial:
-        parts.append(f"area {said['area_deposit' if final else 'area_covered']:.4g} m²")
-    parts.append(f"largest {said[f'{name}_max']:.3g} {kind.unit}")
-    if final and said["extent"] is not None:
+    kind, largest = KINDS[name], said[f"{name}_max"]
+    parts = [kind.title]
+    if name == "thickness":
+        unit = "m³" if "area_deposit" in said else "m²"
+        parts = [f"{kind.title}, t = {said['time']:g} s", f"volume {said['volume']:.4g} {unit}"]
+    if largest is not None:
+        parts.append(f"largest {largest:.3g} {kind.unit}")
+    if name == "thickness" and said["extent"] is not None:
         parts.append(f"extent x = {said['extent']:.4g} m")
     return "; ".join(parts)
 
@@ -153,7 +155,6 @@ def command(
     threshold
         Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
     """
-    from datasets.maps.plan import cell_edges, maps_of
 
     flow = read_trajectory(trajectory)
     edges = cell_edges(flow.scene, flow.scene.domain.cell if cell is None else cell)
@@ -164,7 +165,7 @@ def command(
         write_profile(flow, maps, out)
     else:
         write_maps(flow, maps, out, location)
-    print(f"{heading('thickness', maps, summary(flow, maps, location))}, written to {out}")
+    print(f"{heading('thickness', summary(flow, maps, location))}, written to {out}")
 
 
 if __name__ == "__main__":

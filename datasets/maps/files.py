@@ -1,26 +1,31 @@
-"""Maps -> GeoTIFF and GeoJSON: in the coordinates of the terrain's raster where the scene has one."""
+"""Maps -> GeoTIFF, GeoJSON and pictures: in the coordinates of the terrain's raster where the scene has one."""
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import MultiPolygon, Polygon
+from shapely.geometry import mapping
+from shapely.geometry.polygon import orient
 
 from datasets.errors import WorkFailed
 from datasets.files import replacing, write_text
+from datasets.maps.plan import PlanMaps, coordinates_of
 from datasets.scene import Scene
-
-if TYPE_CHECKING:
-    from shapely import MultiPolygon
 
 Floats = NDArray[np.float64]
 
 CLOSE = 1.0e-6
 """How far beyond its edge a map falls to 0 [cells]."""
+WIDTH, HIGHEST = 9.0, 9.0
+"""Of a picture [inches]."""
+CONTOURS = 12
+"""About as many contour lines of the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +78,13 @@ def write_raster(path: Path, values: Floats, cell: float, georeference: Georefer
         raise WorkFailed(f"{path.name} could not be written: {error}") from None
 
 
-def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> "MultiPolygon":
+def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> MultiPolygon:
     """Where a map, shape [X, Z], exceeds `threshold`: polygons with holes, in the map's coordinates.
 
     The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
     the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
     """
     from contourpy import FillType, contour_generator
-    from shapely import MultiPolygon, Polygon
-    from shapely.geometry.polygon import orient
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
     x, z = (
@@ -94,14 +97,13 @@ def outline(values: Floats, cell: float, georeference: Georeference, threshold: 
 
 
 def write_outlines(
-    path: Path, outlines: Mapping[str, "MultiPolygon"], threshold: float, georeference: Georeference
+    path: Path, outlines: Mapping[str, MultiPolygon], threshold: float, georeference: Georeference
 ) -> None:
     """Write named outlines as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
 
     Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
     """
     from rasterio.crs import CRS
-    from shapely.geometry import mapping
 
     features = [
         {
@@ -117,3 +119,59 @@ def write_outlines(
         name = georeference.crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
         collection["crs"] = {"type": "name", "properties": {"name": name}}
     write_text(path, json.dumps(collection) + "\n")
+
+
+def draw_map(
+    path: Path, maps: PlanMaps, values: Floats, georeference: Georeference, *, label: str, colours: str, title: str
+) -> None:
+    """One map in 3D, shape [X, Z], where it is covered; over the ground, with the outlines of deposit and release.
+
+    label: what the colours show, with its unit; colours: a colour map of matplotlib.
+    """
+    from matplotlib.figure import Figure
+
+    covered = (maps.thickness if values is maps.thickness else maps.depth) > maps.threshold
+    x, z = coordinates_of(maps.edges)
+    x, z = x + georeference.east, z + georeference.north
+    cell = float(maps.edges[0][1])
+    figure = Figure(figsize=(WIDTH, min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))), layout="constrained")
+    axis = figure.add_subplot(aspect="equal")
+    if np.ptp(maps.ground) > 0.0:
+        axis.contour(x, z, maps.ground.T, levels=CONTOURS, colors="grey", linewidths=0.6)
+    image = axis.pcolormesh(x, z, np.ma.masked_where(~covered, values).T, cmap=colours, vmin=0.0, shading="nearest")
+    figure.colorbar(image, label=label)
+    for name, thickness, style in (("release", maps.start, "--"), ("deposit", maps.thickness, "-")):
+        polygons = () if thickness is None else outline(thickness, cell, georeference, maps.threshold).geoms
+        for index, polygon in enumerate(polygons):
+            label = f"{name}, over {maps.threshold:.3g} m" if index == 0 else ""
+            axis.plot(*polygon.exterior.xy, color="black", linestyle=style, linewidth=1.0, label=label)
+    if axis.lines:
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    local = georeference.crs is None
+    axis.set(xlabel="x [m]" if local else "easting [m]", ylabel="z [m]" if local else "northing [m]")
+    axis.set_title(title, fontsize="small")
+    axis.ticklabel_format(useOffset=False, style="plain")
+    with replacing(path) as part:
+        figure.savefig(part, dpi=120)
+
+
+def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
+    """In 2D: the deposit on the ground, the largest depth and the start, and below the largest velocity over x."""
+    from matplotlib.figure import Figure
+
+    (x,) = coordinates_of(maps.edges)
+    figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
+    top, below = figure.subplots(2, sharex=True)
+    top.fill_between(x, 0.0, maps.ground, color="tan")
+    top.fill_between(x, maps.ground, maps.ground + maps.thickness, color="orange", label="deposit")
+    for name, thickness, style in (("largest depth", maps.depth, "-"), ("start", maps.start, "--")):
+        if thickness is not None:
+            top.plot(x, np.where(thickness > 0.0, maps.ground + thickness, np.nan), style, label=name)
+    top.set(ylabel="elevation [m]", title=titles[0])
+    top.legend(frameon=False)
+    if maps.velocity is not None:
+        below.plot(x, np.where(maps.depth > maps.threshold, maps.velocity, np.nan))
+        below.set(title=titles[1])
+    below.set(xlabel="x [m]", ylabel="velocity [m/s]")
+    with replacing(path) as part:
+        figure.savefig(part, dpi=120)

@@ -25,8 +25,9 @@ from tqdm import tqdm
 
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes
-from datasets.geometry.ground import elevation
-from datasets.geometry.surface import solids_of, surface_of
+from datasets.geometry.ground import plan_axes
+from datasets.geometry.placement import tops_beneath
+from datasets.geometry.surface import surface_of
 from datasets.measures import profile_stations
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -38,10 +39,6 @@ Floats = NDArray[np.float64]
 
 WIDTH = 2.0
 """Of a particle's pyramid to each side, in its own spacing: neighbours a spacing apart then make an even layer."""
-UPRIGHT = 1.0e-12
-"""Area in plan of a face over that of the square around it, below which it stands upright."""
-ON_EDGE = 1.0e-9
-"""Share of a face, and length [m], by which rounding may put a place on its edge beside it."""
 OUTSIDE = 1.0e-6
 """Share of the box by which rounding may put a particle beyond a wall."""
 
@@ -69,16 +66,6 @@ class PlanMaps:
     left: float
     """Volume of those that are no longer in the box then."""
 
-    @property
-    def areas(self) -> Floats:
-        """Area of each cell [m^2, in 2D m], shape as the maps."""
-        return areas_of(self.edges)
-
-    @property
-    def coordinates(self) -> tuple[Floats, ...]:
-        """Of the cells along x and z [m], shapes [X] and [Z] (`coordinates_in`)."""
-        return coordinates_in(self.edges)
-
 
 def areas_of(edges: tuple[Floats, ...]) -> Floats:
     """Area of each cell [m^2, in 2D m], shape of the map."""
@@ -86,7 +73,7 @@ def areas_of(edges: tuple[Floats, ...]) -> Floats:
     return lengths[0] if len(lengths) == 1 else np.outer(*lengths)
 
 
-def coordinates_in(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
+def coordinates_of(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
     """What the cells stand for along x and z [m], shapes [X] and [Z]: their middles, in 2D the stations."""
     middles = tuple(0.5 * (along[1:] + along[:-1]) for along in edges)
     if len(middles) == 1:
@@ -100,18 +87,13 @@ def cell_edges(scene: Scene, length: float) -> tuple[Floats, ...]:
     In 2D those around the stations of a profile, about `length` apart; those at the walls stand for a half. Raises
     InputError for a length that is not positive or longer than a side of the box.
     """
-    sides = [scene.domain.size[axis] for axis in plan_axes(scene)]
+    sides = [scene.domain.size[axis] for axis in plan_axes(scene.dimension)]
     if not 0.0 < length <= min(sides):
         raise InputError(f"expected a length of at most {min(sides):g} m, the box, got {length:g} m", key="--cell")
     if scene.dimension == 2:
         stations = profile_stations(scene, length)
         return (np.concatenate([stations[:1], 0.5 * (stations[1:] + stations[:-1]), stations[-1:]]),)
     return tuple(np.arange(math.ceil(side / length - 1e-6) + 1, dtype=np.float64) * length for side in sides)
-
-
-def plan_axes(scene: Scene) -> tuple[int, ...]:
-    """The axes of a map: x and, in 3D, z."""
-    return (0,) if scene.dimension == 2 else (0, 2)
 
 
 def axis_shares(coordinates: Floats, sizes: Floats, edges: Floats, wall: float) -> "csr_array":
@@ -142,47 +124,17 @@ def tent_below(r: Floats) -> Floats:
     return 0.5 + r - 0.5 * r * np.abs(r)
 
 
-class Mapper:
-    """Spreads the frames of a trajectory over the cells of one map."""
+def in_box(scene: Scene, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Which particles are in the box, shape [N]."""
+    share = positions / np.array(scene.domain.size)
+    return np.asarray(((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1))
 
-    def __init__(self, trajectory: Trajectory, edges: tuple[Floats, ...]) -> None:
-        scene = trajectory.scene
-        self.trajectory, self.edges, self.axes = trajectory, edges, plan_axes(scene)
-        self.meshes, self.volumes = Meshes(trajectory), trajectory.volumes
-        self.walls = tuple(scene.domain.size[axis] for axis in self.axes)
-        self.shape = tuple(len(along) - 1 for along in edges)
-        self.spacing = float(np.mean(self.volumes) ** (1.0 / scene.dimension))
-        """Mean distance of neighbouring particles at the start [m]."""
-        self.sizes = np.minimum(WIDTH * self.volumes ** (1.0 / scene.dimension), min(self.walls))
-        """Half-width of the pyramid of each particle [m], shape [N]; no wider than the box."""
 
-    def inside(self, frame: int) -> NDArray[np.bool_]:
-        """Which particles are in the box at `frame`, shape [N]."""
-        share = self.trajectory.positions[frame] / np.array(self.trajectory.scene.domain.size)
-        return np.asarray(((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1))
-
-    def at(self, frame: int) -> tuple[Floats, Floats | None]:
-        """Thickness [m] at `frame`, and velocity [m/s] where known; shapes of the map."""
-        velocity, positions = self.meshes.velocity(frame), self.trajectory.positions[frame]
-        inside = self.inside(frame)
-        places, sizes = np.clip(positions[inside][:, self.axes], 0.0, self.walls), self.sizes[inside]
-        shares = [
-            axis_shares(places[:, axis].astype(np.float64), sizes, *each)
-            for axis, each in enumerate(zip(self.edges, self.walls, strict=True))
-        ]
-
-        def total(carried: Floats) -> Floats:
-            """The sum in each cell of what the particles carry, shape [N]."""
-            if len(shares) == 1:
-                return np.asarray(shares[0].T @ carried)
-            return np.asarray((shares[0].T @ shares[1].multiply(carried[:, None])).toarray())
-
-        volume, carried = total(self.volumes[inside]), self.volumes[inside]
-        if velocity is None:
-            return volume / areas_of(self.edges), None
-        speed = np.linalg.norm([total(carried * each) for each in velocity[inside].T], axis=0)
-        fast = np.divide(speed, volume, out=np.zeros_like(speed), where=volume > 0.0)
-        return volume / areas_of(self.edges), fast
+def summed(shares: "list[csr_array]", carried: Floats) -> Floats:
+    """The sum in each cell of what the particles carry, shape [N], by their shares along each axis of the map."""
+    if len(shares) == 1:
+        return np.asarray(shares[0].T @ carried)
+    return np.asarray((shares[0].T @ shares[1].multiply(carried[:, None])).toarray())
 
 
 def maps_of(
@@ -195,29 +147,38 @@ def maps_of(
     """
     if threshold is not None and not threshold > 0.0:
         raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
-    mapper = Mapper(trajectory, edges)
-    smallest = mapper.spacing if threshold is None else threshold
-    last = len(trajectory.time) - 1
-    thickness, depth = np.zeros(mapper.shape), np.zeros(mapper.shape)
-    fastest, known, start = np.zeros(mapper.shape), False, None
-    for frame in tqdm(range(last + 1), desc="maps", unit="frame", disable=not progress):
-        thickness, speed = mapper.at(frame)
+    scene, meshes, volumes, areas = trajectory.scene, Meshes(trajectory), trajectory.volumes, areas_of(edges)
+    if threshold is None:
+        threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
+    axes = plan_axes(scene.dimension)
+    walls = [scene.domain.size[axis] for axis in axes]
+    sizes = np.minimum(WIDTH * volumes ** (1.0 / scene.dimension), min(walls))
+    thickness, depth, fastest, start = np.zeros_like(areas), np.zeros_like(areas), None, None
+    for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
+        positions, velocity = trajectory.positions[frame], meshes.velocity(frame)
+        inside = in_box(scene, positions)
+        places = np.clip(positions[inside][:, axes], 0.0, walls).astype(np.float64)
+        lines = zip(places.T, edges, walls, strict=True)
+        shares = [axis_shares(along, sizes[inside], cuts, wall) for along, cuts, wall in lines]
+        volume = summed(shares, volumes[inside])
+        thickness = volume / areas
         depth = np.maximum(depth, thickness)
-        if speed is not None:
-            known, fastest = True, np.where(thickness > smallest, np.maximum(fastest, speed), fastest)
         if frame == 0 and trajectory.time[0] == 0.0:
             start = thickness
-    inside = mapper.inside(last)
+        if velocity is not None:
+            momentum = [summed(shares, volumes[inside] * each) for each in velocity[inside].T]
+            speed = np.divide(np.linalg.norm(momentum, axis=0), volume, out=np.zeros_like(volume), where=volume > 0.0)
+            fastest = np.maximum(0.0 if fastest is None else fastest, np.where(thickness > threshold, speed, 0.0))
     return PlanMaps(
         edges=edges,
         thickness=thickness,
         start=start,
         depth=depth,
-        velocity=fastest if known else None,
-        ground=ground(trajectory.scene, edges),
-        threshold=smallest,
-        volume=float(mapper.volumes[inside].sum()),
-        left=float(mapper.volumes[~inside].sum()),
+        velocity=fastest,
+        ground=ground(scene, edges),
+        threshold=threshold,
+        volume=float(volumes[inside].sum()),
+        left=float(volumes[~inside].sum()),
     )
 
 
@@ -226,21 +187,11 @@ def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
 
     Of cells that go beyond the box that at the nearest place in it.
     """
-    axes = plan_axes(scene)
-    lines = [np.clip(c, 0.0, scene.domain.size[axis]) for c, axis in zip(coordinates_in(edges), axes, strict=True)]
-    plan = np.stack([each.ravel() for each in np.meshgrid(*lines, indexing="ij")], axis=1)
-    height = elevation(scene.solids, scene.domain, plan)
+    size = np.array(scene.domain.size)[plan_axes(scene.dimension)]
+    lines = [np.clip(along, 0.0, length) for along, length in zip(coordinates_of(edges), size, strict=True)]
+    plan = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     surface = surface_of(scene)
-    if surface is not None:
-        others = [number for number, solid in enumerate(solids_of(scene)[0]) if solid.kind != "terrain"]
-        for corners in surface.corners[np.isin(surface.solid, others)]:
-            low, high = corners[:, axes].min(axis=0), corners[:, axes].max(axis=0)
-            # Barycentric coordinates of the places in plan; faces that stand upright cover nothing.
-            matrix = np.vstack([corners[:, axes].T, np.ones(len(corners))])
-            if abs(np.linalg.det(matrix)) <= UPRIGHT * float((high - low).max()) ** len(axes):
-                continue
-            near = np.flatnonzero(((plan >= low - ON_EDGE) & (plan <= high + ON_EDGE)).all(axis=1))
-            share = np.linalg.solve(matrix, np.vstack([plan[near].T, np.ones(len(near))]))
-            over = (share >= -ON_EDGE).all(axis=0)
-            height[near[over]] = np.maximum(height[near[over]], (corners[:, 1] @ share)[over])
-    return height.reshape([len(each) for each in lines])
+    if surface is None:
+        return np.zeros(plan.shape[:-1])
+    places = np.insert(plan.reshape(-1, len(lines)), 1, np.inf, axis=1)
+    return tops_beneath(surface, places, 0.0).reshape(plan.shape[:-1])

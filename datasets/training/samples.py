@@ -117,7 +117,7 @@ class Surroundings:
         """Those of `scene`; spacing: between two elevations of the ground [m]."""
         ground = None
         if scene.solids:
-            elevation, friction = ground_raster(scene, spacing)
+            elevation, friction, _ = ground_raster(scene, spacing)
             ground = elevation.astype(np.float32), friction.astype(np.float32)
         frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
         return Surroundings(

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.geometry.planar import turned
+from datasets.geometry.closed import turned
 from datasets.scene import Baffle, Scene
 from gns.initial import InitialState
 from inverse.parameters.kind import UP, Kind, Parts, T, replaced, require_axis, require_index

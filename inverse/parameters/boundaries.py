@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.geometry.ground import topmost
+from datasets.geometry.ground import ground_raster
 from datasets.scene import Scene
 from gns.initial import InitialState
 from inverse.parameters.kind import Kind, Parts, require_index
@@ -80,6 +80,6 @@ def with_ground_friction(initial: InitialState, solid: int | None, value: Tensor
     ground = initial.conditions.ground
     if ground is None:
         return initial
-    own = torch.from_numpy(topmost(initial.scene, ground.spacing) == (-1 if solid is None else solid))
+    own = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == (-1 if solid is None else solid))
     friction = torch.where(own, value.to(ground.friction.dtype), ground.friction)
     return initial.with_conditions(ground=dataclasses.replace(ground, friction=friction))

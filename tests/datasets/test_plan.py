@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.maps.plan import Floats, PlanMaps, cell_edges, maps_of
+from datasets.maps.plan import Floats, PlanMaps, areas_of, cell_edges, coordinates_of, maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -35,7 +35,7 @@ def still(scene: Scene, *frames: Floats, frame_dt: float = 0.1) -> Trajectory:
 
 
 def volume_in(maps: PlanMaps) -> float:
-    return float((maps.thickness * maps.areas).sum())
+    return float((maps.thickness * areas_of(maps.edges)).sum())
 
 
 @pytest.mark.parametrize("cell", [0.013, 0.05, 0.17])
@@ -82,14 +82,14 @@ def test_a_cone() -> None:
     scene = scene_of((1.0, 0.5, 1.0), ((0.0, 0.0, 0.0), (1.0, exact, 1.0)), cell=0.02)
     assert len(cone) * spacing**3 == pytest.approx(exact, rel=5e-3)
     maps = maps_of(still(scene, cone), cell_edges(scene, 0.05), threshold=0.01)
-    middle = np.meshgrid(*maps.coordinates, indexing="ij")
+    middle = np.meshgrid(*coordinates_of(maps.edges), indexing="ij")
     true = np.maximum(0.0, height * (1.0 - np.hypot(middle[0] - 0.5, middle[1] - 0.5) / radius))
     assert volume_in(maps) == pytest.approx(exact, rel=1e-9)
     # The pyramids round the tip and the foot off; the flank is straight.
     assert np.abs(maps.thickness - true).max() < 1.2 * spacing
     flank = (true > 0.03) & (true < 0.16)
     assert np.abs(maps.thickness - true)[flank].max() < 0.35 * spacing
-    assert (maps.areas[maps.thickness > 0.01]).sum() == pytest.approx(np.pi * (0.95 * radius) ** 2, rel=0.04)
+    assert (areas_of(maps.edges)[maps.thickness > 0.01]).sum() == pytest.approx(np.pi * (0.95 * radius) ** 2, rel=0.04)
 
 
 def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None:
@@ -117,7 +117,7 @@ def test_the_ground_of_terrain_and_baffles() -> None:
         baffles=(Baffle(lower=(0.6, 0.0, 0.0), size=(0.1, 0.4, 0.2)),),
     )
     maps = maps_of(still(scene, initial_particles(scene).positions), cell_edges(scene, 0.05))
-    x, z = np.meshgrid(*maps.coordinates, indexing="ij")
+    x, z = np.meshgrid(*coordinates_of(maps.edges), indexing="ij")
     expected = np.where((x > 0.6) & (x < 0.7) & (z < 0.2), 0.4, 0.3 - 0.2 * x)
     np.testing.assert_allclose(maps.ground, expected, atol=1e-6)
 
@@ -129,7 +129,7 @@ def test_the_ground_line_in_two_dimensions() -> None:
         baffles=(Baffle(lower=(0.7, 0.0), size=(0.1, 0.2)),),
     )
     maps = maps_of(still(scene, initial_particles(scene).positions), cell_edges(scene, 0.03125))
-    (x,) = maps.coordinates
+    (x,) = coordinates_of(maps.edges)
     assert (x[0], x[-1]) == (0.0, 1.0)
     expected = np.where((x >= 0.7) & (x <= 0.8), 0.2, np.maximum(0.0, 0.3 - 0.6 * x))
     np.testing.assert_allclose(maps.ground, expected, atol=1e-9)

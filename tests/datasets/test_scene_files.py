@@ -119,9 +119,6 @@ def test_shapes_and_numpy_numbers_that_are_written_read_back_equal(tmp_path: Pat
         material=Material(friction_deg=float(np.float64(30.0)), cohesion=np.float64(100.0)),
         masses=(
             Mass(kind="polygon", vertices=triangle, material=Material(friction_deg=0.0, cohesion=50.0)),
-            Mass(
-                kind="particles", positions=((0.5, 0.3), (0.6, 0.3)), velocities=((1.0, 0.0), (0.0, 0.0)), volume=1e-4
-            ),
             Mass(lower=(0.7, 0.2), size=(0.1, 0.1), k0="elastic", release="settled"),
         ),
         baffles=(Baffle(lower=(0.9, 0.0), size=(0.05, 0.2), turned_deg=10.0),),

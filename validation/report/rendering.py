@@ -20,8 +20,7 @@ from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes, box, spatial
 from datasets.files import replacing
-from datasets.geometry.planar import ring_of
-from datasets.geometry.surface import solids_of
+from datasets.geometry.surface import body_of, solids_of
 from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
 
@@ -174,7 +173,7 @@ class Picture:
                         self._lines(part.clean().extract_feature_edges(), INK)
             return
         for number, (solid, key) in enumerate(zip(*solids_of(scene), strict=True)):
-            ring = spatial(ring_of(solid, key, scene.domain).points)
+            ring = spatial(body_of(solid, key, scene.domain).vertices)
             area = pyvista.PolyData(ring, [len(ring), *range(len(ring))]).triangulate()
             self.plotter.add_mesh(self._clipped(area), color=STEEL if number < count else GROUND, lighting=False)
         self._lines(self._clipped(surface), INK)

@@ -73,26 +73,20 @@ def ground(found: Scene, positions: list[tuple[float, float, float]]) -> np.ndar
 
 
 def test_a_ground_line(tmp_path: Path) -> None:
-    (tmp_path / "line.csv").write_text("# surveyed\nx,y,friction\n0,500,0.2\n1000,100,0.4\n2000,100,0.4\n")
-    found = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nunit = "mm"\nadhesion = 3.0\n')
+    (tmp_path / "line.csv").write_text("# surveyed\nx,y,friction\n0,0.5,0.2\n1,0.1,0.4\n2,0.1,0.4\n")
+    found = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nat = [0.0, 0.5]\n')
     (solid,) = found.solids
-    assert solid.points == ((0.0, 0.5), (1.0, 0.1), (2.0, 0.1))
+    assert solid.points == ((0.0, 1.0), (1.0, 0.6), (2.0, 0.6))
     assert solid.friction == (0.2, 0.4, 0.4)
     assert Scene.from_json(found.to_json()) == found
-    moved = scene(tmp_path, PLANE + BODY + TERRAIN + 'file = "line.csv"\nunit = "mm"\nat = [0.0, 0.1]\n')
-    assert moved.solids[0].points == ((0.0, 0.6), (1.0, 0.2), (2.0, 0.2))
 
 
-@pytest.mark.parametrize("name", ["dem.asc", "dem.tif", "dem.csv"])
+@pytest.mark.parametrize("name", ["dem.asc", "dem.tif"])
 def test_a_height_field(tmp_path: Path, name: str) -> None:
     if name == "dem.asc":
         write_ascii(tmp_path / name, tilted(), (1000.0, 2000.0))
-    elif name == "dem.tif":
-        write_tiff(tmp_path / name, tilted())
     else:
-        rows = [(x, z, 0.1 + 0.1 * x + 0.2 * z) for x in np.linspace(0.0, 2.0, 11) for z in np.linspace(0.0, 1.0, 6)]
-        lines = [",".join(f"{v:.9g}" for v in row) for row in np.random.default_rng(0).permutation(rows)]
-        (tmp_path / name).write_text("\n".join(["x,z,y", *lines]))
+        write_tiff(tmp_path / name, tilted())
     found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
     slope = np.sqrt(1.0 + 0.1**2 + 0.2**2)
     distance = ground(found, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])
@@ -123,7 +117,7 @@ def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Pat
     np.testing.assert_allclose(particles.max(axis=0), (1.35, 0.3, 0.75), atol=0.025)
 
 
-@pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.ply", "ball.msh", "ball.vtu"])
+@pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.msh"])
 def test_a_mesh(tmp_path: Path, name: str) -> None:
     vertices, triangles = sphere(np.zeros(3), 200.0, 3)
     meshio.Mesh(vertices, [("triangle", triangles)]).write(
@@ -146,61 +140,39 @@ def test_tetrahedra_have_a_skin(tmp_path: Path) -> None:
     assert len(initial_particles(found).positions) == 8**3
 
 
-def test_particles(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("x,y,vx,vy\n0.5,0.5,1,0\n0.6,0.5,0,2\n")
-    np.savez(tmp_path / "p.npz", positions=[[0.5, 0.5], [0.6, 0.5]], velocities=[[1.0, 0.0], [0.0, 2.0]], volume=1e-4)
-    for name, volume in (("p.csv", 0.025**2), ("p.npz", 1e-4)):
-        found = initial_particles(scene(tmp_path, PLANE + f'[[masses]]\nkind = "particles"\nfile = "{name}"\n'))
-        assert found.positions.tolist() == [[0.5, 0.5], [0.6, 0.5]]
-        assert found.velocities.tolist() == [[1.0, 0.0], [0.0, 2.0]]
-        np.testing.assert_allclose(found.volume, volume)
-
-
 def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
     write_ascii(path, values)
 
 
-def csv(text: str) -> Callable[[Path], None]:
-    return lambda path: path.write_text(text) and None
-
-
-CASES: list[tuple[str, str, Callable[[Path], None] | None, str]] = [
-    ("dem.asc", TERRAIN, holes, "expected a raster without holes in the box, got 2 cells without data"),
-    ("dem.tif", TERRAIN, lambda path: write_tiff(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
-    ("dem.tif", TERRAIN, lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
-    ("dem.asc", TERRAIN, None, "there is none"),
-    ("dem.csv", TERRAIN, csv("a,b\n1,2\n"), "expected a header with the columns `x`, `z`, `y`, got a, b"),
-    ("p.npz", '[[masses]]\nkind = "particles"\n', csv("no archive"), "expected an NPZ of plain numbers"),
+CASES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
+    ("dem.tif", lambda path: write_tiff(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
+    ("dem.tif", lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
+    ("dem.asc", lambda path: None, "there is none"),
+    ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "write", "words"), CASES)
-def test_files_that_are_refused(
-    tmp_path: Path, name: str, text: str, write: Callable[[Path], None] | None, words: str
-) -> None:
-    if write is not None:
-        write(tmp_path / name)
+@pytest.mark.parametrize(("name", "write", "words"), CASES)
+def test_files_that_are_refused(tmp_path: Path, name: str, write: Callable[[Path], object], words: str) -> None:
+    write(tmp_path / name)
     with pytest.raises(InputError) as caught:
-        scene(tmp_path, SPACE + ("" if "masses" in text else BODY_3D) + text + f'file = "{name}"\n')
+        scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
     message = str(caught.value)
     assert words in message
     assert "\n" not in message
     assert name in message or "scene.toml" in message
-    assert "s[0]" in message
+    assert "solids[0]" in message
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (
-            TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1]]\n",
-            "solids[0].points: expected ground over the whole box",
-        ),
-        (TERRAIN + "points = [[0.0, 0.9], [2.0, 0.9]]\n", "masses[0]: expected a body clear of solids[0]"),
+        (TERRAIN + "points = [[0.0, 0.1], [1.5, 0.1]]\n", "solids[0].points: expected ground over the whole box"),
         (TERRAIN, "solids[0].points: expected `points` or a file of a terrain"),
-        (TERRAIN + "file = 'x.csv'\nunit = 'inch'\n", "solids[0].unit: expected one of m, cm, mm, ft, got 'inch'"),
+        (TERRAIN + "file = 'x.csv'\nscale = 2.0\n", "solids[0].scale: expected no such key but of a mesh"),
         ("open_sides = ['z-']\n", "open_sides[0]: expected one of x-, x+, y-, y+"),
     ],
 )

@@ -117,7 +117,6 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
         ),
         (Mass(kind="polygon", vertices=((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))), "masses[0]", "inside the domain"),
         (Mass(kind="layer", thickness=-1.0), "masses[0].thickness", "at least 0, and some"),
-        (Mass(kind="particles", positions=((0.5, 2.5),)), "masses[0].positions[0]", "inside the domain"),
         (Mass(lower=(0.1, 0.1)), "masses[0].size", "missing"),
     ],
 )

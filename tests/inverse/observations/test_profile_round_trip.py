@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datasets.maps.__main__ import write_profile
-from datasets.maps.plan import cell_edges, maps_of
+from datasets.maps.plan import cell_edges, coordinates_of, maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
@@ -40,5 +40,5 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
     profile = profile_of(
         path, unit=LengthUnit.METRE, datum=0.0, heights=heights, length=1.0, released=0.08, ground=np.zeros_like
     )
-    np.testing.assert_allclose(profile.at(maps.coordinates[0]), maps.thickness, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(profile.at(coordinates_of(maps.edges)[0]), maps.thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.geometry.planar import turned
+from datasets.geometry.closed import turned
 from datasets.material import Material
 from datasets.scene import Baffle
 from datasets.training.samples import corners

@@ -1,0 +1,71 @@
+"""Closed surfaces in two and in three dimensions: rings of segments, triangles; their normals."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """The surface of a solid, closed; V vertices and F faces in D dimensions."""
+
+    vertices: Floats
+    """[m], shape [V, D]; in 2D one after the other, anticlockwise."""
+    faces: Integers
+    """Vertices of each segment, the solid on its left, or triangle, anticlockwise from outside, shape [F, D]."""
+    friction: Floats
+    """Coulomb coefficient at each vertex [-], shape [V]."""
+    key: str
+    """Where the solid stands in the scene, such as `solids[0]`."""
+
+
+def ring(count: int) -> Integers:
+    """Segments from each of `count` vertices to the next, the last to the first, shape [count, 2]."""
+    return np.stack([np.arange(count), np.roll(np.arange(count), -1)], axis=1)
+
+
+def turned(corners: Floats, centre: Floats, angle_deg: float) -> Floats:
+    """Points of a plane turned about `centre` by an angle from the first axis to the second, shape [N, 2]."""
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return np.asarray((corners - centre) @ np.array([[c, s], [-s, c]]) + centre)
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors of length 1; those of length 0 stay."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
+
+
+def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Floats]:
+    """Unit normals of faces [F, D], 0 of one without area; of their corners [F, D, D]; of triangles' edges [F, 3, D].
+
+    A corner's is the sum of the normals around its vertex, in 3D weighted by their angles there, an edge's that of its
+    two (Baerentzen & Aanaes 2005). Segments have no edges: [F, 0, 2].
+    """
+    corners = vertices[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    angles = np.ones(faces.shape)
+    if faces.shape[1] == 2:
+        normals = unit(edges[:, 0, ::-1] * [1.0, -1.0])
+    else:
+        across = np.cross(edges[:, 0], edges[:, 1])
+        longest = (edges * edges).sum(-1).max(axis=1)
+        across[np.linalg.norm(across, axis=1) <= 1.0e-14 * longest] = 0.0
+        normals = unit(across)
+        ahead, back = unit(edges), -unit(np.roll(edges, 1, axis=1))
+        angles = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=-1), (ahead * back).sum(-1))
+    at_vertex = np.zeros_like(vertices)
+    np.add.at(at_vertex, faces, angles[..., None] * normals[:, None])
+    at_corners = unit(at_vertex)[faces]
+    if faces.shape[1] == 2:
+        return normals, at_corners, np.zeros((len(faces), 0, 2))
+    pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    _, edge = np.unique(pairs, axis=0, return_inverse=True)
+    at_edge = np.zeros((int(edge.max()) + 1, 3))
+    np.add.at(at_edge, edge.ravel(), np.repeat(normals, 3, axis=0))
+    return normals, at_corners, unit(at_edge)[edge.ravel()].reshape(-1, 3, 3)
