@@ -1,192 +1,259 @@
-"""Arrays of anybody's, in NPZ and in HDF5: sizes are looked up before anything is read, and nothing is executed."""
+"""Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are looked up before reading, nothing is executed.
 
-import io
+`numpy.savez` stores its arrays as they are, so the positions of an NPZ are a memory map of the file itself. An array of
+frames in HDF5 grows along its first axis, single precision as it is, in chunks of a frame (of small frames as many as
+fill `CHUNK`) that are deflated with their bytes shuffled; a text is an array of its bytes.
+"""
+
 import math
-import pickle
-import pickletools
-import warnings
+import struct
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets import memory
 from datasets.errors import InputError
+from datasets.files import replacing
 from datasets.reading import file_size, reading
 
 # Most commands read NPZ alone.
 if TYPE_CHECKING:
     import h5py
 
-WHOLE_HDF5 = "a whole HDF5 file"
+HDF5 = ".h5"
+CHUNK = 2**16
+"""Bytes that a chunk of HDF5 holds at least."""
+LARGEST_CHUNK = 2**30
+"""Bytes of a chunk that is read."""
+DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+TEXTS = ("scene", "summary")
+WHAT = "a trajectory"
+LOCAL_HEADER = struct.Struct("<26xHH")
+"""What stands before a member of a zip archive, at its end the lengths of its name and of its extra field."""
 
 
-class Npz:
-    """The arrays of an open NPZ, by key, in the order of the file."""
+class FrameWriter:
+    """An HDF5 file that grows as frames are computed: memory holds no more of them than one call appends.
 
-    def __init__(self, path: Path, archive: zipfile.ZipFile, what: str) -> None:
-        self.path, self._archive, self._what = path, archive, what
-        self._members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+    The file takes its place when the block ends. For example:
 
-    @property
-    def keys(self) -> list[str]:
-        """The names of the arrays."""
-        return list(self._members)
+        with FrameWriter("flow.h5") as file:
+            for positions in run:  # [F, N, D]
+                file.append(positions=positions)
+            flow = Trajectory(positions=file.frames("positions"), ...)  # which are read from the file
+            file.put(**flow.arrays())
+    """
 
-    def member(self, key: str) -> zipfile.ZipInfo:
-        """Where an array lies in the file. Raises InputError where there is none."""
-        if key not in self._members:
-            raise InputError("expected an array, the key is missing", where=str(self.path), key=key)
-        return self._members[key]
+    def __init__(self, path: str | Path) -> None:
+        self._path, self._stack = Path(path), ExitStack()
 
-    def shape(self, key: str) -> tuple[int, ...]:
-        """The shape of an array, without reading it. Raises InputError."""
-        with self._open(key) as stream:
-            return read_header(stream)[0]
+    def __enter__(self) -> "FrameWriter":
+        import h5py
 
-    def read(self, key: str, *, objects: bool = False) -> NDArray[Any]:
-        """The array `key`; where `objects` may be, arrays and numbers in an array again. Raises InputError."""
-        size = self.member(key).file_size
-        memory.require(size, "an array", "it must fit into memory", key=key, where=str(self.path))
-        with self._open(key) as stream:
-            shape, _, dtype = read_header(stream)
-            if dtype.hasobject and not objects:
-                raise InputError(f"expected {self._what}, found an array of objects")
-            if dtype.hasobject:
-                value = np.asarray(unpickled(stream.read()))
-            elif math.prod(shape) * dtype.itemsize != size - stream.tell():
-                raise InputError("expected an array as large as its bytes in the file")
+        part = self._stack.enter_context(replacing(self._path))
+        self._file = self._stack.enter_context(h5py.File(part, "w"))
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def put(self, **arrays: NDArray[Any] | str) -> None:
+        """Write whole arrays, and texts."""
+        for key, value in arrays.items():
+            array = np.frombuffer(value.encode(), np.uint8) if isinstance(value, str) else np.asarray(value)
+            chunks = (frames_in_chunk(array), *array.shape[1:]) if array.nbytes > CHUNK else None
+            self._file.create_dataset(key, data=array, chunks=chunks, **(DEFLATED if chunks else {}))
+
+    def append(self, **frames: NDArray[Any]) -> None:
+        """Add frames, shape [F, ...] each, to what there is of every key."""
+        for key, values in frames.items():
+            if key not in self._file:
+                shape, chunks = values.shape[1:], (frames_in_chunk(values), *values.shape[1:])
+                self._file.create_dataset(key, data=values, maxshape=(None, *shape), chunks=chunks, **DEFLATED)
             else:
-                stream.seek(0)
-                with warnings.catch_warnings():
-                    # That the header of Python 2 takes longer to parse.
-                    warnings.simplefilter("ignore", UserWarning)
-                    value = np.lib.format.read_array(stream, allow_pickle=False)
-            # At the very end the archive compares the checksum.
-            if stream.read(1) or value.shape != shape:
-                raise InputError("expected one array of the shape that its header states")
-            return value
+                stored = self._file[key]
+                stored.resize(len(stored) + len(values), axis=0)
+                stored[-len(values) :] = values
 
-    @contextmanager
-    def _open(self, key: str) -> Iterator[IO[bytes]]:
-        member = self.member(key)
-        with reading(self.path, self._what, key), self._archive.open(member) as stream:
-            yield stream
+    def frames(self, key: str) -> NDArray[Any]:
+        """What was appended, to be read from the file; `Frames`."""
+        return cast(NDArray[Any], Frames(self._file[key]))
 
 
-def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and dtype of a member, by numpy, which evaluates literals alone. Raises ValueError."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        if np.lib.format.read_magic(stream) == (1, 0):
-            return np.lib.format.read_array_header_1_0(stream)
-        return np.lib.format.read_array_header_2_0(stream)
+def frames_in_chunk(values: NDArray[Any]) -> int:
+    """How many rows of an array fill a chunk."""
+    return max(1, CHUNK // int(values[0].nbytes))
+
+
+class Frames:
+    """Frames in an HDF5 file, shape [T, ...]: a number reads one of them, a slice reads none until it is indexed.
+
+    Stands where an array of numpy does that is indexed by frame: `frames[-1]`, `frames[::2][3:5, particles]`.
+    """
+
+    def __init__(self, stored: "h5py.Dataset", chosen: range | None = None) -> None:
+        self._stored = stored
+        self._chosen = range(len(stored)) if chosen is None else chosen
+        self.shape: tuple[int, ...] = (len(self._chosen), *stored.shape[1:])
+        self.dtype: np.dtype[Any] = stored.dtype
+        self.ndim, self.size = len(self.shape), math.prod(self.shape)
+        self.nbytes = self.size * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+    def __getitem__(self, key: Any) -> Any:
+        first, *others = key if isinstance(key, tuple) else (key,)
+        if isinstance(first, slice):
+            part = Frames(self._stored, self._chosen[first])
+            return np.asarray(part)[:, *others] if others else part
+        if isinstance(first, int | np.integer):
+            one = self._chosen[int(first)]
+            return self._read(slice(one, one + 1))[0, *others]
+        return np.asarray(self)[key]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        chosen = self._chosen
+        return self._read(slice(chosen.start, chosen.stop, chosen.step)).astype(dtype or self.dtype, copy=False)
+
+    def _read(self, frames: slice) -> NDArray[Any]:
+        with reading(Path(self._stored.file.filename), WHAT, self._stored.name.lstrip("/")):
+            return np.asarray(self._stored[frames])
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write an NPZ of plain arrays."""
+    with replacing(path) as part:
+        np.savez(part, **cast(Any, arrays))
+
+
+def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: str = WHAT) -> dict[str, NDArray[Any]]:
+    """The arrays `names` of an NPZ or HDF5 file and, where they are there, `optional`; all where none is named.
+
+    Never runs a pickle. Raises InputError.
+    """
+
+    def chosen(there: Collection[str]) -> list[str]:
+        return [*names, *(name for name in optional if name in there)] or list(there)
+
+    if path.suffix == HDF5:
+        with open_hdf5(path, what) as file:
+            return {name: _whole(file, name, what) for name in chosen(file)}
+    whole = f"a whole NPZ of plain arrays ({what})"
+    with open_npz(path, whole) as archive:
+        return {name: read_member(archive, name, whole) for name in chosen(keys(archive))}
+
+
+def open_frames(path: Path, key: str) -> NDArray[Any]:
+    """The frames `key` of an NPZ or HDF5 file, read when they are used and no sooner; read-only.
+
+    From an NPZ a memory map, or the whole array where it is compressed or not float32; from HDF5 `Frames`. The file
+    stays open for as long as they are in use. Raises InputError.
+    """
+    if path.suffix == HDF5:
+        import h5py
+
+        with reading(path, WHAT, key):
+            stored = plain_array(h5py.File(path, "r", locking=False), key)
+            if stored.chunks and math.prod(stored.chunks) * stored.dtype.itemsize > LARGEST_CHUNK:
+                raise InputError(f"expected chunks of at most {LARGEST_CHUNK} bytes")
+            return cast(NDArray[Any], Frames(stored))
+    with open_npz(path, WHAT) as archive:
+        place = member(archive, key)
+        with reading(path, WHAT, key), archive.open(place) as stream:
+            shape, fortran, kind = read_header(stream)
+            if place.compress_type == zipfile.ZIP_STORED and kind == np.float32 and kind.isnative:
+                with path.open("rb") as file:
+                    file.seek(place.header_offset)
+                    lengths = LOCAL_HEADER.unpack(file.read(LOCAL_HEADER.size))
+                offset = place.header_offset + LOCAL_HEADER.size + sum(lengths) + stream.tell()
+                order: Any = "F" if fortran else "C"
+                # A plain array: slices of a memmap are slow to make and say nothing more.
+                return np.asarray(np.memmap(path, np.float32, "r", offset, shape, order))
+    return read_arrays(path, key)[key]
 
 
 @contextmanager
-def open_npz(path: Path, what: str = "a whole NPZ") -> Iterator[Npz]:
-    """Open the NPZ at `path`. Raises InputError."""
+def open_npz(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
+    """Open the NPZ at `path`; what: it holds. Raises InputError."""
     file_size(path, what)
     with reading(path, what):
         archive = zipfile.ZipFile(path)
     with archive:
-        yield Npz(path, archive, what)
+        yield archive
 
 
-def unpickled(content: bytes) -> Any:
-    """What a pickle of arrays holds, without executing anything. Raises InputError and whatever `pickle` does."""
-    for opcode, argument, _ in pickletools.genops(content):
-        # The unpickler makes room for as many values as a number in the file says.
-        if "PUT" in opcode.name and int(argument or 0) > len(content):
-            raise InputError("expected arrays and nothing else, found more values than bytes")
-    return plain(ArrayUnpickler(io.BytesIO(content)).load())
+def keys(archive: zipfile.ZipFile) -> list[str]:
+    """The names of the arrays of an open NPZ, in the order of the file."""
+    return [name.removesuffix(".npy") for name in archive.namelist()]
 
 
-class ArrayUnpickler(pickle.Unpickler):
-    """The object arrays of other codes: five names of NumPy's are looked up and no others, so no other is called.
+def member(archive: zipfile.ZipFile, key: str) -> zipfile.ZipInfo:
+    """Where an array lies in an NPZ. Raises InputError where there is none."""
+    if key not in keys(archive):
+        raise InputError("expected an array, the key is missing", where=str(archive.filename), key=key)
+    return archive.getinfo(f"{key}.npy")
 
-    https://docs.python.org/3/library/pickle.html#restricting-globals
+
+def read_member(
+    archive: zipfile.ZipFile, key: str, what: str, unpickled: Callable[[bytes], Any] | None = None
+) -> NDArray[Any]:
+    """The array `key` of an open NPZ; unpickled: how one of objects is read, where there may be any.
+
+    Raises InputError.
     """
-
-    def find_class(self, module: str, name: str) -> Any:
-        """What a name stands for here. Raises InputError."""
-        match module, name:
-            case "numpy", "dtype":
-                return plain_dtype
-            case "numpy", "ndarray":
-                return PickledArray
-            case "_codecs", "encode":
-                return super().find_class(module, name)
-            case "numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct":
-                # Its shape is that of its state, which is held against what is there.
-                return lambda *_: np.ndarray.__new__(PickledArray, (0,))
-            case "numpy.core.multiarray" | "numpy._core.multiarray", "scalar":
-                return super().find_class("numpy._core.multiarray", name)
-        raise InputError(f"expected arrays and nothing else, found the name {f'{module}.{name}'[:80]!r}")
-
-
-class PickledArray(np.ndarray[Any, Any]):
-    """An array that takes the state of no more elements than its pickle brings."""
-
-    def __setstate__(self, state: Any) -> None:
-        _, shape, dtype, _, content = state
-        if math.prod(shape) * (1 if dtype.hasobject else dtype.itemsize) != len(content):
-            raise InputError("expected arrays and nothing else, found one whose shape does not match its content")
-        super().__setstate__(state)
-
-
-def plain(value: Any) -> Any:
-    """The same tuples and object arrays with NumPy's own arrays in place of each `PickledArray`."""
-    if isinstance(value, tuple | list):
-        return tuple(map(plain, value))
-    if not isinstance(value, np.ndarray):
+    with reading(Path(str(archive.filename)), what, key), archive.open(member(archive, key)) as stream:
+        shape, _, dtype = read_header(stream)
+        size = max(member(archive, key).file_size, math.prod(shape) * dtype.itemsize)
+        memory.require(size, "an array", "it must fit into memory")
+        if dtype.hasobject and unpickled is not None:
+            value = np.asarray(unpickled(stream.read()))
+        else:
+            stream.seek(0)
+            value = np.lib.format.read_array(stream, allow_pickle=False)
+        # At the very end the archive compares the checksum.
+        if stream.read(1) or value.shape != shape:
+            raise InputError("expected one array of the shape that its header states")
         return value
-    found = np.asarray(value)
-    if found.dtype.hasobject:
-        for index in np.ndindex(found.shape):
-            found[index] = plain(found[index])
-    return found
 
 
-def plain_dtype(code: str, *_: Any) -> np.dtype[Any]:
-    """A new dtype of numbers or of objects, whose byte order its state may set. Raises InputError."""
-    dtype = np.dtype(code)
-    if dtype.kind not in "biufO":
-        raise InputError(f"expected arrays and nothing else, found the dtype {code!r}")
-    return np.dtype(code, False, True)
+def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and dtype of a member, by numpy, which evaluates literals alone. Raises ValueError."""
+    if np.lib.format.read_magic(stream) == (1, 0):
+        return np.lib.format.read_array_header_1_0(stream)
+    return np.lib.format.read_array_header_2_0(stream)
 
 
 @contextmanager
-def open_hdf5(path: Path) -> Iterator["h5py.File"]:
+def open_hdf5(path: Path, what: str) -> Iterator["h5py.File"]:
     """Open an HDF5 file. Raises InputError, which names it."""
     import h5py
 
-    file_size(path, "an HDF5 file")
-    with reading(path, WHOLE_HDF5):
-        file = h5py.File(path, "r", locking=False)
-    with file:
+    file_size(path, what)
+    with reading(path, what), h5py.File(path, "r", locking=False) as file:
         yield file
 
 
-def read_array(file: "h5py.File", key: str) -> NDArray[Any]:
-    """One array of numbers of the file itself. Raises InputError, which names the file."""
-    array = plain_array(file, key)
-    with reading(Path(file.filename), WHOLE_HDF5, key):
-        memory.require(array.nbytes, "an array", "it must fit into memory", key=key)
-        return np.asarray(array[()])
-
-
 def plain_array(file: "h5py.File", key: str) -> "h5py.Dataset":
-    """An array of numbers, unread, that does not point to another file. Raises InputError, which names the file."""
+    """An array of numbers, unread, that does not point to another file. Raises InputError."""
     import h5py
 
-    with reading(Path(file.filename), WHOLE_HDF5, key):
-        array = file.get(key)
-        inside = isinstance(array, h5py.Dataset) and array.file.filename == file.filename
-        if not inside or array.external or array.is_virtual or array.dtype.kind not in "biuf":
-            raise InputError("expected an array of numbers in the file", key=key)
-        return array
+    array = file.get(key)
+    inside = isinstance(array, h5py.Dataset) and array.file.filename == file.filename
+    if not inside or array.external or array.is_virtual or array.dtype.kind not in "biuf":
+        raise InputError("expected an array of numbers in the file", key=key)
+    return array
+
+
+def _whole(file: "h5py.File", key: str, what: str) -> NDArray[Any]:
+    """An array of an HDF5 file, texts as texts. Raises InputError."""
+    with reading(Path(file.filename), what, key):
+        stored = plain_array(file, key)
+        memory.require(stored.nbytes, "an array", "it must fit into memory")
+        array = np.asarray(stored[()])
+        return np.array(bytes(array.astype(np.uint8, casting="safe")).decode()) if key in TEXTS else array

@@ -192,26 +192,6 @@ def check_fields(scene: Scene) -> None:
             require(lowest >= smallest, f"{key}.values", message, lowest)
 
 
-def check_plain(scene: Scene, who: str, where: str = "", *, terrain: bool = False) -> None:
-    """Raise InputError for a scene with solids, turned baffles or open sides, which `who` does not know.
-
-    terrain: whether it knows terrain under Coulomb friction, and turned baffles.
-    """
-    refused: list[tuple[bool, str, str]] = [(bool(scene.open_sides), "open_sides", "a closed box")]
-    if terrain:
-        for index, solid in enumerate(scene.solids):
-            refused.append((solid.kind != "terrain", f"solids[{index}].kind", "baffles and terrain alone"))
-            other = solid.contact != "coulomb" or solid.adhesion > 0.0
-            refused.append((other, f"solids[{index}].contact", "Coulomb friction alone"))
-    else:
-        refused.append((bool(scene.solids), "solids", "a scene without solids but baffles"))
-        turned = ((each.turned_deg != 0.0, f"baffles[{index}].turned_deg") for index, each in enumerate(scene.baffles))
-        refused += [(bad, key, "a baffle along the axes") for bad, key in turned]
-    for bad, key, expected in refused:
-        if bad:
-            raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)
-
-
 def warn_if_unlikely(scene: Scene) -> None:
     """One UserWarning for each number that looks like another unit's: an angle in radians, a modulus in MPa."""
     for key, material in {

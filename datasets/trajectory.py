@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.errors import InputError
-from datasets.frames import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.particles import initial_volumes, particle_count
 from datasets.reading import json_object
 from datasets.scene import Scene
@@ -115,7 +115,7 @@ class Trajectory:
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
-        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.frames`)."""
+        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.arrays`)."""
         path, arrays = Path(path), self.arrays()
         if path.suffix != HDF5:
             positions = np.asarray(self.positions, np.float32)

@@ -15,8 +15,7 @@ from datasets import memory
 from datasets.errors import InputError
 from datasets.particles import initial_particles, mass_counts, released_volume
 from datasets.scene import Scene
-from datasets.training.samples import Surroundings, check_known
-from datasets.training.thinning import thin
+from datasets.training.samples import Surroundings, check_known, thin
 from datasets.trajectory import Floats, Trajectory
 from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors

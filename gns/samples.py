@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.training.samples import Flow, Flows, Sample, cut, exchanged, load_flows, mirrored
+from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, reflected
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation
@@ -137,9 +137,9 @@ def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:
     size = sample.surroundings.size
     for axis in (axis for axis in range(len(size)) if axis != UP):
         if rng.random() < 0.5:
-            sample = mirrored(sample, axis, spacing)
+            sample = reflected(sample, axis, spacing)
     if len(size) == 3 and rng.random() < 0.5:
-        sample = exchanged(sample)
+        sample = reflected(sample, None, spacing)
     return sample
 
 

@@ -20,9 +20,8 @@ from datasets.lock import locked
 from datasets.particles import mass_counts
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.training.metadata import metadata
-from datasets.training.statistics import MotionStatistics, motion_statistics
-from datasets.training.thinning import thin
+from datasets.training.samples import thin
+from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.cluster import Workers, connected, pool
 
@@ -99,7 +98,9 @@ def generate(
         statistics = statistics_of(
             workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
         )
-        write_json(out / "metadata.json", metadata(definition, entries, seed=seed, statistics=statistics))
+        radius = definition.connectivity_radius
+        described = metadata(definition.name, entries, connectivity_radius=radius, seed=seed, statistics=statistics)
+        write_json(out / "metadata.json", described)
         write_json(
             out / "generation.json",
             {

@@ -4,12 +4,12 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
+from datasets.arrays import HDF5, FrameWriter
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.exchange.vtk import write_vtk
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
-from datasets.frames import HDF5, FrameWriter
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import stopping

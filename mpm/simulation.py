@@ -15,10 +15,10 @@ from typing import TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
+from datasets.arrays import FrameWriter
 from datasets.checks import warn_if_unlikely
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.frames import FrameWriter
 from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory

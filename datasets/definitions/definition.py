@@ -35,7 +35,7 @@ class Storage:
     cell: float
     """Edge of the cells in which particles are chosen at random [m]."""
     kept: int
-    """Particles that stay of each such cell; they get the volume of all (`datasets.training.thinning`)."""
+    """Particles that stay of each such cell; they get the volume of all (`datasets.training.samples.thin`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""python -m datasets.exchange DATASET --to LAYOUT, or SOURCE --from LAYOUT: datasets in the layouts of other codes."""
+"""python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code."""
 
 import sys
 from pathlib import Path
@@ -9,20 +9,18 @@ from cyclopts import Parameter
 from datasets.command_line import run
 from datasets.errors import InputError
 
-LayoutName = Literal["geoelements", "lagrangebench"]
-
 
 def command(
     dataset: Path,
     /,
     *,
     out: Path,
-    to: LayoutName | None = None,
-    from_: Annotated[LayoutName | None, Parameter(name="--from")] = None,
+    to: Literal["geoelements"] | None = None,
+    from_: Annotated[Literal["geoelements"] | None, Parameter(name="--from")] = None,
     scene: str | None = None,
     up: Literal["y", "z"] = "y",
 ) -> None:
-    """Write a dataset of Talus in the layout of another code, or one of theirs as a dataset of Talus.
+    """Write a dataset of Talus in the layout of geoelements/gns, or one of theirs as a dataset of Talus.
 
     One trajectory is in memory at a time. Running the same command again finishes what is missing. Their files are
     read without executing anything they hold.
@@ -30,17 +28,17 @@ def command(
     Parameters
     ----------
     dataset
-        With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz or .h5
-        and metadata.json.
+        With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz and
+        metadata.json.
     out
         Folder of the result; empty, or begun by the same command.
     to
-        Layout to write: geoelements (NPZ of geoelements/gns) or lagrangebench (HDF5 of LagrangeBench).
+        Layout to write.
     from_
         Layout to read.
     scene
         With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the friction
-        where the set has no tan(phi). Not needed for what --to has written, which keeps its scenes.
+        where the set has no tan(phi).
     up
         With --from: the axis that points up, y or z.
     """
@@ -49,14 +47,14 @@ def command(
 
     if (to is None) == (from_ is None):
         raise InputError("expected one of --to and --from")
+    if (scene is None) != (from_ is None) or (to is not None and up != "y"):
+        raise InputError("expected --scene with --from, and it and --up with --from alone")
     if not dataset.is_dir():
         raise InputError("expected the folder of a dataset, there is none", where=str(dataset))
-    if to is not None:
-        if scene is not None or up != "y":
-            raise InputError("expected --scene and --up with --from alone")
-        export(dataset, to, out)
-    elif from_ is not None:
-        import_dataset(dataset, from_, out, scene=None if scene is None else read_scene(scene), up=up)
+    if scene is None:
+        export(dataset, out)
+    else:
+        import_dataset(dataset, out, scene=read_scene(scene), up=up)
 
 
 if __name__ == "__main__":

@@ -118,62 +118,40 @@ class Meshes:
         return part == MOVING or (part == "solids" and self.trajectory.solid_impulse is not None)
 
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
-        """The part `name` at `frame`, with its arrays; the force on solids is that since the frame `since`."""
-        mesh = self.shape(name, frame)
-        data = mesh.point_data if name == MOVING else mesh.cell_data
-        arrays = self.arrays(name, frame, since)
-        for key, values in arrays.items():
-            data[key] = values
-            mesh.field_data[f"{key}_units"] = [self.unit(key)]
-        if (active := ACTIVE.get(name, "")) in arrays:
-            data.active_vectors_name = active
-        return mesh
+        """The part `name` at `frame`: the particles with `fields`, a vertex each, the edges of the box, or the solids.
 
-    def shape(self, name: str, frame: int) -> "pyvista.PolyData":
-        """The part `name` at `frame` without its arrays: the particles, a vertex each, the surface or the box."""
+        The faces of solids have the number of their solid, baffles first, its friction, infinite without slip, and,
+        where it was recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N]
+        on it since the frame `since`, both in 2D per metre of width.
+        """
         import pyvista
 
-        if name == MOVING:
-            return pyvista.PolyData(spatial(self.trajectory.positions[frame]))
+        trajectory, scene = self.trajectory, self.trajectory.scene
         if name == "domain":
-            size = self.trajectory.scene.domain.size
-            edges: pyvista.PolyData = box((0.0,) * len(size), size).extract_all_edges()
-            return edges
-        surface = surface_of(self.trajectory.scene)
-        assert surface is not None
-        count, width = surface.corners.shape[:2]
-        faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
-        points = spatial(surface.corners.reshape(-1, surface.dimension))
-        return pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
-
-    def arrays(self, name: str, frame: int, since: int) -> dict[str, NDArray[Any]]:
-        """The arrays of a part at `frame`: of the particles those of `fields`, of solids those of each of their faces.
-
-        That is the number of the solid, baffles first, its friction, infinite without slip, and, where it was recorded,
-        the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N] on it since the frame
-        `since`, both in 2D per metre of width.
-        """
-        trajectory, surface = self.trajectory, surface_of(self.trajectory.scene)
+            return edges((0.0,) * scene.dimension, scene.domain.size)
         if name == MOVING:
-            return {
-                key: values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
-                for key, values in self.fields(frame).items()
-            }
-        if name == "domain" or surface is None:
-            return {}
-        number, friction = surface.solid, surface.friction.mean(axis=1).astype(np.float32)
-        arrays: dict[str, NDArray[Any]] = {"solid": number, "friction": friction}
-        impulse = trajectory.solid_impulse
-        if impulse is not None:
-            gained, elapsed = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
-            arrays["impulse"] = spatial(impulse[frame])[number]
-            arrays["force"] = spatial(gained / elapsed if elapsed > 0.0 else gained)[number]
-        return arrays
-
-    def unit(self, name: str) -> str:
-        """Of the array `name`, in 2D per metre of width where that counts."""
-        per_width = self.trajectory.scene.dimension == 2 and name in ("impulse", "force")
-        return UNITS[name] + ("/m" if per_width else "")
+            mesh = pyvista.PolyData(spatial(trajectory.positions[frame]))
+            arrays, data = self.fields(frame), mesh.point_data
+        else:
+            surface = surface_of(scene)
+            assert surface is not None
+            count, width = surface.corners.shape[:2]
+            faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
+            points = spatial(surface.corners.reshape(-1, surface.dimension))
+            mesh = pyvista.PolyData(points, **{"lines" if width == 2 else "faces": faces})
+            arrays = {"solid": surface.solid, "friction": surface.friction.mean(axis=1).astype(np.float32)}
+            data, impulse = mesh.cell_data, trajectory.solid_impulse
+            if impulse is not None:
+                gained, elapsed = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
+                arrays["impulse"] = impulse[frame][surface.solid]
+                arrays["force"] = (gained / elapsed if elapsed > 0.0 else gained)[surface.solid]
+        for key, values in arrays.items():
+            data[key] = values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
+            per_width = scene.dimension == 2 and key in ("impulse", "force")
+            mesh.field_data[f"{key}_units"] = [UNITS[key] + ("/m" if per_width else "")]
+        if (active := ACTIVE[name]) in arrays:
+            data.active_vectors_name = active
+        return mesh
 
 
 def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
@@ -184,14 +162,16 @@ def spatial(vectors: NDArray[Any], width: int = 3) -> NDArray[Any]:
     return np.pad(vectors, ((0, 0), (0, width - vectors.shape[1])))
 
 
-def box(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData":
-    """The closed surface of a box; in 2D a rectangle."""
+def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyData":
+    """The edges of a box; in 2D of a rectangle."""
     import pyvista
 
-    x, y, *z = zip(lower, np.add(lower, size).tolist(), strict=True)
-    if not z:
-        return pyvista.PolyData([(x[0], y[0], 0), (x[1], y[0], 0), (x[1], y[1], 0), (x[0], y[1], 0)], [4, 0, 1, 2, 3])
-    return pyvista.Box((*x, *y, *z[0]))
+    flat = (0,) * (3 - len(size))
+    cells = pyvista.ImageData(
+        dimensions=(*(2 for _ in size), *(1 for _ in flat)), spacing=(*size, *(1 for _ in flat)), origin=(*lower, *flat)
+    )
+    found: pyvista.PolyData = cells.extract_all_edges()
+    return found
 
 
 def frames_of(trajectory: Trajectory, every: int) -> list[int]:

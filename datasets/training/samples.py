@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from datasets.checks import check_plain
 from datasets.errors import InputError
 from datasets.geometry.ground import ground_raster
 from datasets.particles import mass_counts
 from datasets.scene import Scene
-from datasets.training.thinning import thin
 from datasets.trajectory import Floats, Trajectory, open_trajectory, trajectory_files
 
 MOVING = 0.02
@@ -61,7 +59,11 @@ class Flow:
         spacing: between two elevations of the ground [m].
         """
         scene, count = trajectory.scene, trajectory.positions.shape[1]
-        stride = frames_per_step(trajectory.frame_dt, step, name)
+        frame_dt = trajectory.frame_dt
+        stride = round(step / frame_dt)
+        if stride < 1 or abs(stride * frame_dt - step) > 1.0e-6 * step:
+            expected = f"expected frames {step:g} s apart or a whole fraction of it, got {frame_dt:g}"
+            raise InputError(expected, where=name)
         check_known(scene, "a model", name)
         return Flow(
             name=name,
@@ -77,16 +79,19 @@ class Flow:
 
 def check_known(scene: Scene, who: str, where: str = "") -> None:
     """Raise InputError for a scene that has what no surrogate knows: the key, and what was expected."""
-    check_plain(scene, who, where, terrain=True)
-    if any(mass.release is not None for mass in scene.masses):
-        message = f"expected masses that are free from the start, {who} knows no barriers"
-        raise InputError(message, where=where, key="masses")
     densities = {scene.material_of(mass).density for mass in scene.masses}
-    if len(densities) > 1:
-        got = " and ".join(f"{density:g}" for density in sorted(densities))
-        raise InputError(
-            f"expected masses of one density, {who} knows no others, got {got} kg/m^3", where=where, key="masses"
-        )
+    refused = [
+        (bool(scene.open_sides), "open_sides", "a closed box"),
+        (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
+        (len(densities) > 1, "masses", "masses of one density"),
+    ]
+    for index, solid in enumerate(scene.solids):
+        other = solid.contact != "coulomb" or solid.adhesion > 0.0
+        refused.append((solid.kind != "terrain", f"solids[{index}].kind", "baffles and terrain alone"))
+        refused.append((other, f"solids[{index}].contact", "Coulomb friction alone"))
+    for bad, key, expected in refused:
+        if bad:
+            raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +124,10 @@ class Surroundings:
         if scene.solids:
             elevation, friction, _ = ground_raster(scene, spacing)
             ground = elevation.astype(np.float32), friction.astype(np.float32)
+        lower, extent = (
+            np.array([getattr(each, key) for each in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
+            for key in ("lower", "size")
+        )
         frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
         return Surroundings(
             size=np.array(scene.domain.size, np.float32),
@@ -126,58 +135,11 @@ class Surroundings:
             floor_friction=scene.floor_friction,
             wall_friction=scene.wall_friction,
             damping=scene.damping,
-            baffles=corners(scene),
+            baffles=np.concatenate((lower, lower + extent), axis=1),
             baffle_turn=np.radians([each.turned_deg for each in scene.baffles]).astype(np.float32),
             baffle_friction=np.array(frictions, np.float32),
             ground=ground,
         )
-
-    def mirrored(self, axis: int, spacing: float) -> "Surroundings":
-        """The same, mirrored along a horizontal `axis`; spacing: between two elevations of the ground [m]."""
-        flip, origin = mirror(axis, self.size)
-        baffles = origin + flip * self.baffles
-        # What was the lower side is now the upper.
-        baffles[..., axis] = baffles[:, ::-1, axis]
-        ground = self.ground
-        if ground is not None:
-            along = 0 if axis == 0 else 1
-            plan = spacing * np.arange(ground[0].shape[along])
-
-            def turned(field: Floats) -> Floats:
-                values = np.apply_along_axis(lambda line: np.interp(self.size[axis] - plan, plan, line), along, field)
-                return values.astype(np.float32)
-
-            ground = turned(ground[0]), turned(ground[1])
-        return dataclasses.replace(
-            self, gravity=flip * self.gravity, baffles=baffles, baffle_turn=-self.baffle_turn, ground=ground
-        )
-
-    def exchanged(self) -> "Surroundings":
-        """The same in 3D with x and z exchanged."""
-        turn = [2, 1, 0]
-        return dataclasses.replace(
-            self,
-            size=self.size[turn],
-            gravity=self.gravity[turn],
-            baffles=self.baffles[..., turn],
-            baffle_turn=-self.baffle_turn,
-            ground=None if self.ground is None else (self.ground[0].T, self.ground[1].T),
-        )
-
-
-def mirror(axis: int, size: Floats) -> tuple[Floats, Floats]:
-    """Factor and shift of coordinates that mirror a box of `size` [m] along `axis`, both of shape [D]."""
-    flip, origin = np.ones(len(size), np.float32), np.zeros(len(size), np.float32)
-    flip[axis], origin[axis] = -1.0, size[axis]
-    return flip, origin
-
-
-def frames_per_step(frame_dt: float, step: float, where: str) -> int:
-    """Frames in a model's step. Raises InputError if it is no whole number."""
-    stride = round(step / frame_dt)
-    if stride < 1 or abs(stride * frame_dt - step) > 1.0e-6 * step:
-        raise InputError(f"expected frames {step:g} s apart or a whole fraction of it, got {frame_dt:g}", where=where)
-    return stride
 
 
 def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | None, where: str = "") -> Floats:
@@ -196,13 +158,6 @@ def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | No
         message = f"expected the {sum(counts)} particles of masses that differ in cohesion, got {particles}"
         raise InputError(message, where=where, key="positions")
     return np.repeat(values, counts)
-
-
-def corners(scene: Scene) -> Floats:
-    """Lower and upper corner of each baffle before its turn [m], shape [K, 2, D]."""
-    lower = np.array([baffle.lower for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
-    size = np.array([baffle.size for baffle in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
-    return np.concatenate((lower, lower + size), axis=1)
 
 
 class Flows(Sequence[Flow]):
@@ -239,6 +194,47 @@ def load_flows(
 
 
 @dataclass(frozen=True, kw_only=True)
+class Thinned:
+    """The particles that stay, and the volume that each of them stands for."""
+
+    indices: NDArray[np.int64]
+    """Indices of the kept particles, ascending, shape [n]."""
+    volumes: NDArray[np.float32]
+    """Initial volume of each kept particle [m^D], shape [n]; the sum is that of all particles."""
+
+
+def thin(
+    positions: NDArray[np.floating],
+    volume: float | NDArray[np.floating],
+    *,
+    cell: float,
+    kept: int,
+    rng: np.random.Generator,
+) -> Thinned:
+    """Keep at random `kept` particles of each cell.
+
+    positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
+    cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
+    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data.
+    """
+    cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
+    cells -= cells.min(axis=0)
+    group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    shuffled = rng.permutation(len(group))
+    order = shuffled[np.argsort(group[shuffled], kind="stable")]
+    _, first, count = np.unique(group[order], return_index=True, return_counts=True)
+    rank = np.arange(len(order)) - np.repeat(first, count)
+    each = np.broadcast_to(np.asarray(volume, np.float64), len(group))[order]
+    if len(each) and (each == each[0]).all():
+        shared = np.repeat(count / np.minimum(count, kept), count) * each
+    else:
+        shared = np.repeat(np.add.reduceat(each, first) / np.minimum(count, kept), count)
+    stays = rank < kept
+    ascending = np.argsort(order[stays])
+    return Thinned(indices=order[stays][ascending], volumes=shared[stays][ascending].astype(np.float32))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sample:
     """A thinned stretch of a flow: what a model is given and what it should say."""
 
@@ -261,7 +257,7 @@ class Sample:
 def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: int, rng: np.random.Generator) -> Sample:
     """The stretch of `flow` with `steps` after index `now` and, as far as there are, `history` displacements before.
 
-    cell, kept, rng: which particles stay (`datasets.training.thinning`). Of a flow on disk it reads these frames alone.
+    cell, kept, rng: which particles stay (`thin`). Of a flow on disk it reads these frames alone.
     """
     thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     particles = thinned.indices
@@ -277,25 +273,44 @@ def cut(flow: Flow, *, now: int, steps: int, history: int, cell: float, kept: in
     )
 
 
-def mirrored(sample: Sample, axis: int, spacing: float) -> Sample:
-    """The same flow, mirrored along a horizontal `axis`; spacing: between two elevations of the ground [m]."""
-    flip, origin = mirror(axis, sample.surroundings.size)
+def reflected(sample: Sample, axis: int | None, spacing: float) -> Sample:
+    """The same flow in a mirror: along a horizontal `axis`, or in 3D, where that is None, with x and z exchanged.
+
+    spacing: between two elevations of the ground [m].
+    """
+    around = sample.surroundings
+    order, flip, origin = np.arange(len(around.size)), np.ones_like(around.size), np.zeros_like(around.size)
+    if axis is None:
+        order = order[::-1]
+    else:
+        flip[axis], origin[axis] = -1.0, around.size[axis]
+
+    def vectors(values: Floats) -> Floats:
+        return flip * values[..., order]
+
+    def points(values: Floats) -> Floats:
+        return origin + vectors(values)
+
+    def raster(values: Floats) -> Floats:
+        if axis is None:
+            return values.T
+        along = min(axis, 1)
+        plan = spacing * np.arange(values.shape[along])
+        mirrored = np.apply_along_axis(lambda line: np.interp(origin[axis] - plan, plan, line), along, values)
+        return mirrored.astype(np.float32)
+
     return dataclasses.replace(
         sample,
-        frames=origin + flip * sample.frames,
-        velocity0=flip * sample.velocity0,
-        targets=origin + flip * sample.targets,
-        surroundings=sample.surroundings.mirrored(axis, spacing),
-    )
-
-
-def exchanged(sample: Sample) -> Sample:
-    """The same 3D flow with x and z exchanged."""
-    turn = [2, 1, 0]
-    return dataclasses.replace(
-        sample,
-        frames=sample.frames[..., turn],
-        velocity0=sample.velocity0[..., turn],
-        targets=sample.targets[..., turn],
-        surroundings=sample.surroundings.exchanged(),
+        frames=points(sample.frames),
+        velocity0=vectors(sample.velocity0),
+        targets=points(sample.targets),
+        surroundings=dataclasses.replace(
+            around,
+            size=around.size[order],
+            gravity=vectors(around.gravity),
+            # What was the lower side is now the upper.
+            baffles=np.sort(points(around.baffles), axis=1),
+            baffle_turn=-around.baffle_turn,
+            ground=None if around.ground is None else (raster(around.ground[0]), raster(around.ground[1])),
+        ),
     )

@@ -1,4 +1,4 @@
-"""Mean and spread of a dataset's velocities and accelerations, in memory that does not grow with the dataset.
+"""What `metadata.json` says of a dataset: mean and spread of velocities and accelerations, ranges of its scenes.
 
 With the positions x_t of a particle in frame t, per axis and with one frame as the unit of time:
 
@@ -10,10 +10,15 @@ What is counted: **moving particles only**. A velocity counts where the particle
 deposit; counting them would shrink the spread by how long the sequence was watched, not by how the sand flows.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from datasets import __version__
+from datasets.definitions.definition import Entry, Split
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
@@ -89,3 +94,60 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
         velocity=Moments.from_samples(velocity[moving]),
         acceleration=Moments.from_samples(acceleration[moving[:-1] | moving[1:]]),
     )
+
+
+def metadata(
+    name: str, entries: Sequence[Entry], *, connectivity_radius: float, seed: int | None, statistics: MotionStatistics
+) -> dict[str, Any]:
+    """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
+
+    The box and the length are those of the largest; what differs between scenes is [smallest, largest].
+    name: of its definition; connectivity_radius: [m], for readers of other formats; seed: where it was drawn;
+    statistics: of the split of the first entry, that of the training.
+    """
+    scenes = [entry.scene for entry in entries]
+    scene = scenes[0]
+    materials = [asdict(each.material) for each in scenes]
+    angles = [each.material.friction_deg for each in scenes]
+
+    def shared(key: str) -> Any:
+        return extremes([getattr(each, key) for each in scenes])
+
+    return {
+        # The keys of geoelements.
+        "bounds": [[0.0, max(lengths)] for lengths in zip(*(each.domain.size for each in scenes), strict=True)],
+        "sequence_length": max(each.frames for each in scenes),
+        "default_connectivity_radius": connectivity_radius,
+        "dim": scene.dimension,
+        "dt": scene.frame_dt,
+        **statistics.metadata(),
+        # Ours.
+        "definition": name,
+        "seed": seed,
+        "count": len(entries),
+        "splits": {split.value: sum(entry.split is split for entry in entries) for split in Split},
+        "statistics": {
+            "split": entries[0].split.value,
+            "moving_speed": MOVING_SPEED,
+            "velocities": statistics.velocity.count,
+            "accelerations": statistics.acceleration.count,
+        },
+        "cell": extremes([each.domain.cell for each in scenes]),
+        "particles_per_axis": shared("particles_per_axis"),
+        "step_fraction": shared("step_fraction"),
+        "material": {key: extremes([each[key] for each in materials]) for key in materials[0] if key != "friction_deg"},
+        "friction_deg": [min(angles), max(angles)],
+        "floor_friction": shared("floor_friction"),
+        "wall_friction": shared("wall_friction"),
+        "baffle_friction": shared("baffle_friction"),
+        "damping": shared("damping"),
+        "version": __version__,
+    }
+
+
+def extremes(values: Sequence[Any]) -> Any:
+    """The value that all have, else the smallest and the largest of those that are numbers."""
+    if all(value == values[0] for value in values):
+        return values[0]
+    numbers = [value for value in values if value is not None]
+    return [min(numbers), max(numbers)]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import FrameWriter
 from datasets.errors import InputError
-from datasets.frames import FrameWriter
 from datasets.particles import Particles, initial_particles
 from datasets.scene import DOMAIN_SIDES, Scene
 from mpm.arrays.features import features_of

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.arrays import read_arrays, write_npz
 from datasets.errors import InputError
-from datasets.frames import read_arrays, write_npz
 from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene

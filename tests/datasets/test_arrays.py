@@ -1,41 +1,102 @@
-"""An NPZ or HDF5 of anybody's: read as its library reads it where it holds arrays, else one line; nothing is run."""
+"""Arrays in files: an NPZ is mapped, HDF5 grows and is read frame by frame; a foreign file is read, or is one line."""
 
-import os
-import pickle
+import dataclasses
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from datasets.arrays import open_hdf5, open_npz, read_array
+from datasets.arrays import FrameWriter, read_arrays
 from datasets.errors import InputError
+from datasets.trajectory import FIELDS, Trajectory, open_trajectory, read_trajectory, stored_scene
 
 
-class Calls:
-    """Pickles as a call of `function`."""
+@pytest.fixture
+def flow(trajectory: Trajectory) -> Trajectory:
+    """Particles that move on from frame to frame, with all that can be recorded."""
+    stream = np.random.default_rng(1)
+    frames, count = 37, 2000
+    steps = stream.normal(0.0, 0.002, (frames, count, 2))
+    shapes = {"volume": (count,), "velocities": (frames, count, 2), "stress": (frames, count, 4)}
+    shapes |= dict.fromkeys(("pressure", "density", "plastic_strain"), (frames, count))
+    shapes |= {"solid_impulse": (frames, 0, 2)}
+    return dataclasses.replace(
+        trajectory,
+        positions=(0.5 + np.cumsum(steps, axis=0)).astype(np.float32),
+        time=0.0025 * np.arange(frames),
+        velocity0=stream.random((count, 2), np.float32),
+        friction=np.full(count, 0.5, np.float32),
+        mass=np.zeros(count, np.int32),
+        **{key: (0.1 + stream.random(shape)).astype(FIELDS[key]) for key, shape in shapes.items()},
+    )
 
-    def __init__(self, function: Any, *arguments: Any) -> None:
-        self.made = (function, arguments)
 
-    def __reduce__(self) -> Any:
-        return self.made
-
-
-def trajectories() -> np.ndarray[Any, Any]:
-    """Two trajectories as other codes pickle them: positions, types, a number of NumPy's."""
-    found = np.empty(2, dtype=object)
-    for index, shape in enumerate(((4, 3, 2), (2, 5, 3))):
-        positions = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
-        found[index] = (positions, np.full(shape[1], 6), np.float64(0.5))
-    return found
+@pytest.fixture(params=["trajectory.npz", "trajectory.h5"])
+def saved(flow: Trajectory, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A trajectory on disk, in either format."""
+    path = tmp_path / str(request.param)
+    flow.save(str(path))
+    return path
 
 
-def everything(path: Path) -> dict[str, Any]:
-    with open_npz(path) as file:
-        return {key: file.read(key, objects=True) for key in file.keys}
+def test_everything_comes_back_to_the_bit(flow: Trajectory, saved: Path) -> None:
+    for read in (Trajectory.load(str(saved)), read_trajectory(str(saved.parent))):
+        for key in ("positions", "time", "velocity0", "friction", "mass", *FIELDS):
+            np.testing.assert_array_equal(getattr(read, key), getattr(flow, key))
+            assert getattr(read, key).dtype == getattr(flow, key).dtype
+        assert (read.scene, read.summary) == (flow.scene, flow.summary)
+    assert stored_scene(saved) == flow.scene
+
+
+def test_saving_what_was_read_changes_nothing(saved: Path, tmp_path: Path) -> None:
+    Trajectory.load(saved).save(tmp_path / f"again{saved.suffix}")
+    assert (tmp_path / f"again{saved.suffix}").read_bytes() == saved.read_bytes()
+
+
+def test_an_opened_trajectory_has_the_frames_that_are_asked_for(flow: Trajectory, saved: Path) -> None:
+    opened = open_trajectory(saved)
+    for key in ("velocity0", "friction", "time", "volume", "mass"):
+        np.testing.assert_array_equal(getattr(opened, key), getattr(flow, key))
+    assert (opened.scene, opened.frame_dt, opened.velocities) == (flow.scene, flow.frame_dt, None)
+    ours, theirs = opened.positions, flow.positions
+    assert (ours.shape, ours.ndim, len(ours), ours.size) == (theirs.shape, 3, len(theirs), theirs.size)
+    few = np.array([3, 1, 4])
+    for key in (0, -1, np.int64(5), slice(2, 5), slice(None, None, 7), (-1, slice(None), 0), (slice(4, 9), few)):
+        np.testing.assert_array_equal(ours[key], theirs[key])
+    np.testing.assert_array_equal(ours[::3][2:5][:, few], theirs[::3][2:5][:, few])
+    np.testing.assert_array_equal(ours[1] - ours[0], theirs[1] - theirs[0])
+    with pytest.raises(IndexError):
+        ours[len(theirs)]
+
+
+def test_a_file_grows_by_frames_and_appears_at_the_end(flow: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "flow.h5"
+    with FrameWriter(path) as file:
+        file.put(scene=flow.scene.to_json(), velocity0=flow.velocity0, friction=flow.friction)
+        for first in range(0, len(flow.time), 5):
+            part = slice(first, first + 5)
+            file.append(time=flow.time[part], positions=flow.positions[part])
+        np.testing.assert_array_equal(file.frames("positions")[-1], flow.positions[-1])
+        assert not path.exists()
+    np.testing.assert_array_equal(Trajectory.load(path).positions, flow.positions)
+    with pytest.raises(TypeError), FrameWriter(tmp_path / "lost.h5") as file:
+        file.put(scene=object())  # type: ignore[arg-type]
+    assert [each.name for each in tmp_path.iterdir()] == ["flow.h5"]
+
+
+def test_damage_within_a_frame_is_one_line_when_it_is_read(flow: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "flow.h5"
+    flow.save(path)
+    with h5py.File(path) as file:
+        place = file["positions"].id.get_chunk_info(5)
+    content = bytearray(path.read_bytes())
+    content[place.byte_offset : place.byte_offset + 64] = bytes(64)
+    path.write_bytes(content)
+    positions = open_trajectory(path).positions
+    with pytest.raises(InputError, match=r"flow\.h5: positions: expected a trajectory"):
+        _ = [positions[frame] for frame in range(len(positions))]
 
 
 def with_member(path: Path, content: bytes) -> Path:
@@ -48,46 +109,6 @@ def npy(header: str, content: bytes = b"") -> bytes:
     return b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header.encode() + content
 
 
-@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_arrays_as_numpy_wrote_them(tmp_path: Path, save: Any) -> None:
-    arrays = {
-        "numbers": np.arange(12.0).reshape(3, 4),
-        "turned": np.asfortranarray(np.arange(12).reshape(3, 4)),
-        "none": np.zeros((0, 3), np.float32),
-        "one": np.array(2.5),
-        "text": np.array("sand"),
-    }
-    save(tmp_path / "all.npz", **arrays)
-    found = everything(tmp_path / "all.npz")
-    assert list(found) == list(arrays)
-    for key, array in arrays.items():
-        np.testing.assert_array_equal(found[key], array, strict=True)
-    with open_npz(tmp_path / "all.npz") as file:
-        assert {key: file.shape(key) for key in file.keys} == {key: array.shape for key, array in arrays.items()}
-
-
-@pytest.mark.parametrize("older", [False, True])
-def test_pickled_trajectories(tmp_path: Path, older: bool) -> None:
-    data = trajectories()
-    content = npy("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }", pickle.dumps(data, 2 if older else 4))
-    if older:
-        content = content.replace(b"numpy._core.", b"numpy.core.")
-    for expected, found in zip(data, everything(with_member(tmp_path / "data.npz", content))["data"], strict=True):
-        for one, other in zip(expected, found, strict=True):
-            np.testing.assert_array_equal(one, other)
-            assert one.dtype == other.dtype
-
-
-def test_a_pickle_is_refused_by_name_and_not_run(tmp_path: Path) -> None:
-    mark = tmp_path / "mark"
-    data = np.empty(1, dtype=object)
-    data[0] = (np.zeros((2, 3, 2)), Calls(os.system, f"touch {mark}"))
-    np.savez(tmp_path / "bad.npz", fine=np.arange(3), flow=data)
-    with pytest.raises(InputError, match=rf"bad.npz: flow: expected arrays .* '{os.name}.system'"):
-        everything(tmp_path / "bad.npz")
-    assert not mark.exists()
-
-
 TERABYTES = "{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999,), }"
 OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
 
@@ -95,21 +116,17 @@ OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"", "whole NPZ"),
-        (npy(TERABYTES, bytes(8)), "as large as its bytes"),
-        (npy(TERABYTES.replace("999999999999", "1"), bytes(16)), "as large as its bytes"),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (__import__('os'),), }"), "whole NPZ"),
-        (npy("(" * 5000), "whole NPZ"),
-        (npy(OBJECTS), "whole NPZ"),
-        (npy(OBJECTS, pickle.dumps([1, 2])), "of the shape that its header states"),
-        (npy(OBJECTS, pickle.dumps(Calls(np.dtype, "V9", False, True))), "the dtype 'V9'"),
-        (npy(OBJECTS, b"\x80\x04Nr\xff\xff\xff\x7f."), "more values than bytes"),
-        (npy(OBJECTS, pickle.dumps(np.arange(3)).replace(b"K\x03\x85", b"J\xff\xff\xff\x7f\x85")), "match its content"),
+        (b"", "a trajectory"),
+        (npy(TERABYTES, bytes(8)), "got 7.28 TiB"),
+        (npy(TERABYTES.replace("999999999999", "1"), bytes(16)), "of the shape that its header states"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (__import__('os'),), }"), "a trajectory"),
+        (npy("(" * 5000), "a trajectory"),
+        (npy(OBJECTS, b"cos\nsystem\n."), "Object arrays cannot be loaded"),
     ],
 )
 def test_hostile_members(tmp_path: Path, content: bytes, expected: str) -> None:
     with pytest.raises(InputError) as caught:
-        everything(with_member(tmp_path / "bad.npz", content))
+        read_arrays(with_member(tmp_path / "bad.npz", content))
     assert (caught.value.where, caught.value.key) == (str(tmp_path / "bad.npz"), "data")
     assert expected in caught.value.message
 
@@ -122,13 +139,9 @@ def test_hdf5_of_numbers_in_the_file_itself(tmp_path: Path) -> None:
         file["text"] = "sand"
         file["elsewhere"] = h5py.ExternalLink("other.h5", "secret")
         file.create_dataset("endless", (2**45,), np.float64, chunks=(2**10,))
-    with open_hdf5(tmp_path / "data.h5") as file:
-        assert read_array(file, "fine/numbers").tolist() == [0, 1, 2]
-        for key in ("absent", "fine", "text", "elsewhere", "endless"):
-            with pytest.raises(InputError, match=f"data.h5: {key}: expected an array"):
-                read_array(file, key)
-    with (
-        pytest.raises(InputError, match=r"other\.npz: expected an HDF5 file, there is none"),
-        open_hdf5(tmp_path / "other.npz"),
-    ):
-        pass
+    assert read_arrays(tmp_path / "data.h5", "fine/numbers")["fine/numbers"].tolist() == [0, 1, 2]
+    for key in ("absent", "fine", "text", "elsewhere", "endless"):
+        with pytest.raises(InputError, match=f"data.h5: {key}: expected an array"):
+            read_arrays(tmp_path / "data.h5", key)
+    with pytest.raises(InputError, match=r"other\.h5: expected a trajectory, there is none"):
+        read_arrays(tmp_path / "none" / "other.h5")

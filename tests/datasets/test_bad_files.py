@@ -11,13 +11,13 @@ import pytest
 import tomli_w
 
 from datasets import InputError, read_scene, read_trajectory
-from datasets.arrays import open_npz
+from datasets.exchange import geoelements
 from datasets.library import SCENES, scene_from
 from datasets.particles import initial_particles
 from datasets.reading import read_columns, read_toml
 from datasets.trajectory import Trajectory
 from tests.datasets.geometry.test_nearest import sphere
-from tests.datasets.test_arrays import trajectories
+from tests.datasets.toys import toy
 
 SEEDS = range(4)
 PER_SEED = 25
@@ -56,12 +56,6 @@ def damaged(stream: random.Random, content: bytes) -> bytes:
     return bytes(changed)
 
 
-def everything(path: Path) -> None:
-    with open_npz(path) as file:
-        for key in file.keys:
-            file.read(key, objects=True)
-
-
 def mesh_scene(path: Path) -> None:
     """A body of the mesh in a file."""
     data = {
@@ -85,7 +79,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scene": ("scene.toml", read_scene),
     "trajectory": ("flow.npz", read_trajectory),
     "long trajectory": ("flow.h5", read_trajectory),
-    "object arrays": ("train.npz", everything),
+    "object arrays": ("train.npz", lambda path: list(geoelements.read(path, geoelements.names(path)))),
     "table": ("dem.csv", lambda path: read_columns(path, ("x", "z", "y"))),
     "mesh": ("ball.stl", mesh_scene),
     "mesh in text": ("ball.obj", mesh_scene),
@@ -102,7 +96,7 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path, trajectory: Trajectory
         case "trajectory" | "long trajectory":
             trajectory.save(path)
         case "object arrays":
-            np.savez(path, flow=trajectories(), numbers=np.arange(5.0))
+            geoelements.write(path, [geoelements.cloud_of(toy(2), "flow")])
         case "table":
             write_csv(path)
         case _:

@@ -18,8 +18,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.records import from_mapping
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
-from datasets.training.metadata import metadata
-from datasets.training.statistics import MOVING_SPEED, motion_statistics
+from datasets.training.statistics import MOVING_SPEED, metadata, motion_statistics
 from datasets.trajectory import Trajectory
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -84,9 +83,8 @@ def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> No
 
 
 def test_every_key_of_the_metadata() -> None:
-    written = metadata(
-        FLOW2D, FLOW2D.entries(seed=0, count=1), seed=0, statistics=motion_statistics(np.zeros((3, 1, 2)), 0.0025)
-    )
+    entries, statistics = FLOW2D.entries(seed=0, count=1), motion_statistics(np.zeros((3, 1, 2)), 0.0025)
+    written = metadata("flow2d", entries, connectivity_radius=0.025, seed=0, statistics=statistics)
     named = re.findall(r"`(\w+)`", section("Dataset (folder)"))
     assert written.keys() | written["statistics"].keys() <= set(named)
     assert f"{MOVING_SPEED:g} m/s" in PAGE

@@ -15,10 +15,9 @@ from datasets.training.samples import (
     Sample,
     Surroundings,
     cut,
-    exchanged,
     load_flows,
-    mirrored,
     particle_cohesion,
+    reflected,
 )
 from datasets.trajectory import Trajectory
 
@@ -121,7 +120,7 @@ def same(one: Sample, other: Sample) -> bool:
 
 @pytest.mark.parametrize("axis", [0, 2])
 def test_mirroring_twice_changes_nothing_and_once_turns_an_axis_around(stretch: Sample, axis: int) -> None:
-    once = mirrored(stretch, axis, 0.1)
+    once = reflected(stretch, axis, 0.1)
     others = [other for other in range(3) if other != axis]
     np.testing.assert_allclose(once.frames[..., axis], 0.8 - stretch.frames[..., axis], atol=1e-7)
     np.testing.assert_allclose(once.velocity0[:, axis], -stretch.velocity0[:, axis])
@@ -137,11 +136,11 @@ def test_mirroring_twice_changes_nothing_and_once_turns_an_axis_around(stretch: 
     for there, here in zip(after.ground, before.ground, strict=True):
         np.testing.assert_allclose(there, np.flip(here, 0 if axis == 0 else 1), atol=1e-6)
     assert not same(once, stretch)
-    assert same(mirrored(once, axis, 0.1), stretch)
+    assert same(reflected(once, axis, 0.1), stretch)
 
 
 def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sample) -> None:
-    once = exchanged(stretch)
+    once = reflected(stretch, None, 0.1)
     vectors = [(getattr(once, name), getattr(stretch, name)) for name in ("frames", "targets", "velocity0")]
     for name in ("baffles", "gravity", "size"):
         vectors.append((getattr(once.surroundings, name), getattr(stretch.surroundings, name)))
@@ -152,7 +151,7 @@ def test_exchanging_twice_changes_nothing_and_once_turns_x_into_z(stretch: Sampl
     assert once.surroundings.ground is not None
     assert stretch.surroundings.ground is not None
     assert np.array_equal(once.surroundings.ground[0], stretch.surroundings.ground[0].T)
-    assert same(exchanged(once), stretch)
+    assert same(reflected(once, None, 0.1), stretch)
 
 
 def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:

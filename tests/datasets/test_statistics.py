@@ -6,8 +6,8 @@ from operator import add
 import numpy as np
 import pytest
 
+from datasets.training.samples import thin
 from datasets.training.statistics import MOVING_SPEED, Moments, motion_statistics
-from datasets.training.thinning import thin
 
 FRAME_DT = 0.0025
 

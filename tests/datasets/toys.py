@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.definitions.definition import Definition, Entry, Split
+from datasets.definitions.definition import Entry, Split
 from datasets.files import write_json
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.training.metadata import metadata
-from datasets.training.statistics import motion_statistics
+from datasets.training.statistics import metadata, motion_statistics
 from datasets.trajectory import Trajectory
 
 FRAMES = 6
@@ -71,12 +70,6 @@ def toy_dataset(folder: Path, dimension: int) -> Path:
             each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
             statistics = each if statistics is None else statistics + each
     assert statistics is not None
-    definition = Definition(
-        name="toy",
-        size=len(entries),
-        connectivity_radius=0.015,
-        split=lambda index: SPLITS[index],
-        draw=lambda _, index: entries[index].scene,
-    )
-    write_json(folder / "metadata.json", metadata(definition, entries, seed=0, statistics=statistics))
+    described = metadata("toy", entries, connectivity_radius=0.015, seed=0, statistics=statistics)
+    write_json(folder / "metadata.json", described)
     return folder

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
+from datasets.arrays import FrameWriter
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.frames import FrameWriter
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver

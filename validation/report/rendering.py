@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.exchange.vtk import Meshes, box, spatial
+from datasets.exchange.vtk import Meshes, edges, spatial
 from datasets.files import replacing
 from datasets.geometry.surface import body_of, solids_of
 from datasets.scene import Baffle, Mass
@@ -158,7 +158,7 @@ class Picture:
         """Baffles, other solids and the outlines of the masses that were boxes at the start."""
         scene = self.trajectory.scene
         for mass in [mass for mass in scene.masses if mass.kind == "box"]:
-            self._lines(box(mass.lower, mass.size).extract_all_edges(), FAINT)
+            self._lines(edges(mass.lower, mass.size), FAINT)
         if not (scene.baffles or scene.solids):
             return
         surface, count = self.meshes.part("solids", 0, 0), len(scene.baffles)
