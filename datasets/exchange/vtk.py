@@ -138,7 +138,7 @@ class Meshes:
             count, width = surface.corners.shape[:2]
             faces = np.insert(np.arange(count * width).reshape(count, width), 0, width, axis=1).ravel()
             points = spatial(surface.corners.reshape(-1, surface.dimension))
-            mesh = pyvista.PolyData(points, **{"lines" if width == 2 else "faces": faces})
+            mesh = pyvista.PolyData(points, lines=faces) if width == 2 else pyvista.PolyData(points, faces)
             arrays = {"solid": surface.solid, "friction": surface.friction.mean(axis=1).astype(np.float32)}
             data, impulse = mesh.cell_data, trajectory.solid_impulse
             if impulse is not None:

@@ -20,10 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-<<<<<<< HEAD
-=======
-from datasets.arrays import read_arrays
->>>>>>> a2967ff (Datasets of geoelements in one file of their layout; arrays in files in one module; one mirror of samples)
 from datasets.errors import InputError
 from datasets.geometry.ground import BEYOND, check_covers, interpolated
 from datasets.geometry.rasters import Raster, read_raster
@@ -198,39 +194,7 @@ def table(path: Path, name: str, at: list[float] | None) -> Entry:
     return {"points": rows} | ({"friction": columns["friction"].tolist()} if "friction" in columns else {})
 
 
-<<<<<<< HEAD
 def placed_mesh(path: Path, scale: float, at: list[float] | None) -> Entry:
-=======
-def ground_line(path: Path, how: Entry) -> Entry:
-    """A terrain in 2D: columns x, y and, where there is one, friction."""
-    columns = lengths(path, ("x", "y"), ("friction",), how)
-    found: Entry = {"points": np.stack([columns["x"], columns["y"]], axis=1).tolist()}
-    return found | ({"friction": columns["friction"].tolist()} if "friction" in columns else {})
-
-
-def read_particles(path: Path, dimension: int) -> Entry:
-    """Particles from a CSV (x, y, z, vx, vy, vz, volume) or an NPZ (positions, velocities, volume)."""
-    if path.suffix.lower() == ".npz":
-        arrays = read_arrays(path, what="particles")
-        if "positions" not in arrays or arrays.keys() - {"positions", "velocities", "volume"}:
-            expected = "expected `positions` and, if there are, `velocities` and `volume`"
-            raise InputError(f"{expected}, got {sorted(arrays)}", where=str(path))
-        return {name: values.tolist() for name, values in arrays.items()}
-    if path.suffix.lower() != ".csv":
-        raise InputError("expected particles in a CSV or an NPZ", where=str(path))
-    axes = ("x", "y", "z")[:dimension]
-    moving = tuple(f"v{axis}" for axis in axes)
-    columns = read_columns(path, axes, (*moving, "volume"))
-    found = {"positions": np.stack([columns[axis] for axis in axes], axis=1).tolist()}
-    if any(name in columns for name in moving):
-        if not all(name in columns for name in moving):
-            raise InputError(f"expected all of the columns `{'`, `'.join(moving)}` or none", where=str(path))
-        found["velocities"] = np.stack([columns[name] for name in moving], axis=1).tolist()
-    return found | ({"volume": columns["volume"].tolist()} if "volume" in columns else {})
-
-
-def placed_mesh(path: Path, how: Entry) -> Entry:
->>>>>>> a2967ff (Datasets of geoelements in one file of their layout; arrays in files in one module; one mirror of samples)
     """Vertices and triangles of a closed mesh, at its scale and place. Raises InputError."""
     from datasets.geometry.spatial import outward
 
