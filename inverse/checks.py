@@ -1,14 +1,18 @@
 """The checks of a problem: a combination that has no answer is one line that says what is missing."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import qmc
 
 from datasets.errors import InputError
 from datasets.field import FRICTION
+from datasets.geometry.shapes import require
 from datasets.scene import Scene
 from inverse.observations import KINDS, build
 from inverse.parameters import known_names, with_kinds
-from inverse.parameters.baffles import swept
 from inverse.parameters.field import UnknownField
 from inverse.parameters.parameter import Parameter
 from inverse.settings import (
@@ -22,14 +26,10 @@ from inverse.settings import (
 
 FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
+FILLING = 32
+"""Points by which the box of the bounds is filled, and corners of it, that are tried."""
 OF_FIELDS, OF_NUMBERS = ("mean", "deviation", "length"), ("initial", "step")
 """Keys that an unknown has as a field, or as a number, alone."""
-
-
-def require(ok: bool, key: str, expected: str, got: object) -> None:
-    """Raise InputError unless `ok`."""
-    if not ok:
-        raise InputError(f"expected {expected}, got {got}", key=key)
 
 
 def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
@@ -68,29 +68,27 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
 
 
 def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:
-    """Raise InputError for numbers, each with its index, between whose bounds not every scene can be simulated."""
+    """Raise InputError for numbers, each with its index, between whose bounds not every scene can be simulated.
+
+    Tried are the start, corners of the box and points that fill it.
+    """
     parameters = [each for _, each in numbers]
-    initial = [each.start for each in parameters]
+    initial, bounds = [each.start for each in parameters], [each.bounds for each in parameters]
     _check_scene(scene, parameters, initial, "unknowns")
-    apart = [row for row, each in enumerate(parameters) if not each.kind.independent]
-    # A thousand velocities would be a thousand scenes: those that no other parameter bears on are tried together.
-    for end in (0, 1):
-        together = [value if row in apart else parameters[row].bounds[end] for row, value in enumerate(initial)]
+    lower, upper = np.array(bounds).T
+    corners = [*itertools.islice(itertools.product(*bounds), FILLING), upper.tolist()]
+    inside = lower + (upper - lower) * qmc.Sobol(len(bounds), seed=0).random(FILLING)
+    for values in (*corners, *inside.tolist()):
         try:
-            _check_scene(scene, parameters, together, "unknowns")
-        except InputError:
-            apart = list(range(len(parameters)))
-    for row in apart:
-        for end, name in enumerate(("lower", "upper")):
-            values = [*initial[:row], parameters[row].bounds[end], *initial[row + 1 :]]
-            _check_scene(scene, parameters, values, f"unknowns[{numbers[row][0]}].{name}")
-    # Baffles are boxes that move independently along the axes: all positions are clear if the box of them all is.
-    boxes = swept(scene, [each.kind for each in parameters], [each.bounds for each in parameters])
-    try:
-        dataclasses.replace(scene, baffles=tuple(boxes.get(row, each) for row, each in enumerate(scene.baffles)))
-    except InputError as error:
-        message = f"expected bounds between which every scene can be simulated, but over all of them {error}"
-        raise InputError(message, key="unknowns") from None
+            _check_scene(scene, parameters, values, "unknowns")
+        except InputError as error:
+            # One bound by itself, if there is such a one, says more.
+            for row, (index, each) in enumerate(numbers):
+                for name, bound in zip(("lower", "upper"), each.bounds, strict=True):
+                    alone = [*initial[:row], bound, *initial[row + 1 :]]
+                    _check_scene(scene, parameters, alone, f"unknowns[{index}].{name}")
+            where = ", ".join(f"{each.name} = {value:.4g}" for each, value in zip(parameters, values, strict=True))
+            raise InputError(f"{error.message} with {where}, all within their bounds", key="unknowns") from None
 
 
 def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:
@@ -148,7 +146,7 @@ def check_observations(scene: Scene, observations: Sequence[ObservationSettings]
         try:
             noise_of(settings.noise)
             if settings.csv is None:
-                build(settings, scene).stated(settings, scene)
+                build(settings, scene).stated(settings)
         except InputError as error:
             raise InputError(error.message, key=f"{prefix}.{error.key}") from None
         if target.measured and not given:

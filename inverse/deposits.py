@@ -25,6 +25,7 @@ from inverse.found import Found
 from inverse.observations.passed import Passed
 from inverse.observations.profile import Profile
 from inverse.observations.toe import Toe
+from inverse.settings import ObservationSettings
 
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
@@ -165,7 +166,8 @@ def explanation(found: Found, scenes: Mapping[str, Scene]) -> list[Patch | Line2
 
 def profiles(axis: Axes, found: Found, deposits: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
-    target, profile = found.target, Profile(scene, 2.0 * scene.domain.cell)
+    target = found.target
+    profile = Profile(ObservationSettings(kind="profile", spacing=min(2.0 * scene.domain.cell, 0.5 * scene.domain.size[0])), scene)
     for name, deposit in deposits.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)

@@ -63,7 +63,7 @@ def of_fields(problem: Problem) -> Result:
         misfit=target.misfit(observation),
         file="check.npz",
     )
-    expected = target.observation.prior_scatter(target.values, problem.scene.domain.cell)
+    expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
         parameters=check.parameters,

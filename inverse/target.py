@@ -15,7 +15,8 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.joint import Joint, Part
-from inverse.observations.observation import Context, Errors, Matrix, Measurement, Observation, Values
+from inverse.observations.observation import Errors, Matrix, Measurement, Observation, Values
+from inverse.observations.table import Context
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, noise_of
 
@@ -91,7 +92,7 @@ def read_each(problem: Problem) -> list[Measurement]:
         try:
             found.append(KINDS[settings.kind].read(settings, context))
         except InputError as error:
-            if settings.csv is not None and error.key in ("", "times"):
+            if settings.csv is not None and error.key in ("", "x", "times", "values"):
                 raise error if error.where else error.at(str(problem.folder / settings.csv)) from None
             key = f"observations[{index}].{error.key}".removesuffix(".")
             raise error if error.where else InputError(error.message, key=key) from None
@@ -107,7 +108,7 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
             expected = f"a {problem.scene.dimension}D trajectory as the scene's"
             raise InputError(f"expected {expected}, got {run.scene.dimension}D")
         for each in measurements:
-            each.observation.check_run(run, problem.scene)
+            each.observation.check_run(run)
     except InputError as error:
         raise error.at(str(path)) from None
     return run
@@ -115,7 +116,6 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
 
 def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajectory | None) -> Target:
     """The target of measurements; run: the flow that was observed, where it is known."""
-    cell = problem.scene.domain.cell
     values: list[Values] = []
     errors: list[Errors] = []
     parts: list[Part] = []
@@ -126,7 +126,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
         # A design has none, and is to be as small as possible.
         own = np.zeros(1) if own is None else own
         share, noise = noise_of(settings.noise)
-        errors.append(each.observation.errors(own, profile, share=share, noise=noise, cell=cell))
+        errors.append(each.observation.errors(own, profile, share=share, noise=noise))
         first = sum(len(before) for before in values)
         name = settings.name or name_of(settings, problem.observations[: len(parts)])
         parts.append(Part(name=name, observation=each.observation, numbers=slice(first, first + len(own))))
@@ -145,15 +145,13 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
         profile=None if profile is None or len(parts) > 1 else (profile.x, profile.height),
         roughness=max(each.roughness for each in errors),
     )
-    return target if len(parts) == 1 else joined(target, values, errors, parts, cell)
+    return target if len(parts) == 1 else joined(target, values, errors, parts)
 
 
-def joined(
-    first: Target, values: Sequence[Values], errors: Sequence[Errors], parts: Sequence[Part], cell: float
-) -> Target:
+def joined(first: Target, values: Sequence[Values], errors: Sequence[Errors], parts: Sequence[Part]) -> Target:
     """The target of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
     noise = np.concatenate([each.deviation for each in errors])
-    prior = [part.observation.prior_scatter(own, cell) for part, own in zip(parts, values, strict=True)]
+    prior = [part.observation.prior_scatter(own) for part, own in zip(parts, values, strict=True)]
     scale = np.hypot(noise, np.concatenate(prior))
     if not np.all(scale > 0.0):
         name = next(part.name for part in parts if not np.all(scale[part.numbers] > 0.0))

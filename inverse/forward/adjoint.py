@@ -24,7 +24,7 @@ from inverse.forward.interface import Simulate
 from inverse.forward.mpm import MpmForward
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Kind, Vector, kind, with_kinds
-from inverse.parameters.masses import Velocity
+from inverse.parameters.kind import Velocity
 from inverse.problem import Problem
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import MEMORY_MIB, FlowAdjoints, Tape
@@ -99,7 +99,7 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Ve
     by_mass = gradient.of_mass(gradient.velocities)
     for index, each in enumerate(kinds):
         if isinstance(each, Velocity):
-            found[index] = by_mass[each.mass, each.axis]
+            found[index] = by_mass[each.index, each.axis]
             continue
 
         def scene_at(value: float, index: int = index) -> Scene:

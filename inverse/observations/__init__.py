@@ -28,4 +28,4 @@ KINDS: dict[str, type[Observation]] = {
 
 def build(settings: ObservationSettings, scene: Scene) -> Observation:
     """The observation operator that `settings` describe, for flows of `scene`. Raises InputError."""
-    return KINDS[settings.kind].build(settings, scene)
+    return KINDS[settings.kind](settings, scene)

@@ -1,7 +1,5 @@
 """The whole deposit: the final position of every particle."""
 
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
@@ -26,15 +24,12 @@ class Deposit(Observation):
     sources = ()
     every_particle = True
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
         self.components = scene.dimension
 
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        return cls(scene)
-
-    def check_run(self, run: Trajectory, scene: Scene) -> None:
-        count = particle_count(scene)
+    def check_run(self, run: Trajectory) -> None:
+        count = particle_count(self.scene)
         if run.positions.shape[1] != count:
             got = f"got {run.positions.shape[1]}"
             raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")

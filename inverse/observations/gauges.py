@@ -1,6 +1,6 @@
 """Heights of the flow at gauges, in the end or at times of their own."""
 
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,8 +10,8 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
-from inverse.observations.measured_profile import read_columns, require_inside
-from inverse.observations.observation import Context, Measurement, Observation, Values, require_times
+from inverse.observations.observation import Observation, Values
+from inverse.observations.table import require_inside
 from inverse.settings import ObservationSettings
 
 
@@ -28,38 +28,25 @@ class Gauges(Observation):
     label = "the height at gauges"
     sources = ("csv", "values")
     options = ("x", "z", "times", "spacing", "unit", "datum")
+    columns = {"x": "x", "height": "values", "time": "times"}  # noqa: RUF012
+    optional = ("time",)
 
-    def __init__(self, settings: ObservationSettings, scene: Scene, x: Values, times: Values | None) -> None:
-        """x: of each number [m], shape [M]; times: of each [s], shape [M], the end where absent."""
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        if settings.x is None:
+            raise InputError("expected the x [m] of the gauges", key="x")
+        self.x = require_inside(np.array(settings.x), scene.domain.size[0])
+        if self.times is not None and len(self.times) != len(self.x):
+            # Every gauge at every time, one gauge after the other.
+            self.x, self.times = np.repeat(self.x, len(self.times)), np.tile(self.times, len(self.x))
         z = settings.z
         if z is not None and (scene.dimension != 3 or not 0.0 <= z <= scene.domain.size[2]):
             raise InputError(f"expected a z inside a box in 3D, got {z:g}", key="z")
-        self.scene, self.x, self.z, self.spacing, self.times = scene, x, z, settings.spacing, times
-        self.area = hat_area(x, self.spacing, scene.domain.size[0])
+        self.z, self.spacing = z, settings.spacing
+        self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
             self.area = self.area * (width if z is None else float(hat_area(np.array([z]), self.spacing, width)[0]))
-
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        if settings.x is None:
-            raise InputError("expected the x [m] of the gauges", key="x")
-        x = require_inside(np.array(settings.x), scene.domain.size[0])
-        times = None if settings.times is None else require_times(np.array(settings.times), scene)
-        if times is not None and len(times) != len(x):
-            # Every gauge at every time, one gauge after the other.
-            x, times = np.repeat(x, len(times)), np.tile(times, len(x))
-        return cls(settings, scene, x, times)
-
-    @classmethod
-    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        if settings.csv is None:
-            return super().read(settings, context)
-        scene, metres = context.scene, settings.unit.metres
-        columns = read_columns(context.folder / settings.csv, ("x", "height"), optional=("time",))
-        x = require_inside(columns[0] * metres, scene.domain.size[0])
-        times = require_times(columns[2], scene) if len(columns) > 2 else None
-        return Measurement(observation=cls(settings, scene, x, times), values=(columns[1] - settings.datum) * metres)
 
     @property
     def count(self) -> int:

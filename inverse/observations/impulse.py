@@ -1,6 +1,6 @@
 """Impulse and largest force on a solid. Solids are the baffles, counted from 0, then the others."""
 
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -8,16 +8,7 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
-from inverse.observations.measured_profile import read_columns
-from inverse.observations.observation import (
-    Context,
-    Measurement,
-    Observation,
-    Rollout,
-    Values,
-    at_times,
-    require_times,
-)
+from inverse.observations.observation import Observation, Rollout, Values, at_times
 from inverse.settings import ObservationSettings
 
 SCATTER = 0.05
@@ -29,8 +20,8 @@ class SolidObservation(Observation):
 
     of_positions = False
 
-    def __init__(self, settings: ObservationSettings, scene: Scene, times: Values | None = None) -> None:
-        """times: [s], shape [M]; the end where absent. Raises InputError for a solid or an axis that is not there."""
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
         names, asked = solid_names(scene), settings.solid
         number = names.index(asked) if isinstance(asked, str) and asked in names else asked
         if isinstance(number, str) or not 0 <= number < len(names):
@@ -38,7 +29,7 @@ class SolidObservation(Observation):
             raise InputError(f"expected one of {known}, or its number from 0, got {asked!r}", key="solid")
         if not 0 <= settings.axis < scene.dimension:
             raise InputError(f"expected an index below {scene.dimension}, got {settings.axis}", key="axis")
-        self.solid, self.axis, self.window, self.times = number, settings.axis, settings.window, times
+        self.solid, self.axis, self.window = number, settings.axis, settings.window
 
     @property
     def over_time(self) -> bool:
@@ -61,11 +52,8 @@ class SolidObservation(Observation):
         """The numbers [M] of an impulse over `time` [s], both of shape [T]."""
         raise NotImplementedError
 
-    def prior_scatter(self, values: Values, cell: float) -> Values:
+    def prior_scatter(self, values: Values) -> Values:
         return np.asarray(SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
-
-    def check_value(self, value: float, scene: Scene) -> None:
-        """Any number."""
 
 
 class Impulse(SolidObservation):
@@ -79,23 +67,7 @@ class Impulse(SolidObservation):
     unit = "N s"
     sources = ("value", "csv", "values")
     options = ("solid", "axis", "times")
-
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        times = None if settings.times is None else require_times(np.array(settings.times), scene)
-        return cls(settings, scene, times)
-
-    @classmethod
-    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        if settings.csv is None:
-            return super().read(settings, context)
-        times, values = read_columns(context.folder / settings.csv, ("time", "impulse"))
-        operator = cls(settings, context.scene, require_times(times, context.scene))
-        return Measurement(observation=operator, values=values)
-
-    @property
-    def count(self) -> int:
-        return 1 if self.times is None else len(self.times)
+    columns = {"time": "times", "impulse": "values"}  # noqa: RUF012
 
     def of_series(self, impulse: Any, time: Values) -> Any:
         return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
@@ -112,11 +84,10 @@ class PeakForce(SolidObservation):
     unit = "N"
     options = ("solid", "axis", "window")
 
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
         if not 0.0 < settings.window <= scene.duration:
             raise InputError(f"expected a time in (0, {scene.duration:g}] s, got {settings.window}", key="window")
-        return cls(settings, scene)
 
     def of_series(self, impulse: Any, time: Values) -> Any:
         # About frames around which the whole window lies in the run.

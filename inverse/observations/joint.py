@@ -14,17 +14,14 @@ The scatter of a flow keeps a number that was measured very precisely from outwe
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.errors import InputError
-from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.observation import Observation, Rollout, Values
-from inverse.settings import ObservationSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +47,6 @@ class Joint(Observation):
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.of_positions = all(part.observation.of_positions for part in parts)
 
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        raise InputError("expected multiple [[observations]]", key="kind")
-
     @property
     def over_time(self) -> bool:
         return any(part.observation.over_time for part in self.parts)
@@ -75,5 +68,5 @@ class Joint(Observation):
         numbers = torch.cat([part.observation.predict(rollout) for part in self.parts])
         return numbers / torch.from_numpy(self.scale)
 
-    def prior_scatter(self, values: Values, cell: float) -> Values:
+    def prior_scatter(self, values: Values) -> Values:
         return np.asarray(self.prior / self.scale)

@@ -6,17 +6,16 @@ What the rows leave open at their ends is extrapolated linearly over at most two
 """
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from datasets import reading
 from datasets.errors import InputError
-from inverse.settings import Heights, LengthUnit
+from datasets.geometry.ground import elevation
+from inverse.observations.table import Context, read_columns, require_inside
+from inverse.settings import Heights, ObservationSettings
 
 Floats = NDArray[np.float64]
 
@@ -84,59 +83,29 @@ class MeasuredProfile:
         return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
 
 
-def profile_of(
-    path: Path,
-    *,
-    unit: LengthUnit,
-    datum: float,
-    heights: Heights,
-    length: float,
-    released: float | None,
-    ground: Callable[[Floats], Floats],
-) -> MeasuredProfile:
-    """The profile in the CSV `path`, in a box of `length` [m], of a mass of the area `released` [m^2].
+def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfile:
+    """The profile in the CSV of `settings`.
 
-    unit: of both columns; datum: height of the floor in the file [unit]. Where the released area is not known, it is
-    not checked. ground: elevation [m] of the terrain at x [m], for heights that are elevations. Raises InputError,
-    which names the file, for rows that are no profile, lie outside of the box, end in the middle of the deposit, or
-    hold another area than was released.
+    Where the released area is not known, it is not checked. Raises InputError, which names the file, for rows that are
+    no profile, lie outside of the box, end in the middle of the deposit, or hold another area than was released.
     """
-    x, height = read_columns(path, ("x", "height"))
+    path, scene, metres = context.folder / str(settings.csv), context.scene, settings.unit.metres
+    x, height = read_columns(path, ("x", "height")).values()
     try:
         if not np.all(np.diff(x) > 0.0):
             raise InputError("expected x in ascending order")
-        x, height = x * unit.metres, (height - datum) * unit.metres
-        require_inside(x, length)
-        if heights is Heights.ELEVATION:
-            height = height - ground(x)
+        x, height = require_inside(x * metres, scene.domain.size[0]), (height - settings.datum) * metres
+        if settings.heights is Heights.ELEVATION:
+            if scene.dimension != 2:
+                raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
+            height = height - elevation(scene.solids, scene.domain, x[:, None])
         check_heights(height)
-        profile = closed(x, np.maximum(height, 0.0), length)
-        if released is not None:
-            check_area(profile, heights, released)
+        profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
+        if context.released is not None:
+            check_area(profile, settings.heights, context.released)
         return profile
     except InputError as error:
         raise error.at(str(path)) from None
-
-
-def read_columns(path: Path, names: Sequence[str], *, optional: Sequence[str] = ()) -> list[Floats]:
-    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
-
-    Raises InputError, which names the file.
-    """
-    found = reading.read_columns(path, tuple(names), tuple(optional), others=True)
-    if len(found[names[0]]) < 2:
-        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
-    return [found[name] for name in (*names, *optional) if name in found]
-
-
-def require_inside(x: Floats, length: float) -> Floats:
-    """`x` [m], if they lie in the box of `length` [m]. Raises InputError."""
-    slack = 1e-9 * length
-    outside = x[(x < -slack) | (x > length + slack)]
-    if len(outside):
-        got = f"got {outside[-1]:g} m; unit says in what unit the file is"
-        raise InputError(f"expected x between the walls, 0 and {length:g} m, {got}")
-    return x
 
 
 def check_heights(height: Floats) -> None:

@@ -4,11 +4,9 @@ A new kind is a class in a file of its own and a line in `inverse.observations.K
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -20,6 +18,7 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile
+from inverse.observations.table import Context, tabulated
 from inverse.settings import ObservationSettings
 
 Values = NDArray[np.float64]
@@ -45,17 +44,6 @@ class Rollout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Context:
-    """What the numbers of a measurement are read and checked with."""
-
-    scene: Scene
-    folder: Path
-    """Relative paths start here."""
-    released: float | None
-    """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Errors:
     """Errors of a measurement."""
 
@@ -78,7 +66,7 @@ class Measurement:
     """Where a height profile was measured."""
 
 
-class Observation(ABC):
+class Observation:
     """An observation operator."""
 
     kind: ClassVar[str]
@@ -91,6 +79,12 @@ class Observation(ABC):
     """Keys under which its numbers may stand."""
     options: ClassVar[tuple[str, ...]] = ()
     """Keys of its settings besides `kind`, `name`, `noise` and those of its numbers."""
+    columns: ClassVar[dict[str, str]] = {}
+    """Of a `csv`: its columns, and the key of the settings that each stands for."""
+    optional: ClassVar[tuple[str, ...]] = ()
+    """Those of them that may be absent."""
+    limits: tuple[Any, Any] = (-math.inf, math.inf)
+    """Between which its numbers are possible."""
     scalar: ClassVar[bool] = False
     """Whether it is one number, which a design may minimise."""
     every_particle: ClassVar[bool] = False
@@ -102,41 +96,41 @@ class Observation(ABC):
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
 
-    @classmethod
-    @abstractmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
+        self.scene = scene
+        if settings.times is not None:
+            self.times = require_times(np.array(settings.times), scene)
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         """The operator and its numbers. Raises InputError, which names the key or the file."""
-        observation = cls.build(settings, context.scene)
-        return Measurement(observation=observation, values=observation.stated(settings, context.scene))
+        if settings.csv is not None:
+            settings = tabulated(settings, context, cls.columns, cls.optional)
+        observation = cls(settings, context.scene)
+        return Measurement(observation=observation, values=observation.stated(settings))
 
-    def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
+    def stated(self, settings: ObservationSettings) -> Values | None:
         """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
-        if settings.value is not None:
-            self.check_value(settings.value, scene)
-            return np.array([settings.value])
-        if settings.values is None:
+        key = "values" if settings.value is None else "value"
+        given = settings.values if settings.value is None else (settings.value,)
+        if given is None:
             return None
-        if (count := self.count) is not None and len(settings.values) != count:
-            raise InputError(f"expected {count} numbers, got {len(settings.values)}", key="values")
-        return np.array(settings.values)
+        if len(given) != self.count:
+            raise InputError(f"expected {self.count} numbers, got {len(given)}", key=key)
+        values = np.array(given)
+        if np.any((values < self.limits[0]) | (values > self.limits[1])):
+            between = " to ".join(str(np.asarray(end).tolist()) for end in self.limits)
+            raise InputError(f"expected {between} {self.unit or '(a share)'}, got {values.tolist()}", key=key)
+        return values
 
     @property
-    def count(self) -> int | None:
-        """M, where the settings decide it."""
-        return None if self.times is None else len(self.times)
+    def count(self) -> int:
+        """M, of numbers that stand in the settings."""
+        return 1 if self.times is None else len(self.times)
 
-    def check_value(self, value: float, scene: Scene) -> None:
-        """Raise InputError unless the one number is possible: by default a length in the box."""
-        length = scene.domain.size[0]
-        if not 0.0 < value <= length:
-            raise InputError(f"expected a length in (0, {length:g}] m, got {value}", key="value")
-
-    def check_run(self, run: Trajectory, scene: Scene) -> None:  # noqa: B027
-        """Raise InputError for an observed run that cannot be compared with runs of `scene`."""
+    def check_run(self, run: Trajectory) -> None:
+        """Raise InputError for an observed run that cannot be compared with runs of the scene."""
 
     def profile_of(self, run: Trajectory) -> MeasuredProfile | None:
         """Of a simulated flow the profile whose heights have errors; None where there is none."""
@@ -191,16 +185,14 @@ class Observation(ABC):
         """
         return self.components * float(np.mean((values - target) ** 2))
 
-    def prior_scatter(self, values: Values, cell: float) -> Values:
+    def prior_scatter(self, values: Values) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
-        return np.full(len(values), SCATTER_CELLS * cell)
+        return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
 
-    def errors(
-        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
-    ) -> Errors:
+    def errors(self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float) -> Errors:
         """Errors of the measured `values` [M], by default independent of each other.
 
-        share, noise: stated standard deviation as a share of each number [-] and in its unit; cell: [m].
+        share, noise: stated standard deviation as a share of each number [-] and in its unit.
         """
         return Errors(deviation=np.hypot(share * values, noise))
 

@@ -1,7 +1,5 @@
 """The outline of a deposit in plan (3D)."""
 
-from typing import Self
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -11,8 +9,8 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.particles import mass_centroids, mass_volumes
 from datasets.scene import Scene
-from inverse.observations.measured_profile import read_columns, require_inside
-from inverse.observations.observation import Context, Measurement, Observation, Values, harrell_davis
+from inverse.observations.observation import Measurement, Observation, Values, harrell_davis
+from inverse.observations.table import Context, read_columns, require_inside
 from inverse.settings import ObservationSettings
 
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
@@ -31,26 +29,23 @@ class Outline(Observation):
     sources = ("csv", "values")
     options = ("directions_deg", "unit")
 
-    def __init__(self, scene: Scene, directions_deg: Values) -> None:
-        """directions_deg: from +x towards +z, shape [M]."""
-        angles = np.deg2rad(directions_deg)
-        self.directions = np.stack([np.cos(angles), np.sin(angles)])
-        volumes = mass_volumes(scene)
-        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
-
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
         if scene.dimension != 3:
             raise InputError("expected a scene in 3D for an outline", key="kind")
         named = settings.directions_deg
-        return cls(scene, DIRECTIONS_DEG if named is None else np.array(named))
+        angles = np.deg2rad(DIRECTIONS_DEG if named is None else np.array(named))
+        self.directions = np.stack([np.cos(angles), np.sin(angles)])
+        """From +x towards +z, shape [2, M]."""
+        volumes = mass_volumes(scene)
+        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         if settings.csv is None:
             return super().read(settings, context)
-        observation = cls.build(settings, context.scene)
-        vertices = np.stack(read_columns(context.folder / settings.csv, ("x", "z")), axis=1) * settings.unit.metres
+        observation, columns = cls(settings, context.scene), read_columns(context.folder / settings.csv, ("x", "z"))
+        vertices = np.stack(list(columns.values()), axis=1) * settings.unit.metres
         require_inside(vertices[:, 0], context.scene.domain.size[0])
         return Measurement(observation=observation, values=observation.of_line(vertices))
 

@@ -1,7 +1,5 @@
 """The share of the material that came to rest beyond a line across the flow."""
 
-from typing import Self
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -29,21 +27,16 @@ class Passed(Observation):
     options = ("line", "width")
     scalar = True
 
-    def __init__(self, scene: Scene, line: float, width: float) -> None:
-        self.scene, self.line, self.width = scene, line, width
+    limits = (0.0, 1.0)
 
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
         length, line, width = scene.domain.size[0], settings.line, settings.width
         if line is None or not 0.0 < line < length:
             raise InputError(f"expected a length in (0, {length:g}) m, got {line}", key="line")
         if width is not None and not 0.0 < width <= length:
             raise InputError(f"expected a length in (0, {length:g}] m, got {width}", key="width")
-        return cls(scene, line, width or scene.domain.cell)
-
-    def check_value(self, value: float, scene: Scene) -> None:
-        if not 0.0 <= value <= 1.0:
-            raise InputError(f"expected a share in [0, 1], got {value}", key="value")
+        self.line, self.width = line, width or scene.domain.cell
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         volumes = particle_volumes(self.scene, len(positions))
@@ -53,7 +46,7 @@ class Passed(Observation):
         share = volumes.double() / volumes.double().sum()
         return (share @ torch.sigmoid((positions[:, 0].double() - self.line) / self.width)).reshape(1)
 
-    def prior_scatter(self, values: Values, cell: float) -> Values:
+    def prior_scatter(self, values: Values) -> Values:
         return np.full(len(values), SCATTER)
 
     def text(self, values: Values) -> str:

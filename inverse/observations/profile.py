@@ -11,8 +11,6 @@ A row is the height at one x, the model's a mean over its spacing. The differenc
 """
 
 import math
-from typing import Self
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -25,15 +23,8 @@ from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
-from inverse.observations.observation import (
-    Context,
-    Errors,
-    Measurement,
-    Observation,
-    Values,
-    at_times,
-    require_times,
-)
+from inverse.observations.observation import Errors, Measurement, Observation, Values, at_times
+from inverse.observations.table import Context
 from inverse.settings import Heights, ObservationSettings
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
@@ -60,53 +51,38 @@ class Profile(Observation):
     options = ("spacing", "unit", "datum", "heights", "times")
 
     def __init__(
-        self, scene: Scene, spacing: float, times: Values | None = None, rows: NDArray[np.float64] | None = None
+        self, settings: ObservationSettings, scene: Scene, rows: NDArray[np.float64] | None = None
     ) -> None:
-        """times: the one at which the flow is seen [s], shape [1]; the end where absent.
+        """rows: where alone the heights are known [m], ascending, shape [R]; the model's own stations where absent.
 
-        rows: where alone the heights are known [m], ascending, shape [R]; beyond their ends they go on to the walls, as
-        far apart as the last two. The model's own stations where absent.
+        Beyond their ends they go on to the walls, as far apart as the last two.
         """
-        self.times, self.sampled = times, rows is not None
+        super().__init__(settings, scene)
+        length, spacing = scene.domain.size[0], settings.spacing
+        if not 0.0 < spacing <= length / 2:
+            raise InputError(f"expected a length in (0, {length / 2:g}] m, got {spacing}", key="spacing")
+        if self.times is not None and len(self.times) != 1:
+            raise InputError(f"expected one time for each profile, got {len(self.times)}", key="times")
+        self.sampled = rows is not None
         self.fine = self.stations = measures.profile_stations(scene, spacing)
         if rows is not None:
-            self.stations = to_the_wall(rows, scene.domain.size[0])
+            self.stations = to_the_wall(rows, length)
         units = np.eye(len(self.fine))
         self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
-        self.scene, self.volume = scene, released_volume(scene)
-        self.width = math.prod(scene.domain.size[2:])
-
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        length = scene.domain.size[0]
-        if not 0.0 < settings.spacing <= length / 2:
-            raise InputError(f"expected a length in (0, {length / 2:g}] m, got {settings.spacing}", key="spacing")
-        if settings.times is None:
-            return cls(scene, settings.spacing)
-        if len(settings.times) != 1:
-            raise InputError(f"expected one time for each profile, got {len(settings.times)}", key="times")
-        return cls(scene, settings.spacing, require_times(np.array(settings.times), scene))
+        self.volume, self.width = released_volume(scene), math.prod(scene.domain.size[2:])
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
         scene = context.scene
-        simulated: Profile = cls.build(settings, scene)
-        made = Profile if settings.heights is Heights.EQUIVALENT else SurfaceProfile
+        made = cls if settings.heights is Heights.EQUIVALENT else SurfaceProfile
         if settings.csv is None:
+            simulated = cls(settings, scene)
             # The noise of a simulated profile is that of its heights; one without any is compared as it is.
             if settings.noise != 0.0 or made is SurfaceProfile:
-                simulated = made(scene, settings.spacing, simulated.times, simulated.stations)
+                simulated = made(settings, scene, simulated.stations)
             return Measurement(observation=simulated, values=None)
-        profile = profile_of(
-            context.folder / settings.csv,
-            unit=settings.unit,
-            datum=settings.datum,
-            heights=settings.heights,
-            length=scene.domain.size[0],
-            released=context.released,
-            ground=lambda x: ground(scene, x),
-        )
-        operator = made(scene, settings.spacing, simulated.times, profile.x)
+        profile = profile_of(settings, context)
+        operator = made(settings, scene, profile.x)
         values = operator.of_heights(profile.at(operator.stations))
         return Measurement(observation=operator, values=values, profile=profile)
 
@@ -161,17 +137,15 @@ class Profile(Observation):
             seen = at_times(lambda positions: positions, run.positions, run.time, self.times)[0]
         return MeasuredProfile(x=self.stations, height=self.heights(seen))
 
-    def errors(
-        self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float, cell: float
-    ) -> Errors:
+    def errors(self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float) -> Errors:
         """By independent errors of the heights; the numbers that they make are not independent.
 
-        Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation in cells of
-        `cell` [m] comes on top. Rows that scatter more than that have more noise than was stated.
+        Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation comes on top.
+        Rows that scatter more than that have more noise than was stated.
         """
         if profile is None:
-            return super().errors(values, None, share=share, noise=noise, cell=cell)
-        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * cell))
+            return super().errors(values, None, share=share, noise=noise)
+        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * self.scene.domain.cell))
         roughness = profile.roughness(stated)
         draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
         heights = np.maximum(profile.height + roughness * stated * draws, 0.0)
@@ -208,13 +182,6 @@ class SurfaceProfile(Profile):
         top = np.zeros(rows * math.prod(widths))
         np.maximum.at(top, index, positions[:, 1] - base)
         return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
-
-
-def ground(scene: Scene, x: Values) -> Values:
-    """Elevation of the highest terrain, or of the floor, at `x` [m], both of shape [R]. Raises InputError in 3D."""
-    if scene.dimension != 2:
-        raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
-    return elevation(scene.solids, scene.domain, x[:, None])
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:

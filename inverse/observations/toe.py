@@ -1,7 +1,5 @@
 """The toe of a deposit: the centroid of the furthest 10 % of the particles."""
 
-from typing import Self
-
 import numpy as np
 import scipy.optimize
 import torch
@@ -9,7 +7,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.observations.observation import Observation, Values
 from inverse.settings import ObservationSettings
@@ -27,24 +24,14 @@ class Toe(Observation):
     label = "the toe, the centroid of the furthest 10 % of the particles"
     sources = ("values",)
 
-    def __init__(self, scene: Scene) -> None:
-        self.width = 0.5 * scene.domain.cell
-        self.components = scene.dimension
-
-    @classmethod
-    def build(cls, settings: ObservationSettings, scene: Scene) -> Self:
-        return cls(scene)
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        self.width, self.components = 0.5 * scene.domain.cell, scene.dimension
+        self.limits = (0.0, np.array(scene.domain.size))
 
     @property
     def count(self) -> int:
         return self.components
-
-    def stated(self, settings: ObservationSettings, scene: Scene) -> Values | None:
-        values, size = super().stated(settings, scene), np.array(scene.domain.size)
-        if values is not None and np.any((values < 0.0) | (values > size)):
-            message = f"expected coordinates [m] in the domain {size.tolist()}, got {values.tolist()}"
-            raise InputError(message, key="values")
-        return values
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         return np.array(measures.toe(positions))

@@ -17,67 +17,92 @@
 The last three rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
+
+A new one is a line of `KINDS` and, where the surrogate has it among its inputs, a function of `inputs`.
 """
 
+import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from datasets.errors import InputError
 from datasets.scene import Scene
-from inverse.parameters.baffles import Centre, Extent
-from inverse.parameters.boundaries import SceneConstant, SolidFriction
-from inverse.parameters.kind import UP, Kind, Parts, Vector
-from inverse.parameters.masses import Height, MassNumber, Velocity
-from inverse.parameters.material import Cohesion, Constant, Friction, Residual
+from inverse.parameters import inputs
+from inverse.parameters.kind import UP, Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
 
 __all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
-_MATERIAL: dict[str, Callable[[int | None], Kind]] = {
-    "friction_deg": lambda mass: Friction(mass, "friction_deg", "deg", 2, 0.05),  # the paper's step
-    "cohesion": lambda mass: Cohesion(mass, "cohesion", "Pa", 1, 1.0),
-    "young": lambda mass: Constant(mass, "young", "Pa", 0, 1.0e5),
-    "residual_friction_deg": lambda mass: Residual(mass, "residual_friction_deg", "deg", 2, 0.5),
-    "residual_cohesion": lambda mass: Residual(mass, "residual_cohesion", "Pa", 1, 10.0),
+_MATERIAL = (
+    Constant(form="friction_deg", unit="deg", digits=2, step=0.05, input=inputs.friction),  # the paper's step
+    Cohesion(form="cohesion", unit="Pa", digits=1, step=1.0, input=inputs.cohesion),
+    Constant(form="young", unit="Pa", digits=0, step=1.0e5),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, step=0.5),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, step=10.0),
+)
+_COEFFICIENTS = {
+    "floor_friction": inputs.floor_friction,
+    "wall_friction": inputs.constant,
+    "baffle_friction": inputs.baffle_friction,
+    "damping": inputs.constant,
 }
-_SHARED: dict[str, Kind] = {
-    **{name: make(None) for name, make in _MATERIAL.items()},
-    **{name: SceneConstant(name) for name in ("floor_friction", "wall_friction", "baffle_friction", "damping")},
+_AXES = {"x": 0, "y": UP, "z": 2}
+_EXTENTS = {"length": 0, "height": UP, "width": 2}
+
+
+def _length(made: type[Extent], name: str, axis: int) -> Kind:
+    form = f"baffles[].{name}"
+    return made(
+        form=form, unit="m", digits=4, step=0.002, attribute="size", axis=axis, positive=False, input=inputs.baffle
+    )
+
+
+KINDS: dict[str, Kind] = {
+    each.form: each
+    for each in (
+        *_MATERIAL,
+        *(Kind(form=name, unit="-", digits=3, step=0.02, input=enter) for name, enter in _COEFFICIENTS.items()),
+        *(dataclasses.replace(each, form=f"masses[].{each.form}") for each in _MATERIAL),
+        *(
+            Velocity(
+                form=f"masses[].velocity_{name}",
+                unit="m/s",
+                digits=3,
+                step=0.01,
+                attribute="velocity",
+                axis=axis,
+                positive=False,
+                input=inputs.velocity,
+            )
+            for name, axis in _AXES.items()
+        ),
+        *(_length(Centre, name, _AXES[name]) for name in "xz"),
+        *(_length(Extent, name, axis) for name, axis in _EXTENTS.items()),
+        Kind(form="masses[].k0", unit="-", digits=3, step=0.05),
+        Height(
+            form="masses[].height", unit="m", digits=4, step=0.01, attribute="size", axis=UP, changes_volume=True
+        ),
+        Kind(form="masses[].thickness", unit="m", digits=4, step=0.01, changes_volume=True),
+        Kind(form="solids[].friction", unit="-", digits=3, step=0.02, input=inputs.ground_friction),
+    )
 }
-_INDEXED: dict[str, Callable[[int], Kind]] = {
-    **{f"masses[].{name}": make for name, make in _MATERIAL.items()},
-    "masses[].velocity_x": lambda mass: Velocity(mass, 0),
-    "masses[].velocity_y": lambda mass: Velocity(mass, UP),
-    "masses[].velocity_z": lambda mass: Velocity(mass, 2),
-    "baffles[].x": lambda baffle: Centre(baffle, 0),
-    "baffles[].z": lambda baffle: Centre(baffle, 2),
-    "baffles[].length": lambda baffle: Extent(baffle, 0),
-    "baffles[].height": lambda baffle: Extent(baffle, UP),
-    "baffles[].width": lambda baffle: Extent(baffle, 2),
-    "masses[].k0": lambda mass: MassNumber(mass, "k0", "-", 3, 0.05),
-    "masses[].height": lambda mass: Height(mass, "height", "m", 4, 0.01, changes_volume=True),
-    "masses[].thickness": lambda mass: MassNumber(mass, "thickness", "m", 4, 0.01, changes_volume=True),
-    "solids[].friction": SolidFriction,
-}
+"""Every kind by its name, with `[]` in place of an index."""
 
 
 def kind(name: str) -> Kind:
     """What the parameter `name` is. Raises InputError."""
-    if name in _SHARED:
-        return _SHARED[name]
     index = re.search(r"\[(\d{1,6})\]", name)
     form = name if index is None else name[: index.start() + 1] + name[index.end() - 1 :]
-    if index is None or form not in _INDEXED:
-        known = ", ".join(each.replace("[]", "[0]") for each in (*_SHARED, *_INDEXED))
+    if form not in KINDS or (index is None) == ("[]" in form):
+        known = ", ".join(each.replace("[]", "[0]") for each in KINDS)
         raise InputError(f"expected one of {known}, got {name!r}")
-    return _INDEXED[form](int(index[1]))
+    return KINDS[form] if index is None else dataclasses.replace(KINDS[form], index=int(index[1]))
 
 
 def known_names(scene: Scene) -> list[str]:
     """The parameters that `scene` has, of each kind the first."""
     names = []
-    for form in (*_SHARED, *_INDEXED):
-        group = getattr(scene, form.split("[")[0]) if "[]" in form else (None,)
-        for index in range(len(group)):
+    for form, each in KINDS.items():
+        for index in range(len(getattr(scene, each.group)) if each.group else 1):
             name = form.replace("[]", f"[{index}]")
             try:
                 kind(name).check(scene)
@@ -95,10 +120,10 @@ def with_parameters(scene: Scene, names: Sequence[str], values: Sequence[float] 
 
 def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Vector) -> Scene:
     """As `with_parameters`, of names that are resolved."""
-    parts = Parts.split(scene)
+    draft = Draft(**{each.name: getattr(scene, each.name) for each in dataclasses.fields(scene)})
     for index in in_order(kinds):
-        kinds[index].put(parts, float(values[index]))
-    return parts.joined(scene)
+        kinds[index].put(draft, float(values[index]))
+    return dataclasses.replace(scene, **vars(draft))
 
 
 def in_order(kinds: Sequence[Kind]) -> list[int]:

@@ -1,9 +1,10 @@
-"""A kind of parameter: something of a scene that can be unknown, and how its value enters the MPM and the surrogate."""
+"""Kinds of numbers that can be unknown: where each stands in a scene, how it is read and set, and its unit."""
 
 import dataclasses
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,100 +12,226 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene import Scene
 from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
 """One value per parameter, in the order of the problem and the units of the names; shape [U]."""
 
-Lengths = tuple[float, ...]
+Draft = SimpleNamespace
+"""The fields of a scene while parameters change one after another: the scene that they make is checked once."""
+Input = Callable[[Any, InitialState, Tensor], InitialState]
+"""A kind, an initial state and a value -> the initial state with this value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
-
-AXES = "xyz"
 UP = 1
 
 
-@dataclass
-class Parts:
-    """The parts of a scene that parameters change: a scene is checked when it is put together again."""
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A number of a scene or of one of its masses, baffles and solids: how its value enters both forward models."""
 
-    material: Material
-    masses: list[Mass]
-    baffles: list[Baffle]
-    solids: list[Solid]
-    constants: dict[str, float] = field(default_factory=dict)
-    """Of the scene as a whole, by their names."""
-
-    @classmethod
-    def split(cls, scene: Scene) -> "Parts":
-        """The parts of `scene`."""
-        return cls(scene.material, list(scene.masses), list(scene.baffles), list(scene.solids))
-
-    def joined(self, scene: Scene) -> Scene:
-        """`scene` with these parts. Raises InputError for one that cannot be simulated."""
-        return dataclasses.replace(
-            scene,
-            material=self.material,
-            masses=tuple(self.masses),
-            baffles=tuple(self.baffles),
-            solids=tuple(self.solids),
-            **self.constants,  # type: ignore[arg-type]
-        )
-
-
-class Kind(ABC):
-    """What a parameter is: one object for its unit, its value in a scene and how it enters both forward models."""
-
+    form: str
+    """Its name, with `[]` in place of an index."""
     unit: str
     """As it is printed."""
     digits: int
     """Decimals with which it is printed."""
     step: float
     """Step of a finite difference, unless the problem has its own."""
-    positive: bool = False
+    index: int | None = None
+    """Of the mass, baffle or solid; None of the scene as a whole."""
+    attribute: str = ""
+    """What holds it; the last part of its name where absent."""
+    axis: int | None = None
+    """Of an attribute that is a vector: which of its components."""
+    positive: bool = True
     """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
     changes_volume: bool = False
     """Whether more or less material is released with it."""
-    differentiable: bool = False
-    """Whether it is an input of the surrogate, which is differentiable in it; else the MPM's alone."""
-    independent: bool = False
-    """Whether a scene that can be simulated with all such parameters at a bound can be with each there alone."""
-    order: int = 2
-    """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
+    input: Input | None = None
+    """How it enters the surrogate (`inverse.parameters.inputs`); None of what the MPM alone knows."""
+
+    @property
+    def group(self) -> str:
+        """`masses`, `baffles`, `solids`; empty of the scene as a whole."""
+        return self.form.split("[]")[0] if "[]" in self.form else ""
+
+    @property
+    def key(self) -> str:
+        """Name of the attribute."""
+        return self.attribute or self.form.split(".")[-1]
+
+    @property
+    def order(self) -> int:
+        """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
+        return 2
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether it is an input of the surrogate, which is differentiable in it."""
+        return self.input is not None
 
     def text(self, value: float) -> str:
         """A value with its unit."""
         return f"{value:z.{self.digits}f} {self.unit}".removesuffix(" -")
 
-    @abstractmethod
     def check(self, scene: Scene) -> None:
-        """Raise InputError where `scene` has no such thing."""
+        """Raise InputError where `scene` has no such number."""
+        if self.index is not None and self.index >= (count := len(getattr(scene, self.group))):
+            got = f"the number of {self.group} in the scene, got {self.index}"
+            raise InputError(f"expected an index below {count}, {got}")
+        if self.axis is not None and self.axis >= scene.dimension:
+            message = f"the scene is {scene.dimension}D and has no {'xyz'[self.axis]}"
+            raise InputError(f"expected a parameter along x or y, {message}")
+        if self.form == "baffle_friction" and not scene.baffles:
+            raise InputError("expected a scene with baffles, there are none")
+        if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
+            owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a solid")
+            raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
-    @abstractmethod
+    def holder(self, scene: Scene | Draft) -> Any:
+        """The scene, mass, baffle or solid that has it."""
+        return scene if self.index is None else getattr(scene, self.group)[self.index]
+
+    def value(self, holder: Any) -> float:
+        """Its value."""
+        found = getattr(holder, self.key)
+        return float(found if self.axis is None else found[self.axis])
+
+    def changed(self, holder: Any, value: float) -> Any:
+        """The mass, baffle or solid with this value."""
+        return dataclasses.replace(holder, **{self.key: self.vector(getattr(holder, self.key), value)})
+
+    def vector(self, known: Any, value: float) -> Any:
+        """The value, or the vector `known` with it as its component."""
+        axis = self.axis
+        return value if axis is None else (*known[:axis], value, *known[axis + 1 :])
+
     def read(self, scene: Scene) -> float:
         """Its value in `scene`."""
+        return self.value(self.holder(scene))
 
-    @abstractmethod
-    def put(self, parts: Parts, value: float) -> None:
+    def put(self, draft: Draft, value: float) -> None:
         """Set this value: how it enters the MPM. Use `with_parameters`."""
+        if self.index is None:
+            setattr(draft, self.key, value)
+            return
+        members = list(getattr(draft, self.group))
+        members[self.index] = self.changed(members[self.index], value)
+        setattr(draft, self.group, tuple(members))
 
     def enter(self, initial: InitialState, value: Tensor) -> InitialState:
         """`initial` with this value, differentiable in it: how it enters the surrogate."""
-        raise NotImplementedError("no surrogate has it as an input; `differentiable` says so")
+        assert self.input is not None, "`differentiable` says so"
+        return self.input(self, initial, value)
 
 
-def require_index(group: str, index: int, count: int) -> None:
-    """Raise InputError unless the scene has a member `index` of `group`."""
-    if index >= count:
-        raise InputError(f"expected an index below {count}, the number of {group} in the scene, got {index}")
+class Velocity(Kind):
+    """Initial velocity of a mass along an axis [m/s]; a mass without any is at rest."""
+
+    def value(self, holder: Any) -> float:
+        return super().value(holder) if holder.velocity else 0.0
+
+    def changed(self, holder: Any, value: float) -> Any:
+        moving = holder if holder.velocity else dataclasses.replace(holder, velocity=(0.0,) * len(holder.size))
+        return super().changed(moving, value)
 
 
-def require_axis(axis: int, scene: Scene) -> None:
-    """Raise InputError unless `scene` has this axis."""
-    if axis >= scene.dimension:
-        raise InputError(f"expected a parameter along x or y, the scene is {scene.dimension}D and has no {AXES[axis]}")
+class Height(Kind):
+    """Extent of a box along y, from its foot [m]: how much is released.
+
+    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
+    """
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
+        if (kind := self.holder(scene).kind) != "box":
+            raise InputError(f"expected a mass of kind box, got a {kind}")
 
 
-def replaced(lengths: Lengths, axis: int, value: float) -> Lengths:
-    """`lengths` with another one along `axis`."""
-    return (*lengths[:axis], value, *lengths[axis + 1 :])
+class Constant(Kind):
+    """A constant of the material of a mass, or of the shared one."""
+
+    @property
+    def order(self) -> int:
+        """Shared constants first: those of a single mass take precedence."""
+        return 0 if self.index is None else 2
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
+        if self.index is None and all(mass.material is not None for mass in scene.masses):
+            raise InputError("expected a mass of the scene's shared material, every mass has its own")
+
+    def material(self, scene: Scene | Draft) -> Material:
+        """The material in question."""
+        own = None if self.index is None else scene.masses[self.index].material
+        found: Material = own or scene.material
+        return found
+
+    def read(self, scene: Scene) -> float:
+        return self.value(self.material(scene))
+
+    def put(self, draft: Draft, value: float) -> None:
+        material = self.changed(self.material(draft), value)
+        if self.index is None:
+            draft.material = material
+            return
+        masses = list(draft.masses)
+        masses[self.index] = dataclasses.replace(masses[self.index], material=material)
+        draft.masses = tuple(masses)
+
+
+class Cohesion(Constant):
+    """Cohesion [Pa]. The tension cutoff and residual values change with it in proportion."""
+
+    def changed(self, holder: Any, value: float) -> Any:
+        # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
+        ratio = value / holder.cohesion if holder.cohesion > 0.0 else 1.0
+        keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
+        known = {key: getattr(holder, key) for key in keys}
+        scaled = {key: ratio * each for key, each in known.items() if each is not None}
+        return dataclasses.replace(holder, cohesion=value, **scaled)
+
+
+class Residual(Constant):
+    """A residual strength: friction angle [deg] or cohesion [Pa] after a long slip."""
+
+    @property
+    def order(self) -> int:
+        """After the cohesion of the same material, which scales residual values."""
+        return 1 if self.index is None else 3
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
+        if self.material(scene).softening_length is None:
+            raise InputError("expected a material with a softening_length, it never falls to a residual strength")
+
+    def value(self, holder: Any) -> float:
+        # Unless they are named, residual values are those of the peak.
+        known = getattr(holder, self.key)
+        return float(getattr(holder, self.key.removeprefix("residual_")) if known is None else known)
+
+
+class Extent(Kind):
+    """Extent of a baffle [m]: upwards from its foot, else about its centre."""
+
+    def changed(self, holder: Any, value: float) -> Any:
+        assert self.axis is not None, "a length along an axis"
+        low, size = self.moved(holder.lower[self.axis], holder.size[self.axis], value)
+        lower, extent = self.vector(holder.lower, low), self.vector(holder.size, size)
+        return dataclasses.replace(holder, lower=lower, size=extent)
+
+    def moved(self, low: T, size: T, value: T) -> tuple[T, T]:
+        """Lower end and extent along the axis [m] with this value."""
+        return (low if self.axis == UP else low + 0.5 * size - 0.5 * value), value
+
+
+class Centre(Extent):
+    """The centre of a baffle [m]."""
+
+    def value(self, holder: Any) -> float:
+        assert self.axis is not None, "a length along an axis"
+        return float(holder.lower[self.axis] + 0.5 * holder.size[self.axis])
+
+    def moved(self, low: T, size: T, value: T) -> tuple[T, T]:
+        return value - 0.5 * size, size

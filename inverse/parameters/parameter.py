@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 from datasets.records import Record
 from inverse.parameters import Kind, kind
@@ -49,15 +50,12 @@ class Parameter(Record):
     @property
     def bounds(self) -> tuple[float, float]:
         """Smallest and largest value of a number."""
-        assert self.lower is not None, "`inverse.checks` asks for it"
-        assert self.upper is not None, "`inverse.checks` asks for it"
-        return self.lower, self.upper
+        return cast("tuple[float, float]", (self.lower, self.upper))
 
     @property
     def start(self) -> float:
         """Where the search for a number starts."""
-        assert self.initial is not None, "`inverse.checks` asks for it"
-        return self.initial
+        return cast("float", self.initial)
 
     @property
     def range(self) -> float:

@@ -45,7 +45,7 @@ class Task:
     @cached_property
     def scatter(self) -> Values:
         """Expected standard deviation of each number from flow to flow, shape [M]."""
-        return self.observation.prior_scatter(self.target.values, self.problem.scene.domain.cell)
+        return self.observation.prior_scatter(self.target.values)
 
     @property
     def budget(self) -> int:

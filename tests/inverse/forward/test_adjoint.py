@@ -10,7 +10,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.forward.adjoint import AdjointForward, Flow, Run
 from inverse.jacobian import automatic
-from inverse.observations.impulse import Impulse, PeakForce
+from inverse.observations import build
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
@@ -93,8 +93,9 @@ def test_the_force_on_a_baffle(problem: Problem) -> None:
     """Its largest value and the impulse at two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.03)
     walled = dataclasses.replace(problem, scene=scene)
-    impulse, force = ObservationSettings(kind="impulse"), ObservationSettings(kind="peak-force", window=0.01)
-    for observation in (Impulse(impulse, scene, np.array([0.021, 0.03])), PeakForce(force, scene)):
+    impulse = ObservationSettings(kind="impulse", times=(0.021, 0.03))
+    for settings in (impulse, ObservationSettings(kind="peak-force", window=0.01)):
+        observation = build(settings, scene)
         forward = AdjointForward(walled, observation, simulate_many, precision="f64", threads=1)
         count = len(observation.observe(simulate(scene, precision="f64", threads=1)))
         rows = automatic(forward, np.zeros(count), with_jacobian=True)(VALUES[:2]).jacobian

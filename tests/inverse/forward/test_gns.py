@@ -13,8 +13,6 @@ from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
 from inverse.jacobian import automatic
 from inverse.observations import Rollout, build
-from inverse.observations.front import Front
-from inverse.observations.gauges import Gauges
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 
@@ -75,8 +73,9 @@ def test_between_two_steps_particles_move_straight(problem: Problem, share: floa
     maker = forward_of(problem)
     steps = maker.initial.times
     time = (1.0 - share) * steps[3] + share * steps[4]
-    gauges = Gauges(ObservationSettings(kind="height"), problem.scene, np.array([0.03, 0.06]), np.full(2, time))
-    for observation in (Front(np.array([time, steps[1]])), gauges):
+    gauges = ObservationSettings(kind="height", x=(0.03, 0.06), times=(time,))
+    for settings in (ObservationSettings(kind="front", times=(time, steps[1])), gauges):
+        observation = build(settings, problem.scene)
         forward = GnsForward(maker.simulator, problem, observation)
         seen = forward.predict(torch.tensor([30.0], dtype=torch.float64))
         initial = forward.entered(torch.tensor([30.0], dtype=torch.float64))

@@ -1,7 +1,6 @@
 """Multiple observations in one problem: each with its own numbers, positions, times and noise."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,7 @@ import torch
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Rollout
-from inverse.observations.front import Front
-from inverse.observations.gauges import Gauges
-from inverse.observations.impulse import Impulse, PeakForce
+from inverse.observations import Rollout, build
 from inverse.observations.joint import Joint
 from inverse.observations.outline import Outline
 from inverse.problem import Problem, read_problem
@@ -141,8 +137,8 @@ SCENE = Scene(
     baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),),
 )
 
-NARROW = ObservationSettings(kind="height", spacing=0.05)
-ON_BAFFLE = ObservationSettings(kind="impulse", window=0.1)
+IMPULSE = build(ObservationSettings(kind="impulse"), SCENE)
+FORCE = build(ObservationSettings(kind="peak-force", window=0.1), SCENE)
 
 
 def rolled(run: Trajectory) -> Rollout:
@@ -151,15 +147,15 @@ def rolled(run: Trajectory) -> Rollout:
 
 
 @pytest.mark.parametrize(
-    "make",
+    "settings",
     [
-        lambda scene: Front(np.array([0.05, 0.33, 1.0])),
-        lambda scene: Gauges(NARROW, scene, np.array([0.0, 0.1, 0.3]), None),
-        lambda scene: Gauges(NARROW, scene, np.array([0.1, 0.3]), np.array([0.12, 0.5])),
+        ObservationSettings(kind="front", times=(0.05, 0.33, 1.0)),
+        ObservationSettings(kind="height", spacing=0.05, x=(0.0, 0.1, 0.3)),
+        ObservationSettings(kind="height", spacing=0.05, x=(0.1, 0.3), times=(0.12, 0.5)),
     ],
 )
-def test_the_smooth_form_is_the_exact_one(make: Callable[[Scene], Front | Gauges]) -> None:
-    run, observation = flow(SCENE), make(SCENE)
+def test_the_smooth_form_is_the_exact_one(settings: ObservationSettings) -> None:
+    run, observation = flow(SCENE), build(settings, SCENE)
     exact = observation.observe(run)
     np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
     assert len(exact) > 1
@@ -171,26 +167,23 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
     layer = rng.random((400, 2)) * [1.0, 0.08]
     layer[:, 0] = (np.arange(400) + 0.5) / 400
     run.positions[-1] = layer
-    gauges = Gauges(ObservationSettings(kind="height", spacing=0.1), SCENE, np.array([0.0, 0.5, 0.99]), None)
+    gauges = build(ObservationSettings(kind="height", spacing=0.1, x=(0.0, 0.5, 0.99)), SCENE)
     np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
 
 
 def test_impulse_and_peak_force_are_those_of_the_solid() -> None:
     run = flow(SCENE, 101)
-    np.testing.assert_allclose(Impulse(ON_BAFFLE, SCENE).observe(run), [2.0])
-    np.testing.assert_allclose(Impulse(ON_BAFFLE, SCENE, np.array([0.5])).observe(run), [0.5])
+    np.testing.assert_allclose(IMPULSE.observe(run), [2.0])
+    twice = build(ObservationSettings(kind="impulse", times=(0.5, 0.123)), SCENE)
+    np.testing.assert_allclose(twice.observe(run)[0], 0.5)
     # I = 2 t^2: the force grows to 4 N; its mean over the last 0.1 s is that at 0.95 s.
-    np.testing.assert_allclose(PeakForce(ON_BAFFLE, SCENE).observe(run), [3.8], rtol=1e-6)
-    for force in (
-        Impulse(ON_BAFFLE, SCENE),
-        Impulse(ON_BAFFLE, SCENE, np.array([0.5, 0.123])),
-        PeakForce(ON_BAFFLE, SCENE),
-    ):
+    np.testing.assert_allclose(FORCE.observe(run), [3.8], rtol=1e-6)
+    for force in (IMPULSE, twice, FORCE):
         assert not force.of_positions
         predicted = force.predict(dataclasses.replace(rolled(run), impulses=torch.from_numpy(run.solid_impulse)))
         np.testing.assert_allclose(predicted.numpy(), force.observe(run))
     with pytest.raises(InputError, match="solid 0"):
-        Impulse(ON_BAFFLE, SCENE).observe(dataclasses.replace(run, solid_impulse=None))
+        IMPULSE.observe(dataclasses.replace(run, solid_impulse=None))
 
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
@@ -199,7 +192,7 @@ def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
         material=SCENE.material,
         masses=(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)),),
     )
-    outline = Outline(scene, np.array([0.0, 90.0, 180.0, 270.0]))
+    outline = Outline(ObservationSettings(kind="outline", directions_deg=(0.0, 90.0, 180.0, 270.0)), scene)
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
     np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)

@@ -8,9 +8,7 @@ from scipy.stats.mstats import hdquantiles
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from inverse.observations import Observation, build
-from inverse.observations.deposit import Deposit
 from inverse.observations.observation import harrell_davis
-from inverse.observations.toe import Toe
 from inverse.settings import ObservationSettings
 
 SCENE = Scene(
@@ -58,7 +56,7 @@ def test_a_profile_weighs_points_by_their_volume() -> None:
 
 def test_the_smooth_toe_is_a_tenth_of_the_volume() -> None:
     """Two piles of equal points, the further one a tenth of the volume: the toe is its centroid, whatever it weighs."""
-    toe = Toe(SCENE)
+    toe = made("toe")
     far = torch.rand(50, 2, dtype=torch.float64) * 0.01 + torch.tensor([0.8, 0.2])
     near = torch.rand(100, 2, dtype=torch.float64) * 0.01
     volumes = torch.cat([torch.full((50,), 1.0), torch.full((100,), 4.5)])
@@ -68,12 +66,12 @@ def test_the_smooth_toe_is_a_tenth_of_the_volume() -> None:
 
 def test_the_loss_of_points_is_their_mean_squared_distance() -> None:
     required, found = deposit(200, seed=0), deposit(200, seed=1)
-    whole = Deposit(SCENE)
+    whole = made("deposit")
     expected = np.mean(np.sum((found - required) ** 2, axis=1))
     assert whole.misfit(whole.exact(found), whole.exact(required)) == pytest.approx(expected)
     some = np.array([3, 17, 90])
     part = whole.of_particles(whole.exact(required), some)
     np.testing.assert_array_equal(part, required[some].ravel())
-    toe = Toe(SCENE)
+    toe = made("toe")
     apart = toe.exact(found) - toe.exact(required)
     assert toe.misfit(toe.exact(found), toe.exact(required)) == pytest.approx(float(apart @ apart))

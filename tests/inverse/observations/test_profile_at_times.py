@@ -10,7 +10,6 @@ from datasets.particles import initial_volumes
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Rollout, build
-from inverse.observations.profile import Profile
 from inverse.settings import ObservationSettings
 
 SCENE = Scene(
@@ -53,5 +52,5 @@ def test_it_is_seen_at_its_time(run: Trajectory, time: float, moved: float) -> N
 
 def test_one_time_for_each_profile() -> None:
     with pytest.raises(InputError, match="one time") as error:
-        Profile.build(ObservationSettings(kind="profile", times=(0.01, 0.02)), SCENE)
+        build(ObservationSettings(kind="profile", times=(0.01, 0.02)), SCENE)
     assert error.value.key == "times"

@@ -11,8 +11,9 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations.profile import profile_of
-from inverse.settings import Heights, LengthUnit
+from inverse.observations.measured_profile import profile_of
+from inverse.observations.table import Context
+from inverse.settings import Heights, ObservationSettings
 
 
 @pytest.mark.parametrize("heights", list(Heights))
@@ -36,9 +37,7 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
     )
     maps = maps_of(flow, cell_edges(scene, spacing))
     write_profile(flow, maps, tmp_path)
-    path = tmp_path / "profile.csv"
-    profile = profile_of(
-        path, unit=LengthUnit.METRE, datum=0.0, heights=heights, length=1.0, released=0.08, ground=np.zeros_like
-    )
+    settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
+    profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
     np.testing.assert_allclose(profile.at(coordinates_of(maps.edges)[0]), maps.thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)

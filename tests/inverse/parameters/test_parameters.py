@@ -1,7 +1,6 @@
 """Parameters: into a scene and out again, into the surrogate's initial state, and never into an impossible scene."""
 
 import dataclasses
-import itertools
 from typing import Any
 
 import numpy as np
@@ -9,15 +8,12 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.geometry.closed import turned
 from datasets.material import Material
-from datasets.scene import Baffle
 from datasets.training.samples import corners
 from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
 from inverse.parameters import kind, with_parameters
-from inverse.parameters.baffles import swept
 from inverse.parameters.parameter import Parameter
 
 NAMES: dict[int | str, tuple[str, ...]] = {
@@ -106,38 +102,3 @@ def test_bounds_at_which_nothing_could_flow_are_refused(
     unknown = Parameter(name=name, initial=kind(name).read(scene), lower=lower, upper=upper)
     with pytest.raises(InputError, match=key):
         check_parameters(scene, [unknown])
-
-
-def own_axes(points: np.ndarray, baffle: Baffle, sign: float) -> np.ndarray:
-    """Points turned about the middle of a baffle by its turn."""
-    plane = [0, len(baffle.size) - 1]
-    middle = np.array(baffle.lower) + 0.5 * np.array(baffle.size)
-    points = points.copy()
-    points[:, plane] = turned(points[:, plane], middle[plane], sign * baffle.turned_deg)
-    return points
-
-
-@pytest.mark.parametrize("flow", [2, 3])
-@pytest.mark.parametrize("turned_deg", [0.0, -30.0])
-@pytest.mark.parametrize("names", [("baffles[0].x",), ("baffles[0].x", "baffles[0].length")])
-def test_what_a_turned_baffle_sweeps_is_within_a_tight_box(
-    make_problem: Any, flow: int, turned_deg: float, names: tuple[str, ...]
-) -> None:
-    scene = make_problem(flow, "friction_deg").scene
-    # In 2D clear of the floor, which its corners would turn into.
-    lower = (0.2, 0.08) if flow == 2 else scene.baffles[0].lower
-    scene = dataclasses.replace(
-        scene, baffles=(dataclasses.replace(scene.baffles[0], lower=lower, turned_deg=turned_deg),)
-    )
-    values = [np.array([0.98, 1.05, 1.1]) * kind(name).read(scene) for name in names]
-    box = swept(scene, [kind(name) for name in names], [(each[0], each[-1]) for each in values])[0]
-    unit = np.array(list(itertools.product((0.0, 1.0), repeat=flow)))
-    points = np.concatenate(
-        [
-            own_axes(np.array(each.lower) + unit * np.array(each.size), each, 1.0)
-            for each in (with_parameters(scene, names, some).baffles[0] for some in itertools.product(*values))
-        ]
-    )
-    inside = (own_axes(points, box, -1.0) - np.array(box.lower)) / np.array(box.size)
-    np.testing.assert_allclose(inside.min(axis=0), 0.0, atol=1e-6)
-    np.testing.assert_allclose(inside.max(axis=0), 1.0, atol=1e-6)

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from inverse.observations.front import Front
+from inverse.observations import build
 from inverse.posterior.information import information
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter
 from inverse.posterior.reduction import reduction
 from inverse.posterior.sampling import sample
+from inverse.problem import read_problem
+from inverse.settings import ObservationSettings
 from inverse.target import Target
 
 Matrix = NDArray[np.float64]
@@ -17,7 +19,8 @@ SCATTER = 0.02
 
 
 def target_of(values: Matrix, **changes: Matrix) -> Target:
-    return Target(observation=Front(), values=values, **({"deviation": np.zeros(len(values))} | changes))  # type: ignore[arg-type]
+    front = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
+    return Target(observation=front, values=values, **({"deviation": np.zeros(len(values))} | changes))  # type: ignore[arg-type]
 
 
 def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **changes: object) -> Posterior:

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from inverse.observations.front import Front
+from inverse.observations import build
 from inverse.posterior.emulator import Matrix
 from inverse.posterior.posterior import Posterior, posterior
 from inverse.posterior.regime import Regime, of_target
+from inverse.problem import read_problem
+from inverse.settings import ObservationSettings
 from inverse.target import Target
 
 SCATTER = 0.05
@@ -24,7 +26,8 @@ def inferred(truth: tuple[float, float], seed: int = 0) -> Posterior:
     points = rng.random((40, 2))
     numbers = jumping(points) + SCATTER * rng.standard_normal((40, 2))
     values = jumping(np.array([truth]))[0] + SCATTER * rng.standard_normal(2)
-    target = Target(observation=Front(), values=values, deviation=np.zeros(len(values)))
+    front = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
+    target = Target(observation=front, values=values, deviation=np.zeros(len(values)))
     return posterior(points, numbers, target, scatter=np.full(2, SCATTER), rng=rng)
 
 
