@@ -167,7 +167,9 @@ def explanation(found: Found, scenes: Mapping[str, Scene]) -> list[Patch | Line2
 def profiles(axis: Axes, found: Found, deposits: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
     target = found.target
-    profile = Profile(ObservationSettings(kind="profile", spacing=min(2.0 * scene.domain.cell, 0.5 * scene.domain.size[0])), scene)
+    profile = Profile(
+        ObservationSettings(kind="profile", spacing=min(2.0 * scene.domain.cell, 0.5 * scene.domain.size[0])), scene
+    )
     for name, deposit in deposits.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)

@@ -11,6 +11,7 @@ A row is the height at one x, the model's a mean over its spacing. The differenc
 """
 
 import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -50,9 +51,7 @@ class Profile(Observation):
     sources = ("csv",)
     options = ("spacing", "unit", "datum", "heights", "times")
 
-    def __init__(
-        self, settings: ObservationSettings, scene: Scene, rows: NDArray[np.float64] | None = None
-    ) -> None:
+    def __init__(self, settings: ObservationSettings, scene: Scene, rows: NDArray[np.float64] | None = None) -> None:
         """rows: where alone the heights are known [m], ascending, shape [R]; the model's own stations where absent.
 
         Beyond their ends they go on to the walls, as far apart as the last two.

@@ -28,7 +28,19 @@ from collections.abc import Sequence
 from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import UP, Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
+from inverse.parameters.kind import (
+    UP,
+    Centre,
+    Cohesion,
+    Constant,
+    Draft,
+    Extent,
+    Height,
+    Kind,
+    Residual,
+    Vector,
+    Velocity,
+)
 
 __all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
@@ -78,9 +90,7 @@ KINDS: dict[str, Kind] = {
         *(_length(Centre, name, _AXES[name]) for name in "xz"),
         *(_length(Extent, name, axis) for name, axis in _EXTENTS.items()),
         Kind(form="masses[].k0", unit="-", digits=3, step=0.05),
-        Height(
-            form="masses[].height", unit="m", digits=4, step=0.01, attribute="size", axis=UP, changes_volume=True
-        ),
+        Height(form="masses[].height", unit="m", digits=4, step=0.01, attribute="size", axis=UP, changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, step=0.01, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, step=0.02, input=inputs.ground_friction),
     )

@@ -34,10 +34,10 @@ def velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
 
 def baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:
     """Centre or extent of a baffle [m]."""
-    boxes, index = initial.conditions.baffles, kind.index
+    boxes, index = initial.conditions.baffles, kind.index or 0
     assert boxes is not None, "the scene has baffles, and so has the model"
     number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
-    own = (number == index) & (axis == kind.axis)
+    own = torch.eq(number, index) & torch.eq(axis, kind.axis or 0)
     lower, upper = boxes[0, index, :, kind.axis]
     low, size = kind.moved(lower, upper - lower, value.to(boxes.dtype))
     return initial.with_conditions(baffles=torch.where(own, low + corner * size, boxes))
@@ -46,6 +46,7 @@ def baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:
 def baffle_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
     """Friction of the baffles that have none of their own [-]."""
     known = initial.conditions.baffle_friction
+    assert known is not None, "the scene has baffles, and so has the model"
     shared = torch.tensor([baffle.friction is None for baffle in initial.scene.baffles])
     return initial.with_conditions(baffle_friction=torch.where(shared, value.to(known.dtype), known))
 

@@ -110,7 +110,8 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
     exact = observation.exact(deposit)
     np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
-    assert np.abs(Profile(ObservationSettings(kind="profile"), observation.scene, rows).exact(deposit) - exact).max() > 0.02
+    equivalent = Profile(ObservationSettings(kind="profile"), observation.scene, rows)
+    assert np.abs(equivalent.exact(deposit) - exact).max() > 0.02
 
 
 def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
