@@ -67,6 +67,8 @@ def ground_friction(kind: Kind, initial: InitialState, value: Tensor) -> Initial
     ground = initial.conditions.ground
     if ground is None:
         return initial
-    own = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == (-1 if kind.index is None else kind.index))
+    own = torch.from_numpy(
+        ground_raster(initial.scene, ground.spacing)[2] == (-1 if kind.index is None else kind.index)
+    )
     found = torch.where(own, value.to(ground.friction.dtype), ground.friction)
     return initial.with_conditions(ground=dataclasses.replace(ground, friction=found))
