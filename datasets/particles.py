@@ -4,7 +4,6 @@ import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,21 +45,10 @@ class Particles:
     friction_deg: NDArray[np.float64] | None = None
     """Angle of friction of each particle [deg], shape [N], in place of its material's; None where all have that."""
 
-    @cached_property
-    def common_volume(self) -> float | None:
-        """The initial volume [m^D] that all particles have, None where masses differ in it."""
-        first = float(self.volume[0])
-        return first if bool(np.all(self.volume == first)) else None
-
     @property
     def density(self) -> NDArray[np.float64]:
         """Initial density of each particle [kg/m^3], shape [N]."""
         return np.array([material.density for material in self.materials])[self.material]
-
-    @property
-    def friction_varies(self) -> bool:
-        """Whether a field gives the friction of each particle."""
-        return self.friction_deg is not None
 
     @property
     def friction(self) -> NDArray[np.float32]:

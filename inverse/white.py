@@ -28,7 +28,6 @@ from inverse.problem import Problem
 from mpm import simulate_many
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, check
-from mpm.arrays.batch import particles_of
 from mpm.arrays.features import features_of
 
 Floats = NDArray[np.float64]
@@ -45,7 +44,7 @@ class WhiteFlow:
 
     def __init__(self, problem: Problem, observation: Observation) -> None:
         self.problem, self.observation = problem, observation
-        check(features_of([problem.scene], particles_of([problem.scene]), "f32"))
+        check(features_of([problem.scene], "f32"))
         self.runs = self.reverses = 0
         """MPM runs and reverse passes so far."""
         self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)

@@ -19,7 +19,6 @@ from mpm.kernel import Phase
 RETURNED = (
     "state",
     "positions",
-    "fields",
     "energy",
     "recorded_impulse",
     "offsets",
@@ -63,6 +62,9 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
         device["offsets"].from_numpy(batch.offsets)
         call_kernel(Phase.RECORD, first=frame)
         batch.computed = frame
+        if not batch.in_kernel and any(frame in batch.kept(index) for index in range(len(batch.scenes))):
+            batch.state[...] = device["state"].to_numpy().reshape(batch.state.shape)
+            batch.keep(frame)
         bar.update()
     for name in RETURNED:
         arguments[name][...] = device[name].to_numpy().reshape(arguments[name].shape)

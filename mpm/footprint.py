@@ -12,9 +12,7 @@ from dataclasses import dataclass
 
 from datasets import memory
 from datasets.errors import InputError
-from datasets.field import FRICTION
-from datasets.material import Material
-from datasets.particles import mass_counts, mass_particle_volumes
+from datasets.particles import mass_counts
 from datasets.scene import Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Energy, Precision
@@ -53,15 +51,6 @@ class Footprint:
         )
 
 
-@dataclass(frozen=True)
-class Planned:
-    """Of particles that are not there yet, what decides which kernel is compiled."""
-
-    materials: tuple[Material, ...]
-    common_volume: float | None
-    friction_varies: bool
-
-
 def footprint(
     scene: Scene,
     *,
@@ -75,12 +64,8 @@ def footprint(
 
     Raises InputError for one that no machine could make.
     """
-    materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
-    volumes = set(mass_particle_volumes(scene).tolist())
-    varies = any(field.quantity == FRICTION for field in scene.fields)
-    planned = Planned(materials, None if len(volumes) > 1 else volumes.pop(), varies)
-    features = features_of([scene], [planned], precision, record=record, shared=workers > 1, gpu=gpu)
-    substeps = substeps_per_frame(scene, materials)
+    features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
+    substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)
     if steps > MOST_STEPS:
         raise InputError(
@@ -101,7 +86,8 @@ def footprint(
     kept = 1 if record.every == 0 else -(-(scene.frames - 1) // record.every) + 1
     solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
     # What is smoothed is there twice.
-    numbers = dimension + (1 if record.raw else 2) * (features.recorded + ("density" in record.fields))
+    widths = {"velocity": dimension, "stress": features.stresses}
+    numbers = dimension + 2 * sum(widths.get(name, 1) for name in record.fields)
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     return Footprint(
         particles=count,

@@ -33,7 +33,6 @@ def command(
     every: int | None = None,
     last_frame: bool = False,
     fields: bool = False,
-    raw_fields: bool = False,
     until_rest: bool = False,
     vtk: bool = False,
     forces: bool = False,
@@ -63,8 +62,6 @@ def command(
         Keep the last frame only.
     fields
         Record velocity, stress, pressure, density and plastic strain of every particle too, and forces on the walls.
-    raw_fields
-        The same, stress and pressure as the particles carry them instead of smoothed through the grid.
     until_rest
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk
@@ -87,12 +84,11 @@ def command(
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
-    fields = fields or raw_fields or vtk
+    fields = fields or vtk
     record = Recording(
         frames="last" if last_frame else "all" if every is None else every,
         fields=frozenset(FIELDS if fields else ()),
         wall_forces=fields or forces,
-        raw=raw_fields,
         until_rest=until_rest,
     )
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1

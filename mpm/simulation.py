@@ -110,12 +110,12 @@ def simulate_resumably(
     warn_if_unlikely(scene)
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
-    precision = options.get("precision") or (resume.features.precision if resume else "f32")
+    precision = options.get("precision") or (resume.run.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
     workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
-    if file is not None and (gpu or record.fields):
-        raise InputError("expected positions alone, on the CPU: fields are smoothed in memory", key="file")
+    if file is not None and record.fields:
+        raise InputError("expected positions alone: fields are smoothed in memory", key="file")
     plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])
@@ -177,8 +177,8 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     runtime.start(precision, options.get("threads"), arch)
     particles = particles_of(scenes)
     groups: dict[Features, list[int]] = {}
-    for index, (scene, own) in enumerate(zip(scenes, particles, strict=True)):
-        features = features_of([scene], [own], precision, record=record, gpu=arch != "cpu")
+    for index, scene in enumerate(scenes):
+        features = features_of([scene], precision, record=record, gpu=arch != "cpu")
         groups.setdefault(features, []).append(index)
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
@@ -221,7 +221,8 @@ def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bo
 def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
-    Particles are sorted in the same frames wherever a run was interrupted and however many frames a call computes.
+    A call ends where particles are sorted, in the same frames wherever a run was interrupted, and where a frame is kept
+    that the kernel does not record.
     """
     end = max(scene.frames for scene in batch.scenes)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
@@ -229,14 +230,15 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
     while (first := batch.computed + 1) < end and not batch.ended(first).all() and not stop():
         since_sorted = (first - 1) % FRAMES_PER_CALL
         last = min(first + most, first + FRAMES_PER_CALL - since_sorted, end)
+        if (every := batch.recording.every) > 0 and not batch.in_kernel:
+            last = min(last, first + every - (first - 1) % every)
         for index, particles in enumerate(batch.particles):
             if since_sorted == 0 and len(particles.positions) >= SORTED:
                 batch.sort(index)
         batch.arrivals[:] = 0
-        batch.before_call(first)
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1
-        batch.after_call(last)
+        batch.keep(first)
         bar.update(last - first)
 
 

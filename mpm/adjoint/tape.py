@@ -127,10 +127,9 @@ class Tape:
     ) -> None:
         self.frames = checked_frames(scenes, frames)
         particles = particles_of(scenes) if particles is None else list(particles)
-        features = features_of(scenes, particles, precision, record=LAST)
-        for scene, own in zip(scenes, particles, strict=True):
-            if features_of([scene], [own], precision, record=LAST) != features:
-                raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
+        features = features_of(scenes, precision, record=LAST)
+        if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
+            raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
         check(features)
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))

@@ -14,7 +14,6 @@ from datasets.scene import DOMAIN_SIDES, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
-    FRAMES_PER_CALL,
     INDEX_LIMIT,
     PADDING,
     Barrier,
@@ -50,8 +49,11 @@ class Batch:
 
     `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
     whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The
-    positions of one scene can be kept in a `file`, and `positions` then holds those of one call of the kernel. Raises
-    InputError for more particles times frames than can be counted.
+    positions of one scene can be kept in a `file`. Raises InputError for more particles times frames than can be
+    counted.
+
+    The kernel itself records positions where every frame keeps them in memory, and nothing else; what is kept of few
+    frames, in a file or beside the positions is taken from the state between two calls of the kernel (`keep`).
     """
 
     def __init__(
@@ -65,9 +67,9 @@ class Batch:
         particles: Sequence[Particles] | None = None,
         file: FrameWriter | None = None,
     ) -> None:
-        self.scenes, self.recording = list(scenes), record
+        self.scenes, self.recording, self.file = list(scenes), record, file
         self.particles = particles_of(scenes) if particles is None else list(particles)
-        self.features = features_of(scenes, self.particles, precision, record=record, shared=workers > 1, gpu=gpu)
+        self.features = features_of(scenes, precision, record=record, shared=workers > 1, gpu=gpu)
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
@@ -80,20 +82,19 @@ class Batch:
         self.add_contacts(real)
         self.add_barriers()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
+        self.in_kernel = record.every == 1 and not record.fields and file is None
         block = node = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
             blocks = -(-count // lanes)
             cells = [round(length / scene.domain.cell) for length in scene.domain.size]
             nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
-            offset[Offset.BLOCK], offset[Offset.PARTICLES], offset[Offset.RECORD] = block, count, recorded
+            offset[Offset.BLOCK], offset[Offset.PARTICLES] = block, count
+            offset[Offset.RECORD] = recorded if self.in_kernel else -1
             offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
             offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
             offset[Offset.OPEN] = sum(1 << DOMAIN_SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
-            kept = record.kept(scene.frames)
-            offset[Offset.EVERY], offset[Offset.LAST_FRAME] = record.every, scene.frames - 1
-            offset[Offset.LAST_SLOT] = len(kept) - 1
             offset[Offset.WINDOW] = min(window_frames(scene, own.materials), INDEX_LIMIT)
             solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
@@ -108,12 +109,11 @@ class Batch:
                 node += math.prod(nodes)
                 impulse += solids * features.dimension
             block += blocks
-            recorded += count * (len(kept) if file is None else min(len(kept), FRAMES_PER_CALL))
+            recorded += count * scene.frames * self.in_kernel
             line += scene.frames
             recorded_impulse += scene.frames * solids
-        per_particle = max(features.dimension, features.recorded)
         scratch = (block if features.gpu else len(self.workers)) * features.scratch
-        longest = max(node * features.node, recorded * per_particle)
+        longest = max(node * features.node, recorded * features.dimension)
         indexed = max(block * features.block, scratch) * lanes
         if longest >= 2**31 or indexed >= INDEX_LIMIT:
             raise InputError(
@@ -128,13 +128,13 @@ class Batch:
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
-        self.positions = np.zeros(recorded * features.dimension, np.float32)
-        self.fields = np.zeros(max(recorded * features.recorded, 1), np.float32)
+        self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
         self.arrivals = np.zeros(1, np.int32)
         self.computed = 0
-        self.file, self.finite_so_far = file, True
+        self.record = [self.empty_record(index) for index in range(len(scenes))]
+        """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
         self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
@@ -204,7 +204,7 @@ class Batch:
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
-        if self.recording.every > 0:
+        if self.kept(index)[0] == 0:
             self.store(index, 0)
         mass = particles.density * particles.volume
         energies = self.energies(index)
@@ -212,27 +212,49 @@ class Batch:
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
+    def empty_record(self, index: int) -> dict[str, NDArray[np.float32]]:
+        """Room for what is kept of the particles of one scene; of a frame where they go to a file."""
+        features, count = self.features, int(self.offsets[index, Offset.PARTICLES])
+        kept = 1 if self.file is not None else len(self.kept(index))
+        if self.in_kernel:
+            first = self.offsets[index, Offset.RECORD] * features.dimension
+            found = {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
+        else:
+            found = {"positions": np.zeros((kept, count, features.dimension), np.float32)}
+        fields = self.recording.fields
+        if "velocity" in fields:
+            found["velocity"] = np.zeros((kept, count, features.dimension), np.float32)
+        if "stress" in fields:
+            found["stress"] = np.zeros((kept, count, features.stresses), np.float32)
+        elif "pressure" in fields:
+            found["pressure"] = np.zeros((kept, count), np.float32)
+        if "plastic_strain" in fields:
+            found["plastic_strain"] = np.zeros((kept, count), np.float32)
+        return found
+
     def store(self, index: int, slot: int) -> None:
-        """Record the present state of one scene as kept frame `slot`, as `mpm.output.recorder.record_lane` does."""
+        """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
         features, numbers, order = self.features, self.numbers(index), self.order_of(index)
+        xx, yy, zz = numbers[features.stress :][:3]
+        present = {
+            "positions": numbers[: features.dimension],
+            "velocity": numbers[features.velocity :][: features.dimension],
+            "stress": numbers[features.stress :][: features.stresses],
+            "pressure": 0.0 - xx / 3.0 - yy / 3.0 - zz / 3.0,
+            "plastic_strain": numbers[features.plastic_strain],
+        }
+        for name, array in self.record[index].items():
+            array[0 if self.file is not None else slot, order] = present[name].T
         if self.file is not None:
-            frame = np.empty((1, len(order), features.dimension), np.float32)
-            frame[0, order] = numbers[: features.dimension].T
-            self.append(frame)
-            return
-        self.recorded(index)[slot, order] = numbers[: features.dimension].T
-        columns = []
-        if features.velocity_recorded:
-            columns += [*numbers[features.velocity :][: features.dimension]]
-        if features.stress_recorded:
-            columns += [*numbers[features.stress :][: features.stresses]]
-        if features.pressure_recorded:
-            xx, yy, zz = numbers[features.stress :][:3]
-            columns += [0.0 - xx / 3.0 - yy / 3.0 - zz / 3.0]
-        if features.strain_recorded:
-            columns += [numbers[features.plastic_strain]]
-        if columns:
-            self.recorded_fields(index)[slot, order] = np.stack(columns, axis=1)
+            self.file.append(positions=self.record[index]["positions"])
+
+    def keep(self, first: int) -> None:
+        """Record what is kept of the frames from `first` on that have been computed, where the kernel does not."""
+        for index in range(0 if self.in_kernel else len(self.scenes)):
+            rest = int(self.offsets[index, Offset.REST])
+            for slot, frame in enumerate(self.kept(index)):
+                if first <= frame <= min(self.computed, rest or frame):
+                    self.store(index, slot)
 
     def sort(self, index: int) -> None:
         """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
@@ -274,53 +296,17 @@ class Batch:
         first = self.offsets[index, Offset.BLOCK] * self.features.lanes
         return self.order[first : first + self.offsets[index, Offset.PARTICLES]]
 
-    def frames_of(self, array: Array, index: int, width: int) -> Array:
-        """The part of a flat record, `width` numbers a particle, that belongs to one scene, [T, N, width]; a view."""
-        first, count = self.offsets[index, Offset.RECORD] * width, int(self.offsets[index, Offset.PARTICLES])
-        frames = len(self.kept(index))
-        return array[first : first + frames * count * width].reshape(frames, count, width)
-
     def kept(self, index: int) -> list[int]:
         """The numbers of the frames of one scene that are kept."""
         return self.recording.kept(self.scenes[index].frames)
 
     def recorded(self, index: int) -> NDArray[np.float32]:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
-        if self.file is not None:
-            return self.file.frames("positions")
-        return self.frames_of(self.positions, index, self.features.dimension)
+        return self.record[index]["positions"] if self.file is None else self.file.frames("positions")
 
     def finite(self, index: int) -> bool:
-        """Whether all recorded positions of one scene are numbers."""
-        return self.finite_so_far if self.file is not None else bool(np.isfinite(self.recorded(index)).all())
-
-    def before_call(self, first: int) -> None:
-        """Let `positions` begin with what is kept from frame `first` on, where frames are kept in a file."""
-        if self.file is not None:
-            self.offsets[0, Offset.FIRST_SLOT] = np.searchsorted(self.kept(0), first)
-
-    def after_call(self, last: int) -> None:
-        """Append to the file, where there is one, what `positions` holds of the frames before `last`."""
-        if self.file is not None:
-            rest, first = int(self.offsets[0, Offset.REST]), int(self.offsets[0, Offset.FIRST_SLOT])
-            count = int(np.searchsorted(self.kept(0), min(last, rest + 1) if rest else last)) - first
-            self.append(self.positions.reshape(-1, *self.empty_frames.shape[1:])[:count])
-
-    @property
-    def empty_frames(self) -> NDArray[np.float32]:
-        """No frames of the first scene, shape [0, N, D]."""
-        return np.zeros((0, int(self.offsets[0, Offset.PARTICLES]), self.features.dimension), np.float32)
-
-    def append(self, frames: NDArray[np.float32]) -> None:
-        """Append frames, shape [F, N, D], to the file."""
-        assert self.file is not None
-        if len(frames):
-            self.file.append(positions=frames)
-            self.finite_so_far &= bool(np.isfinite(frames).all())
-
-    def recorded_fields(self, index: int) -> NDArray[np.float32]:
-        """What `Features.recorded` counts, of one scene in the kept frames, shape [T, N, recorded]; a view."""
-        return self.frames_of(self.fields, index, self.features.recorded)
+        """Whether the particles of one scene have positions and velocities that are numbers."""
+        return bool(np.isfinite(self.numbers(index)[: self.features.velocity + self.features.dimension]).all())
 
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""

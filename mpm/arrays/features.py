@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
+from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
-from datasets.material import Material
+from datasets.particles import mass_particle_volumes
 from datasets.records import Record
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
@@ -39,12 +40,8 @@ class Features(Record):
     """Solids stand in the box: baffles, ground, obstacles."""
     outflow: bool = False
     """A side of the box lets particles out."""
-    velocity_recorded: bool = False
-    stress_recorded: bool = False
-    pressure_recorded: bool = False
-    """Recorded by itself, where the stress is not."""
     strain_recorded: bool = False
-    """Plastic strain is summed up and recorded."""
+    """Plastic strain is summed up, to be recorded."""
     walls_recorded: bool = False
     """The momentum that floor and walls take is recorded."""
     shared: bool = False
@@ -107,7 +104,7 @@ class Features(Record):
         return 8 if self.forces else 4
 
     def __getattr__(self, name: str) -> int:
-        """Where the part `name` begins of a block, a record, a face, a node or the scratch; see `parts`."""
+        """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""
         found = None if name.startswith("_") else offsets(self).get(name)
         if found is None:
             raise AttributeError(name)
@@ -131,12 +128,6 @@ def parts(features: Features) -> list[dict[str, int]]:
             "contacts": features.contact_vectors,
             "present": 1,
             "block": 0,
-        },
-        {  # Numbers that are recorded of a particle besides its position.
-            "recorded_velocity": size if features.velocity_recorded else 0,
-            "recorded_stress": features.stresses if features.stress_recorded else int(features.pressure_recorded),
-            "recorded_strain": int(features.strain_recorded),
-            "recorded": 0,
         },
         {  # Columns of a face: its corners, its normal and those of its corners and, in 3D, edges, ...
             "face_corners": size**2,
@@ -176,25 +167,8 @@ def offsets(features: Features) -> dict[str, int]:
     return found
 
 
-class Filled(Protocol):
-    """Of the particles of a scene, what decides which kernel is compiled."""
-
-    @property
-    def materials(self) -> tuple[Material, ...]:
-        """The different materials of the scene."""
-
-    @property
-    def common_volume(self) -> float | None:
-        """The initial volume [m^D] that all particles have."""
-
-    @property
-    def friction_varies(self) -> bool:
-        """Whether a field gives the friction of each particle."""
-
-
 def features_of(
     scenes: Sequence[Scene],
-    particles: Sequence[Filled],
     precision: Precision,
     *,
     record: Recording = ALL,
@@ -202,7 +176,7 @@ def features_of(
     gpu: bool = False,
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
-    materials = [material for each in particles for material in each.materials]
+    materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
@@ -212,18 +186,9 @@ def features_of(
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
         volume_correction=any(remembers_gaps(scene) for scene in scenes),
-        heterogeneous=any(
-            len(each.materials) > 1
-            or each.common_volume is None
-            or each.friction_varies
-            or any(material.strength_gradient > 0.0 for material in each.materials)
-            for each in particles
-        ),
+        heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
-        velocity_recorded="velocity" in record.fields,
-        stress_recorded="stress" in record.fields,
-        pressure_recorded="pressure" in record.fields and "stress" not in record.fields,
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
@@ -231,4 +196,15 @@ def features_of(
         shared=shared,
         gpu=gpu,
         register=REGISTER,
+    )
+
+
+def varies(scene: Scene) -> bool:
+    """Whether a scene has several materials, or particles of several volumes, frictions or strengths."""
+    materials = {scene.material_of(mass) for mass in scene.masses}
+    return (
+        len(materials) > 1
+        or len(set(mass_particle_volumes(scene).tolist())) > 1
+        or any(field.quantity == FRICTION for field in scene.fields)
+        or any(material.strength_gradient > 0.0 for material in materials)
     )

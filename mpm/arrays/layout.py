@@ -67,7 +67,7 @@ class Property(Column):
 
 
 FRAMES_PER_CALL = 20
-"""Frames of one call of the kernel; after each the progress bar moves and a run can be stopped."""
+"""Frames of one call of the kernel at most; after each the progress bar moves and a run can be stopped."""
 
 
 class Offset(Column):
@@ -78,11 +78,7 @@ class Offset(Column):
     CELLS_X = auto()
     CELLS_Y = auto()
     CELLS_Z = auto()
-    RECORD = auto()  # the first of its particles in `record`
-    EVERY = auto()  # frames from one that is recorded to the next; 0 where the last is recorded alone
-    LAST_FRAME = auto()  # the number of its last frame
-    LAST_SLOT = auto()  # where that is recorded: how many recorded frames lie before it
-    FIRST_SLOT = auto()  # the recorded frame that its part of `record` begins with
+    RECORD = auto()  # the first of its particles in `positions`, -1 where the kernel records none
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
     GEOMETRY = auto()  # its first entry in `cell_faces` and `fixed_nodes`

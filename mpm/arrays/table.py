@@ -55,7 +55,6 @@ STEP = {
 RECORD = {
     "order": Kind.INTEGER,
     "positions": Kind.SINGLE,
-    "fields": Kind.SINGLE,
     "energy": Kind.DOUBLE,
     "recorded_impulse": Kind.DOUBLE_TABLE,
 }

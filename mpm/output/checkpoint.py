@@ -14,14 +14,13 @@ from datasets.errors import InputError
 from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
-from mpm.arrays.features import Features
-from mpm.arrays.layout import Contact, Offset, Precision
+from mpm.arrays.layout import Offset, Precision
 from mpm.output.request import Recording
 
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch
 
-ARRAYS = ("state", "order", "energy", "impulse", "positions", "fields", "retained", "settling")
+TEXTS = ("scene", "recording", "run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +37,8 @@ class Progress(Record):
     """How often a particle was put back into the box."""
     wall_s: float
     """What all parts of the run have taken so far [s]."""
+    precision: Precision
+    """Of the solver."""
 
     def __post_init__(self) -> None:
         if not (0 <= self.rest <= self.frame and min(self.steps, self.clamped, self.wall_s) >= 0):
@@ -49,8 +50,6 @@ class Checkpoint:
     """A run of one scene up to a frame, in the precision of the solver, with all that it has recorded so far."""
 
     scene: Scene
-    features: Features
-    """What the run was compiled for."""
     recording: Recording
     run: Progress
     arrays: dict[str, NDArray[Any]]
@@ -66,10 +65,10 @@ class Checkpoint:
             steps=int(batch.offsets[0, Offset.STEPS]),
             clamped=int(batch.clamped.sum()),
             wall_s=wall_s,
+            precision=batch.features.precision,
         )
         return Checkpoint(
             scene=batch.scenes[0],
-            features=batch.features,
             recording=batch.recording,
             run=run,
             arrays=arrays_of(batch, run.frame),
@@ -82,34 +81,30 @@ class Checkpoint:
             return key
         if scene.frames - 1 < self.run.frame:
             return "duration"
-        return "" if self.features.precision == precision else "precision"
+        return "" if self.run.precision == precision else "precision"
 
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.
 
         Raises InputError, which names the key, where the run is one of another scene, recording or precision.
         """
-        features = dataclasses.replace(self.features, shared=batch.features.shared)
-        key = self.difference(batch.scenes[0], batch.recording, batch.features.precision)
-        if key := key or difference(features, batch.features):
+        if key := self.difference(batch.scenes[0], batch.recording, batch.features.precision):
             end = self.scene.frame_dt * self.run.frame
             raise InputError(f"expected the run of the checkpoint, for {end:g} s or longer; it differs", key=key)
         for key, part in arrays_of(batch, self.run.frame).items():
+            if key not in self.arrays:
+                raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
             # The last frame of a shorter run may be none that a longer one keeps.
             array = self.arrays[key][: len(part)]
             if array.shape != part.shape or array.dtype != part.dtype:
                 got = f"{array.dtype} of shape {array.shape}"
                 raise InputError(f"expected {part.dtype} of shape {part.shape}, got {got}", key=key)
-            if key == "order" and not np.array_equal(np.unique(array), np.unique(part)):
-                raise InputError("expected each particle once", key=key)
-            if key == "state":
-                check_state(array, batch)
             part[...] = array
         if batch.file is not None:
             # Where the first frame is kept, it is in the file already.
             kept = sum(number <= self.run.frame for number in batch.kept(0))
             for number in range(batch.recording.every > 0, kept):
-                batch.append(self.arrays["positions"][number][None])
+                batch.file.append(positions=self.arrays["positions"][number][None])
         batch.offsets[0, Offset.REST], batch.offsets[0, Offset.STEPS] = self.run.rest, self.run.steps
         batch.clamped[0], batch.computed = self.run.clamped, self.run.frame
 
@@ -118,7 +113,6 @@ class Checkpoint:
         recording = dataclasses.asdict(self.recording) | {"fields": sorted(self.recording.fields)}
         texts = {
             "scene": self.scene.to_json(),
-            "features": json.dumps(dataclasses.asdict(self.features)),
             "recording": json.dumps(recording),
             "run": json.dumps(dataclasses.asdict(self.run)),
         }
@@ -129,22 +123,21 @@ class Checkpoint:
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
         arrays: dict[str, Any] = read_arrays(path, what="a checkpoint")
         try:
-            for key in ("scene", "features", "recording", "run", *ARRAYS):
+            for key in TEXTS:
                 if key not in arrays:
                     raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
             return Checkpoint(
                 scene=Scene.from_json(str(arrays["scene"])),
-                features=from_mapping(Features, json_object(str(arrays["features"]))),
                 recording=from_mapping(Recording, json_object(str(arrays["recording"]))),
                 run=from_mapping(Progress, json_object(str(arrays["run"]))),
-                arrays={key: arrays[key] for key in ARRAYS},
+                arrays={key: array for key, array in arrays.items() if key not in TEXTS},
             )
         except InputError as error:
             raise error.at(str(path)) from None
 
 
 def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
-    """What a batch of one scene holds after `frame`, by the names of ARRAYS; views.
+    """What a batch of one scene holds after `frame`; views.
 
     The particles in the order of memory, which particle lies in which lane, and what was recorded up to the frame;
     shapes as in `mpm.arrays.batch.Batch`.
@@ -156,25 +149,11 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         "order": batch.order,
         "energy": batch.energies(0)[: frame + 1],
         "impulse": impulse[: (frame + 1) * solids].reshape(frame + 1, solids, impulse.shape[1]),
-        # Those in a file stay there.
-        "positions": batch.recorded(0)[:kept] if batch.file is None else batch.empty_frames,
-        "fields": batch.recorded_fields(0)[:kept],
         "retained": batch.retained,
         "settling": batch.settling,
+        # Those in a file stay there.
+        **({name: each[:kept] for name, each in batch.record[0].items()} if batch.file is None else {}),
     }
-
-
-def check_state(state: NDArray[Any], batch: "Batch") -> None:
-    """Raise InputError for particles beyond the grid, or with faces that there are none of: the kernels trust them."""
-    features, domain = batch.features, batch.scenes[0].domain
-    numbers = np.moveaxis(state, 1, 0).reshape(features.block, -1)
-    upper = np.array(domain.size)[:, None] + domain.cell
-    inside = (numbers[: features.dimension] >= -domain.cell) & (numbers[: features.dimension] <= upper)
-    if not (inside | (numbers[features.present] == 0.0)).all():
-        raise InputError("expected particles inside the domain", key="state")
-    face = numbers[features.contacts + Contact.FACE] if features.contact else np.zeros(1)
-    if not ((face >= 0.0) & (face < len(batch.faces))).all():
-        raise InputError(f"expected the numbers of {len(batch.faces)} faces", key="state")
 
 
 def difference(one: Any, other: Any, key: str = "") -> str:

@@ -45,24 +45,17 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     """The fields that were asked for of scene `index`, by the names of `datasets.trajectory.Trajectory`."""
-    scene, particles, record = batch.scenes[index], batch.particles[index], batch.recording
-    positions, values, features = batch.recorded(index), batch.recorded_fields(index), batch.features
-    fields = {}
-    if features.velocity_recorded:
-        fields["velocities"] = values[:, :, : features.dimension]
-    if features.stress_recorded:
-        fields["stress"] = values[:, :, features.recorded_stress :][:, :, : features.stresses]
-    if features.pressure_recorded:
-        fields["pressure"] = values[:, :, features.recorded_stress]
-    if features.strain_recorded:
-        fields["plastic_strain"] = values[:, :, features.recorded_strain]
-    if not record.raw:
-        for name in fields.keys() & {"stress", "pressure"}:
-            fields[name] = smoothed(fields[name], positions, particles.volume, scene)
-    if features.stress_recorded and "pressure" in record.fields:
+    scene, particles, asked = batch.scenes[index], batch.particles[index], batch.recording.fields
+    positions = batch.recorded(index)
+    fields: dict[str, Any] = {name: each for name, each in batch.record[index].items() if name != "positions"}
+    for name in fields.keys() & {"stress", "pressure"}:
+        fields[name] = smoothed(fields[name], positions, particles.volume, scene)
+    if {"stress", "pressure"} <= asked:
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
-    if "density" in record.fields:
+    if "density" in asked:
         fields["density"] = density(positions, particles.density * particles.volume, scene)
+    if "velocity" in asked:
+        fields["velocities"] = fields.pop("velocity")
     return fields
 
 

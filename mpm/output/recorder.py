@@ -80,7 +80,7 @@ def record_scene(scene, frame, arrays: ti.template()):
 
 @ti.func
 def record_block(scene, frame, block, arrays: ti.template()):
-    """Record positions and energies of the particles of a block, and the fields where asked for.
+    """Record energies of the particles of a block, and positions where every frame keeps them.
 
     Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
     too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
@@ -123,55 +123,13 @@ def record_block(scene, frame, block, arrays: ti.template()):
             arrays.state[first + features.before + k] = new
         impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
         add(arrays.energy, line + Energy.UNBALANCED, lane_sum(mass * ti.sqrt(change), arrays) / impulse, arrays)
-    slot = slot_of(scene, frame, arrays)
-    if slot >= 0:
+    at = arrays.offsets[scene, Offset.RECORD]
+    if at >= 0:
+        at += frame * arrays.offsets[scene, Offset.PARTICLES]
         for lane in range(particles_in(scene, block, arrays)):
-            record_lane(scene, slot, block, lane, arrays)
-
-
-@ti.func
-def slot_of(scene, frame, arrays: ti.template()):
-    """Where the particles of a frame are recorded, counted in frames of `record`; -1 where they are not."""
-    slot, every = -1, arrays.offsets[scene, Offset.EVERY]
-    if frame == arrays.offsets[scene, Offset.LAST_FRAME]:
-        slot = arrays.offsets[scene, Offset.LAST_SLOT]
-    elif every > 0:  # noqa: SIM102 (Taichi's `and` would divide by zero)
-        if frame % every == 0:
-            slot = frame // every
-    if slot >= 0:
-        slot -= arrays.offsets[scene, Offset.FIRST_SLOT]
-    return slot
-
-
-@ti.func
-def record_lane(scene, slot, block, lane, arrays: ti.template()):
-    """Record position and fields of the particle in a lane of a block, as `mpm.arrays.batch.Batch.store`."""
-    features, lanes = arrays.features, arrays.features.lanes
-    first = block * features.block
-    particle = (
-        arrays.offsets[scene, Offset.RECORD]
-        + slot * arrays.offsets[scene, Offset.PARTICLES]
-        + arrays.order[block * lanes + lane]
-    )
-    for k in ti.static(range(features.dimension)):
-        arrays.positions[particle * features.dimension + k] = arrays.lanes[(first + k) * lanes + lane]
-    at = particle * features.recorded
-    if ti.static(features.velocity_recorded):
-        for k in ti.static(range(features.dimension)):
-            arrays.fields[at + k] = arrays.lanes[(first + features.velocity + k) * lanes + lane]
-    if ti.static(features.stress_recorded):
-        for k in ti.static(range(features.stresses)):
-            arrays.fields[at + features.recorded_stress + k] = arrays.lanes[
-                (first + features.stress + k) * lanes + lane
-            ]
-    if ti.static(features.pressure_recorded):
-        pressure = 0.0
-        for k in ti.static(range(3)):
-            pressure -= arrays.lanes[(first + features.stress + k) * lanes + lane] / 3.0
-        arrays.fields[at + features.recorded_stress] = pressure
-    if ti.static(features.strain_recorded):
-        strain = arrays.lanes[(first + features.plastic_strain) * lanes + lane]
-        arrays.fields[at + features.recorded_strain] = strain
+            particle = at + arrays.order[block * features.lanes + lane]
+            for k in ti.static(range(features.dimension)):
+                arrays.positions[particle * features.dimension + k] = arrays.lanes[(first + k) * features.lanes + lane]
 
 
 @ti.func

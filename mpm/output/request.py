@@ -54,11 +54,10 @@ class Recording(Record):
     frames: Literal["all", "last"] | int = "all"
     """Which frames keep positions and fields: all, the last alone, or every k-th from the first on and the last."""
     fields: frozenset[FieldName] = frozenset()
-    """What is recorded of every particle besides its position."""
+    """What is recorded of every particle besides its position; stress and pressure are smoothed through the grid
+    (`mpm.output.smoothing`)."""
     wall_forces: bool = False
     """Whether the momentum that each side of the box has taken is recorded."""
-    raw: bool = False
-    """Stress and pressure as the particles carry them, not smoothed through the grid (`mpm.output.smoothing`)."""
     until_rest: bool = False
     """End a scene when its deposit has come to rest (above), and fill the frames that are left with the
     last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""

@@ -101,17 +101,14 @@ def test_another_run_is_refused_with_the_key(checkpoint: Checkpoint, scene: Scen
     assert str(caught.value).startswith(f"{said}: expected the run of the checkpoint, for 0.02 s or longer")
 
 
-@pytest.mark.parametrize("key", ["state", "order", "energy", "positions"])
-def test_arrays_that_the_kernels_could_not_trust(checkpoint: Checkpoint, key: str) -> None:
-    beyond = checkpoint.arrays["state"].copy()
-    beyond[0, 0] = 1.0e6
-    changed = {"state": beyond, "order": checkpoint.arrays["order"] * 0}.get(key, checkpoint.arrays[key][:-1])
-    broken = dataclasses.replace(checkpoint, arrays=checkpoint.arrays | {key: changed})
+@pytest.mark.parametrize("key", ["state", "positions"])
+def test_arrays_of_another_shape(checkpoint: Checkpoint, key: str) -> None:
+    broken = dataclasses.replace(checkpoint, arrays=checkpoint.arrays | {key: checkpoint.arrays[key][:-1]})
     with pytest.raises(InputError, match=f"{key}: expected"):
         simulate(box(duration=0.02), resume=broken, threads=1)
 
 
-@pytest.mark.parametrize("change", [{"run": None}, {"features": np.array("{}")}, {"scene": np.array("{")}])
+@pytest.mark.parametrize("change", [{"run": None}, {"scene": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
     with pytest.raises(InputError, match=r"expected a whole NPZ .*a checkpoint.*, there is none"):

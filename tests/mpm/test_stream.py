@@ -45,10 +45,12 @@ def test_frames_in_a_file_are_the_same_to_the_bit(tmp_path: Path, record: Record
     }
 
 
-def test_memory_holds_the_frames_of_a_call(tmp_path: Path) -> None:
+def test_memory_holds_one_frame(tmp_path: Path) -> None:
     whole = Batch([FLOW], precision="f32")
     with FrameWriter(tmp_path / "flow.h5") as file:
-        assert Batch([FLOW], precision="f32", file=file).positions.size == whole.positions.size * FRAMES_PER_CALL / 57
+        batch = Batch([FLOW], precision="f32", file=file)
+        assert batch.record[0]["positions"].size == whole.positions.size / 57
+        assert batch.positions.size == 1
     assert footprint(FLOW, in_file=True).bytes <= footprint(FLOW).bytes - whole.positions.nbytes
 
 
@@ -93,7 +95,7 @@ def test_the_command_appends_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
         patch.setattr(solver, "tqdm", Bar)
         assert run(command, "mpm.run", [str(scene), "--out", str(out), "--hdf5"]) == 130
     part = Trajectory.load(out / "trajectory.h5")
-    np.testing.assert_array_equal(part.positions, whole.positions[: 1 + FRAMES_PER_CALL])
+    np.testing.assert_array_equal(part.positions, whole.positions[:2])
     assert run(command, "mpm.run", [str(scene), "--out", str(out), "--hdf5"]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["summary.json", "trajectory.h5"]
     np.testing.assert_array_equal(Trajectory.load(out / "trajectory.h5").positions, whole.positions)
