@@ -159,7 +159,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
         assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "8"]) == status
     assert signal.getsignal(number) is before
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said == f"talus: interrupted at t = 0.1 s; the same command goes on from {out}/checkpoint.npz"
+    assert said == f"talus: interrupted at t = 0.04 s; the same command goes on from {out}/checkpoint.npz"
     assert [file.name for file in out.iterdir()] == ["checkpoint.npz"]
     for folder in (out, tmp_path / "whole"):
         assert run(command, "mpm.run", [str(scene), "--out", str(folder), "--every", "8"]) == 0
