@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from datasets import memory
 from datasets.errors import InputError
-from datasets.files import replacing
-from datasets.reading import file_size, reading
+from datasets.files import file_size, reading, replacing
 
 # Most commands read NPZ alone.
 if TYPE_CHECKING:

@@ -1,24 +1,38 @@
-"""Files appear whole or not at all: each is written beside its place, made to last, and moved into it.
+"""Files: written whole or not at all, each beside its place and moved into it; read with one line for what is wrong.
 
 This is the one place that moves results. The bytes are on the disk before the name is (`fsync` of the file, `rename`,
-`fsync` of the folder), so that a machine that dies in between leaves the old file or the new one.
+`fsync` of the folder), so that a machine that dies in between leaves the old file or the new one. Files that are read
+may be anybody's: before and while a library reads them, whatever is wrong is one InputError that names the file.
 """
 
+import csv
 import errno
 import json
 import os
+import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from datasets.errors import InputError
+from datasets.memory import spoken
 
 PART = ".part-"
 """What the names of files begin with that are still being written."""
 _being_written: set[Path] = set()
 """Such files of this process."""
+LONGEST_LINE = 200
+"""Characters of a library's message that are passed on."""
+LARGEST_TEXT = 2**28
+"""Bytes of a file of text."""
+FARTHEST = 1.0e12
+"""Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
 
 
 @contextmanager
@@ -106,3 +120,116 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not (float("-inf") < value < float("inf")):
         return None
     return value
+
+
+def file_size(path: Path, what: str, *, most: int | None = None) -> int:
+    """The size of a file [bytes]. Raises InputError where there is none, or something else, or one beyond `most`.
+
+    what: such as `a trajectory (NPZ)`. A device or a pipe would never end.
+    """
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"expected {what}, there is none", where=str(path)) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"expected {what}, {line_of(error)}", where=str(path)) from None
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a device or a pipe"
+        raise InputError(f"expected {what}, got {kind}", where=str(path))
+    if most is not None and found.st_size > most:
+        raise InputError(f"expected {what} of at most {spoken(most)}, got {spoken(found.st_size)}", where=str(path))
+    return found.st_size
+
+
+@contextmanager
+def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
+    """Whatever a library makes of a broken or hostile file in the block, as one InputError that names file and key.
+
+    Their readers fail in many ways on a file that is none of theirs; to the user all of them mean the same. Keep the
+    block to the library's own work, so that no mistake of ours hides in it.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise error if error.where else InputError(error.message, where=str(path), key=error.key or key) from None
+    except (Exception, SystemExit) as error:
+        raise InputError(f"expected {what}, {line_of(error)}", where=str(path), key=key) from None
+
+
+def line_of(error: BaseException) -> str:
+    """What an error says, in one short line."""
+    text = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
+    return text if len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE]}..."
+
+
+def read_text(path: Path, what: str) -> str:
+    """The text of a file in UTF-8, a mark of the byte order left out. Raises InputError."""
+    file_size(path, what, most=LARGEST_TEXT)
+    with reading(path, f"{what} that can be read"):
+        return path.read_text(encoding="utf-8-sig")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file. Raises InputError, which names the file."""
+    text = read_text(path, "a TOML file")
+    with reading(path, "a readable TOML file"):
+        return tomllib.loads(text)
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Parse a file with a JSON object; None where there is no file. Raises InputError, which names the file."""
+    if not path.exists():
+        return None
+    text = read_text(path, "a JSON file")
+    with reading(path, "readable JSON"):
+        return json_object(text)
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """Parse a JSON object. Raises InputError."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"expected readable JSON, {line_of(error)}") from None
+    if not isinstance(found, dict):
+        raise InputError("expected a JSON object")
+    return found
+
+
+def read_columns(
+    path: Path, needed: tuple[str, ...], optional: tuple[str, ...] = (), *, others: bool = False
+) -> dict[str, NDArray[np.float64]]:
+    """Columns of a CSV with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
+
+    others: whether the file may have more columns, of anything. Lines that begin with # are comments. Raises
+    InputError, which names the file.
+    """
+    text = read_text(path, "a CSV")
+    rows = []
+    with reading(path, "a readable CSV"):
+        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+        # Line by line and strictly: a quotation mark that nothing closes would swallow others.
+        header, *table = [next(csv.reader([line], strict=True)) for _, line in lines] or [[]]
+        header = [name.strip() for name in header]
+        if not set(needed) <= set(header):
+            got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
+            raise InputError(f"expected a header with the columns `{'`, `'.join(needed)}`, got {got}")
+        known = [name for name in header if name in (*needed, *optional)]
+        unknown = [name for name in header if name not in known]
+        if unknown and not others:
+            expected = "`, `".join((*needed, *optional))
+            raise InputError(f"expected no other columns than `{expected}`, got `{unknown[0]}`")
+        if len(set(known)) < len(known):
+            raise InputError("expected each column once")
+        for (number, line), values in zip(lines[1:], table, strict=True):
+            try:
+                row = [float(value) for name, value in zip(header, values, strict=True) if name in known]
+            except ValueError:
+                row = []
+            if len(row) < len(known) or not all(abs(value) <= FARTHEST for value in row):
+                got = f"{line.strip()[:40]!r}"
+                raise InputError(f"expected {len(header)} values in line {number}, all of them finite, got {got}")
+            rows.append(row)
+        if not rows:
+            raise InputError(f"expected rows of {len(known)} numbers, got none")
+    return dict(zip(known, np.array(rows).T.copy(), strict=True))

@@ -1,6 +1,5 @@
 """Scene files: read from a path or, by name, from those that ship in `datasets/scenes`; written from Python."""
 
-import dataclasses
 import difflib
 from pathlib import Path
 from typing import Any
@@ -8,10 +7,10 @@ from typing import Any
 import tomli_w
 
 from datasets.errors import InputError
-from datasets.files import write_text
+from datasets.files import read_toml, write_text
 from datasets.geometry.files import with_files
-from datasets.records import from_mapping, read_toml
-from datasets.scene import Mass, Scene
+from datasets.records import changed, from_mapping
+from datasets.scene import Scene
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -63,26 +62,9 @@ def write_scene(scene: Scene, path: str | Path) -> None:
                       masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),))
         write_scene(scene, "column.toml")
     """
-    write_text(Path(path), tomli_w.dumps(changed(scene)))
-
-
-def changed(record: Any) -> dict[str, Any]:
-    """The fields of a dataclass, and of those in it, that are not at their defaults, as plain numbers and lists."""
-    table = {}
-    for field in dataclasses.fields(record):
-        value = getattr(record, field.name)
-        if field.default is dataclasses.MISSING or value != field.default:
-            table[field.name] = plain(value)
-    if isinstance(record, Mass) and record.kind != "box":
-        # A scene works out the box around it.
-        del table["lower"], table["size"]
-    return table
-
-
-def plain(value: Any) -> Any:
-    """Nested tuples as lists, dataclasses as tables, NumPy's numbers as Python's."""
-    if dataclasses.is_dataclass(value):
-        return changed(value)
-    if isinstance(value, tuple | list):
-        return [plain(each) for each in value]
-    return value.item() if hasattr(value, "item") else value
+    table = changed(scene)
+    for mass in table["masses"]:
+        if mass.get("kind", "box") != "box":
+            # A scene works out the box around it.
+            del mass["lower"], mass["size"]
+    write_text(Path(path), tomli_w.dumps(table))

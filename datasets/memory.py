@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
@@ -27,8 +28,9 @@ R = TypeVar("R")
 def free() -> int:
     """Memory that this process may still take [bytes]: what the machine, its container and its own limit leave."""
     found: list[int] = [psutil.virtual_memory().available]
-    most, used = (read_number(GROUP / f"memory.{name}") for name in ("max", "current"))
-    if most is not None and used is not None:
+    # No container, or one without a limit.
+    with suppress(OSError, ValueError):
+        most, used = (int((GROUP / f"memory.{name}").read_text()) for name in ("max", "current"))
         found.append(most - used)
     if hasattr(psutil, "RLIMIT_AS"):
         process = psutil.Process()
@@ -36,14 +38,6 @@ def free() -> int:
         if limit != psutil.RLIM_INFINITY:
             found.append(limit - process.memory_info().vms)
     return max(0, min(found))
-
-
-def read_number(path: Path) -> int | None:
-    """The number in a file of the system; None where there is none."""
-    try:
-        return int(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 def require(size: float, what: str, instead: str, *, key: str = "", where: str = "") -> None:

@@ -10,13 +10,11 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange
-from datasets.reading import LONGEST_LINE, line_of
-from datasets.reading import read_json as read_json
-from datasets.reading import read_toml as read_toml
+from datasets.files import LONGEST_LINE, line_of
+from datasets.files import read_json as read_json
+from datasets.files import read_toml as read_toml
 
 T = TypeVar("T")
-
-
 TYPES = ("float", "str")
 """Names of types in the path of an error at a key that takes either."""
 
@@ -43,10 +41,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         # JSON mode converts nothing either, but still takes an array for a tuple.
         try:
             text = json.dumps(data, default=str)
-        except (
-            ValueError,
-            RecursionError,
-        ) as error:  # of thousands of digits, or tables in tables
+        except (ValueError, RecursionError) as error:
+            # Of thousands of digits, or tables in tables.
             raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
         record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
@@ -62,7 +58,9 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
             raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
-            known = _names(kind)
+            schema = _adapter(kind).json_schema()
+            parts = [schema, *schema.get("$defs", {}).values()]
+            known = [name for part in parts for name in part.get("properties", {})]
             near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
             raise InputError(f"expected a known key{hint}", key=path) from None
@@ -70,6 +68,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {shortened(first['input'])}", key=path) from None
+
+
+def changed(record: Record) -> dict[str, Any]:
+    """The keys of a record, and of those in it, that are not at their defaults, as `from_mapping` takes them."""
+    table: dict[str, Any] = _adapter(type(record)).dump_python(record, exclude_defaults=True, warnings=False)
+    return table
 
 
 def fraction(text: str) -> float:
@@ -93,10 +97,3 @@ def dotted(location: tuple[int | str, ...]) -> str:
     for part in location:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
     return path
-
-
-def _names(kind: type) -> list[str]:
-    """Every field name of a dataclass and of the dataclasses in it, for "did you mean"."""
-    schema = _adapter(kind).json_schema()
-    parts = [schema, *schema.get("$defs", {}).values()]
-    return [name for part in parts for name in part.get("properties", {})]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.field import Field
+from datasets.files import json_object
 from datasets.material import Material
-from datasets.reading import json_object
 from datasets.records import Record, from_mapping
 
 Vector = tuple[float, ...]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.errors import InputError
+from datasets.files import json_object
 from datasets.particles import initial_volumes, particle_count
-from datasets.reading import json_object
 from datasets.scene import Scene
 
 Floats = NDArray[np.float32]

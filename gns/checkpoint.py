@@ -22,7 +22,7 @@ from torch import Tensor
 
 from datasets import files
 from datasets.errors import InputError
-from datasets.reading import file_size, json_object, reading
+from datasets.files import file_size, json_object, reading
 from datasets.records import from_mapping
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator

@@ -36,9 +36,9 @@ from tqdm import tqdm
 
 from datasets import files
 from datasets.errors import InputError, WorkFailed
+from datasets.files import reading
 from datasets.lock import locked
 from datasets.processes import stopping
-from datasets.reading import reading
 from datasets.training.samples import Flow, Flows
 from gns import card, checkpoint
 from gns.checkpoint import Model

@@ -19,9 +19,8 @@ from datasets.definitions.definition import Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Cloud, cloud_of
-from datasets.files import write_json
+from datasets.files import read_json, write_json
 from datasets.measures import front, runout, toe
-from datasets.reading import read_json
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.training.statistics import metadata, motion_statistics

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from datasets.arrays import keys, member, open_npz, read_header, read_member
 from datasets.errors import InputError
-from datasets.files import replacing
-from datasets.reading import reading
+from datasets.files import reading, replacing
 from datasets.scene import Baffle
 from datasets.trajectory import Trajectory
 

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.files import file_size, read_columns, reading
 from datasets.geometry.ground import BEYOND, check_covers, interpolated
 from datasets.geometry.rasters import Raster, read_raster
 from datasets.geometry.shapes import require, usual
-from datasets.reading import file_size, read_columns, reading
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.files import file_size, reading
 from datasets.memory import require
-from datasets.reading import file_size, reading
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import reading
+from datasets import files
 from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.settings import ObservationSettings
@@ -48,7 +48,7 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
 
     Raises InputError, which names the file.
     """
-    found = reading.read_columns(path, tuple(names), tuple(optional), others=True)
+    found = files.read_columns(path, tuple(names), tuple(optional), others=True)
     if len(found[names[0]]) < 2:
         raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
     return {name: found[name] for name in (*names, *optional) if name in found}

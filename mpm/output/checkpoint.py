@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.arrays import read_arrays, write_npz
 from datasets.errors import InputError
-from datasets.reading import json_object
+from datasets.files import json_object
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from mpm.arrays.layout import Offset, Precision

@@ -12,9 +12,9 @@ import tomli_w
 
 from datasets import InputError, read_scene, read_trajectory
 from datasets.exchange import geoelements
+from datasets.files import read_columns, read_toml
 from datasets.library import SCENES, scene_from
 from datasets.particles import initial_particles
-from datasets.reading import read_columns, read_toml
 from datasets.trajectory import Trajectory
 from tests.datasets.geometry.test_nearest import sphere
 from tests.datasets.toys import toy

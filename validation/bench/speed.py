@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.processes import processors
-from datasets.reading import read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient

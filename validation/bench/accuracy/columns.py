@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.measures import FRONT_QUANTILE, Positions, runout
-from datasets.reading import read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm import AT_REST
 from validation.report.page import Page, Row, percent, signed
