@@ -10,9 +10,7 @@ window w, with the force mirrored at both ends, which leaves that sum as it is:
 """
 
 import csv
-import io
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.files import make_folder, replacing, write_text
+from datasets.files import make_folder, replacing
 from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 
 Floats = NDArray[np.float64]
@@ -32,11 +30,6 @@ ROUNDING = 1.0e-9
 """Relative difference up to which two times are the same."""
 MOST_PANELS = 6
 """Solids in one plot; of more, those with the largest peaks are drawn."""
-FAINT = 0.005
-"""Peak over the largest one below which a solid is not drawn."""
-COLOURS = ("#1b6ca8", "#d95f02", "#4d9221")
-"""Of the components along x, y and z."""
-INK = "#222222"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +54,17 @@ class Forces:
         return "N/m" if self.force.shape[2] == 2 else "N"
 
     @property
-    def magnitude(self) -> Floats:
-        """Of the force [N or N/m], shape [T, S]."""
-        return np.asarray(np.linalg.norm(self.force, axis=2))
-
-    @property
     def impulse(self) -> Floats:
         """Momentum that each solid has taken by the end [N s or N s/m], shape [S, D]: the sum of force times time."""
         return np.asarray(np.einsum("tsd, t -> sd", self.force, np.diff(self.edges)))
 
-    def peak(self, name: str) -> tuple[float, float]:
-        """The largest force on a solid [N or N/m], and the middle of its interval [s]. Raises KeyError."""
-        if name not in self.names:
-            raise KeyError(name)
-        series = self.magnitude[:, self.names.index(name)]
-        interval = int(series.argmax())
-        return float(series[interval]), float(self.edges[interval : interval + 2].mean())
+    @property
+    def peaks(self) -> list[tuple[float, float]]:
+        """The largest force on each solid [N or N/m], and the middle of its interval [s]."""
+        magnitude = np.linalg.norm(self.force, axis=2)
+        last = magnitude.argmax(axis=0)
+        middle = 0.5 * (self.edges[last] + self.edges[last + 1])
+        return list(zip(magnitude.max(axis=0).tolist(), middle.tolist(), strict=True))
 
 
 def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
@@ -131,51 +119,6 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
     return np.asarray((integral(time + 0.5 * window) - integral(time - 0.5 * window)) / window)
 
 
-def write_table(path: Path, forces: Forces) -> None:
-    """Write a CSV: `time_s`, the end of an interval, and the mean force over it of each solid and axis."""
-    suffix = forces.unit.replace("/", "_per_")
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    axes = AXES[: forces.force.shape[2]]
-    writer.writerow(["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)])
-    for time, row in zip(forces.time.tolist(), forces.force.reshape(len(forces.time), -1).tolist(), strict=True):
-        writer.writerow([f"{time:.10g}", *(f"{value:.9g}" for value in row)])
-    write_text(path, text.getvalue())
-
-
-def draw(path: Path, forces: Forces) -> None:
-    """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import EngFormatter
-
-    peaks = forces.magnitude.max(axis=0)
-    order = sorted(np.argsort(-peaks, kind="stable")[:MOST_PANELS].tolist())
-    shown = [index for index in order if peaks[index] >= FAINT * peaks.max()]
-    figure = Figure(figsize=(9.0, 1.2 + 2.4 * len(shown)), layout="constrained")
-    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
-    spoken = EngFormatter(unit=forces.unit)
-    for axis, index in zip(panels, shown, strict=True):
-        for component, colour in zip(range(forces.force.shape[2]), COLOURS, strict=False):
-            series, label = forces.force[:, index, component], f"$F_{AXES[component]}$"
-            axis.stairs(series, forces.edges, color=colour, linewidth=1.1, baseline=None, label=label)
-        magnitude = forces.magnitude[:, index]
-        axis.stairs(magnitude, forces.edges, color=INK, linewidth=0.7, baseline=None, label="$|F|$")
-        value, time = forces.peak(forces.names[index])
-        axis.plot(time, value, marker="o", color=INK, markersize=4)
-        axis.set_title(f"{forces.names[index]}: peak {spoken(value)} at {time:.4g} s", loc="left", fontsize=10)
-        axis.yaxis.set_major_formatter(spoken)
-        axis.axhline(0.0, color="#999999", linewidth=0.6)
-        axis.margins(x=0.0, y=0.18)
-        axis.grid(alpha=0.25)
-    panels[0].legend(loc="upper right", ncols=4, frameon=False, fontsize=9)
-    panels[-1].set_xlabel("time [s]")
-    if len(shown) < len(forces.names):
-        title = f"the largest peaks: {len(shown)} of {len(forces.names)} solids and sides of the box"
-        figure.suptitle(title, fontsize=10)
-    with replacing(path) as part:
-        figure.savefig(part, dpi=110)
-
-
 def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -> Forces:
     """Write forces.csv and forces.png into `folder`, and return the forces. Raises InputError as `forces_of`."""
     forces = forces_of(trajectory, window=window)
@@ -184,11 +127,51 @@ def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -
     return forces
 
 
-def spoken(forces: Forces) -> Sequence[str]:
+def write_table(path: Path, forces: Forces) -> None:
+    """Write a CSV: `time_s`, the end of an interval, and the mean force over it of each solid and axis."""
+    suffix, axes = forces.unit.replace("/", "_per_"), AXES[: forces.force.shape[2]]
+    rows = forces.force.reshape(len(forces.time), -1).tolist()
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)])
+        for time, row in zip(forces.time.tolist(), rows, strict=True):
+            writer.writerow([f"{time:.10g}", *(f"{value:.9g}" for value in row)])
+
+
+def draw(path: Path, forces: Forces) -> None:
+    """Plot the components of the force on each solid over time, the peak of the magnitude marked with its time."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
+
+    peaks = forces.peaks
+    shown = sorted(sorted(range(len(peaks)), key=lambda index: -peaks[index][0])[:MOST_PANELS])
+    figure = Figure(figsize=(9.0, 1.2 + 2.4 * len(shown)), layout="constrained")
+    panels = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    spoken = EngFormatter(unit=forces.unit)
+    for panel, index in zip(panels, shown, strict=True):
+        for axis, series in zip(AXES, forces.force[:, index].T, strict=False):
+            panel.stairs(series, forces.edges, baseline=None, label=f"$F_{axis}$")
+        value, time = peaks[index]
+        panel.stairs(
+            np.linalg.norm(forces.force[:, index], axis=1), forces.edges, color="black", baseline=None, label="$|F|$"
+        )
+        panel.plot(time, value, "ko", markersize=4)
+        panel.set_title(f"{forces.names[index]}: peak {spoken(value)} at {time:.4g} s", loc="left", fontsize=10)
+        panel.yaxis.set_major_formatter(spoken)
+        panel.margins(x=0.0, y=0.18)
+        panel.grid(alpha=0.25)
+    panels[0].legend(loc="upper right", ncols=4, frameon=False, fontsize=9)
+    panels[-1].set_xlabel("time [s]")
+    if len(shown) < len(forces.names):
+        figure.suptitle(f"the largest peaks: {len(shown)} of {len(forces.names)} solids and sides of the box")
+    with replacing(path) as part:
+        figure.savefig(part, dpi=110)
+
+
+def spoken(forces: Forces) -> list[str]:
     """A line for each solid: its peak, when, and the momentum that it took."""
     lines = []
-    for name, impulse in zip(forces.names, forces.impulse, strict=True):
-        value, time = forces.peak(name)
+    for name, (value, time), impulse in zip(forces.names, forces.peaks, forces.impulse, strict=True):
         recorded, unit = ", ".join(f"{part:.4g}" for part in impulse), forces.unit.replace("N", "N s")
         lines.append(f"{name}: peak {value:.4g} {forces.unit} at {time:.4g} s, impulse ({recorded}) {unit}")
     return lines

@@ -19,7 +19,7 @@ from datasets.maps.files import (
     write_outlines,
     write_raster,
 )
-from datasets.maps.plan import PlanMaps, areas_of, cell_edges, coordinates_of, maps_of
+from datasets.maps.plan import PlanMaps, maps_of
 from datasets.trajectory import Trajectory, read_trajectory
 
 PROFILE, SUMMARY, OUTLINES = "profile.csv", "maps.json", "outline.geojson"
@@ -47,12 +47,12 @@ def write_maps(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: G
     Raises WorkFailed.
     """
 
-    cell, said = float(maps.edges[0][1]), summary(trajectory, maps, location)
+    said = summary(trajectory, maps, location)
     for name, kind in KINDS.items():
         values = getattr(maps, name)
         if values is None:
             continue
-        write_raster(folder / f"{name}.tif", values, cell, location, name=kind.title, unit=kind.unit)
+        write_raster(folder / f"{name}.tif", values, maps.cell, location, name=kind.title, unit=kind.unit)
         label, title = f"{kind.title} [{kind.unit}]", heading(name, said)
         draw_map(folder / f"{name}.png", maps, values, location, label=label, colours=kind.colours, title=title)
     write_outlines(folder / OUTLINES, outlines(maps, location), maps.threshold, location)
@@ -67,7 +67,7 @@ def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> None:
 
     said = summary(trajectory, maps, LOCAL)
     columns = {
-        "x": coordinates_of(maps.edges)[0],
+        "x": maps.grid.axes[0],
         "height": maps.thickness,
         "surface": maps.ground + maps.thickness,
         "ground": maps.ground,
@@ -87,7 +87,7 @@ def outlines(maps: PlanMaps, location: Georeference) -> dict[str, MultiPolygon]:
 
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     return {
-        name: outline(values, float(maps.edges[0][1]), location, maps.threshold)
+        name: outline(values, maps.cell, location, maps.threshold)
         for name, values in shown.items()
         if values is not None
     }
@@ -99,14 +99,15 @@ def summary(trajectory: Trajectory, maps: PlanMaps, location: Georeference) -> d
     flat, covered = trajectory.scene.dimension == 2, maps.thickness > maps.threshold
     said: dict[str, Any] = {
         "time": float(trajectory.time[-1]),
-        "cell": float(maps.edges[0][-2] - maps.edges[0][-3]) if flat else float(maps.edges[0][1]),
+        "cell": maps.cell,
         "threshold": maps.threshold,
         "volume": maps.volume,
         "left": maps.left,
     }
     if flat:
-        said["length"] = float(areas_of(maps.edges)[covered].sum())
-        said["extent"] = float(maps.edges[0][1:][covered].max()) if covered.any() else None
+        said["length"] = float(maps.areas[covered].sum())
+        ends = np.minimum(maps.grid.axes[0] + 0.5 * maps.cell, trajectory.scene.domain.size[0])
+        said["extent"] = float(ends[covered].max()) if covered.any() else None
     else:
         found = outlines(maps, location)
         said |= {f"area_{name}": polygons.area for name, polygons in found.items()}
@@ -157,10 +158,9 @@ def command(
     """
 
     flow = read_trajectory(trajectory)
-    edges = cell_edges(flow.scene, flow.scene.domain.cell if cell is None else cell)
     make_folder(out)
     location = georeference(flow.scene)
-    maps = maps_of(flow, edges, threshold=threshold, progress=True)
+    maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
     if flow.scene.dimension == 2:
         write_profile(flow, maps, out)
     else:

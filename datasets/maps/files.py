@@ -15,7 +15,7 @@ from shapely.geometry.polygon import orient
 
 from datasets.errors import WorkFailed
 from datasets.files import replacing, write_text
-from datasets.maps.plan import PlanMaps, coordinates_of
+from datasets.maps.plan import PlanMaps
 from datasets.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -131,9 +131,8 @@ def draw_map(
     from matplotlib.figure import Figure
 
     covered = (maps.thickness if values is maps.thickness else maps.depth) > maps.threshold
-    x, z = coordinates_of(maps.edges)
+    x, z = maps.grid.axes
     x, z = x + georeference.east, z + georeference.north
-    cell = float(maps.edges[0][1])
     figure = Figure(figsize=(WIDTH, min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))), layout="constrained")
     axis = figure.add_subplot(aspect="equal")
     if np.ptp(maps.ground) > 0.0:
@@ -141,7 +140,7 @@ def draw_map(
     image = axis.pcolormesh(x, z, np.ma.masked_where(~covered, values).T, cmap=colours, vmin=0.0, shading="nearest")
     figure.colorbar(image, label=label)
     for name, thickness, style in (("release", maps.start, "--"), ("deposit", maps.thickness, "-")):
-        polygons = () if thickness is None else outline(thickness, cell, georeference, maps.threshold).geoms
+        polygons = () if thickness is None else outline(thickness, maps.cell, georeference, maps.threshold).geoms
         for index, polygon in enumerate(polygons):
             label = f"{name}, over {maps.threshold:.3g} m" if index == 0 else ""
             axis.plot(*polygon.exterior.xy, color="black", linestyle=style, linewidth=1.0, label=label)
@@ -159,7 +158,7 @@ def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
     """In 2D: the deposit on the ground, the largest depth and the start, and below the largest velocity over x."""
     from matplotlib.figure import Figure
 
-    (x,) = coordinates_of(maps.edges)
+    (x,) = maps.grid.axes
     figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
     top, below = figure.subplots(2, sharex=True)
     top.fill_between(x, 0.0, maps.ground, color="tan")

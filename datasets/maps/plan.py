@@ -1,23 +1,19 @@
 """What a flow leaves and was, seen from above: thickness of the deposit, largest depth and velocity, cell by cell.
 
-The volume V_p of a particle is spread over the cells of the map by its own size, as a pyramid two spacings wide to each
-side; the thickness of a cell c is the volume in it over its area A_c:
+The volume V_p of a particle is shared linearly between the cells around it, by the weights w of `datasets.field` at
+their middles; with A_c the area of a cell,
 
-    h_c = 1 / A_c  sum_p V_p prod_a int_c w_p(xi - x_pa) dxi
-    w_p(r) = max(0, 1 - |r| / s_p) / s_p,    s_p = 2 V_p^(1/D)
+    h_c = 1 / A_c  sum_p w_c(x_p) V_p,    v_c = | sum_p w_c(x_p) V_p v_p | / sum_p w_c(x_p) V_p
 
-a runs over x and, in 3D, z; what a wall cuts off a pyramid is mirrored back. So sum_c h_c A_c = sum_p V_p exactly, a
-layer whose particles lie a spacing apart is even whatever the cells of the map, and holes are where particles lie more
-than two spacings apart. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a box
-that is tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not counted. The velocity
-of a cell is the mean over its depth,
-
-    v_c = | sum_p V_p w_pc v_p | / sum_p V_p w_pc
+So sum_c h_c A_c = sum_p V_p exactly, and in 2D, where the cells stand around the stations of a profile, h is the height
+that inversions compare (`datasets.measures.height_profile`). A layer whose particles lie a spacing apart is even where
+a cell is a whole number of spacings long. Thickness is measured along y, which is vertical on a terrain and normal to
+the floor of a box that is tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not
+counted. The velocity v_c is the mean over the depth.
 """
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +21,15 @@ from tqdm import tqdm
 
 from datasets.errors import InputError
 from datasets.exchange.vtk import Meshes
+from datasets.field import Grid
 from datasets.geometry.ground import plan_axes
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
-from datasets.measures import profile_stations
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 Floats = NDArray[np.float64]
 
-WIDTH = 2.0
-"""Of a particle's pyramid to each side, in its own spacing: neighbours a spacing apart then make an even layer."""
 OUTSIDE = 1.0e-6
 """Share of the box by which rounding may put a particle beyond a wall."""
 
@@ -47,10 +38,12 @@ OUTSIDE = 1.0e-6
 class PlanMaps:
     """What a flow came to, over the cells of a map: C cells along x in 2D, X along x and Z along z in 3D."""
 
-    edges: tuple[Floats, ...]
-    """Edges of the cells along x and, in 3D, along z [m], shapes [X + 1] and [Z + 1]."""
+    grid: Grid
+    """Of the middles of the cells along x and, in 3D, z [m]; in 2D of the stations, walls included."""
+    areas: Floats
+    """Area of each cell [m^2, in 2D m], shape as the maps: a station at a wall stands for half a cell."""
     thickness: Floats
-    """Of the deposit in the last frame [m], shape [X] or [X, Z]."""
+    """Of the deposit in the last frame [m], shape [C] or [X, Z]."""
     start: Floats | None
     """The same at the start; None where that was not kept."""
     depth: Floats
@@ -66,132 +59,80 @@ class PlanMaps:
     left: float
     """Volume of those that are no longer in the box then."""
 
-
-def areas_of(edges: tuple[Floats, ...]) -> Floats:
-    """Area of each cell [m^2, in 2D m], shape of the map."""
-    lengths = [np.diff(along) for along in edges]
-    return lengths[0] if len(lengths) == 1 else np.outer(*lengths)
-
-
-def coordinates_of(edges: tuple[Floats, ...]) -> tuple[Floats, ...]:
-    """What the cells stand for along x and z [m], shapes [X] and [Z]: their middles, in 2D the stations."""
-    middles = tuple(0.5 * (along[1:] + along[:-1]) for along in edges)
-    if len(middles) == 1:
-        middles[0][[0, -1]] = edges[0][[0, -1]]
-    return middles
+    @property
+    def cell(self) -> float:
+        """Edge of a cell, in 2D distance of the stations [m]."""
+        return self.grid.spacing[0]
 
 
-def cell_edges(scene: Scene, length: float) -> tuple[Floats, ...]:
-    """Edges of square cells of this length [m] over the plan of a scene in 3D, the last may go beyond the box.
+def map_grid(scene: Scene, cell: float) -> tuple[Grid, Floats]:
+    """Square cells of this edge [m] over the plan of a scene in 3D, the last may go beyond the box; and their areas.
 
-    In 2D those around the stations of a profile, about `length` apart; those at the walls stand for a half. Raises
-    InputError for a length that is not positive or longer than a side of the box.
+    In 2D the stations of a profile, about `cell` apart. Raises InputError for cells that are finer than the particles,
+    or longer than a side of the box.
     """
-    sides = [scene.domain.size[axis] for axis in plan_axes(scene.dimension)]
-    if not 0.0 < length <= min(sides):
-        raise InputError(f"expected a length of at most {min(sides):g} m, the box, got {length:g} m", key="--cell")
+    sides, least = [scene.domain.size[axis] for axis in plan_axes(scene.dimension)], scene.particle_spacing
+    if not least * (1.0 - 1.0e-9) <= cell <= min(sides):
+        expected = f"from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
+        raise InputError(f"expected a length {expected}, got {cell:g} m", key="--cell")
     if scene.dimension == 2:
-        stations = profile_stations(scene, length)
-        return (np.concatenate([stations[:1], 0.5 * (stations[1:] + stations[:-1]), stations[-1:]]),)
-    return tuple(np.arange(math.ceil(side / length - 1e-6) + 1, dtype=np.float64) * length for side in sides)
+        count = round(sides[0] / cell)
+        grid = Grid((0.0,), (sides[0] / count,), (count + 1,))
+        areas = np.full(count + 1, sides[0] / count)
+        areas[[0, -1]] *= 0.5
+        return grid, areas
+    nodes = tuple(math.ceil(side / cell - 1.0e-6) for side in sides)
+    return Grid((0.5 * cell,) * 2, (cell,) * 2, nodes), np.full(nodes, cell * cell)
 
 
-def axis_shares(coordinates: Floats, sizes: Floats, edges: Floats, wall: float) -> "csr_array":
-    """Shares of the cells along an axis, C of them, of tents around `coordinates` [m], shape [N, C]; rows add up to 1.
-
-    sizes: half-widths [m], shape [N], at most the distance between the walls at 0 and `wall` [m].
-    """
-    from scipy.sparse import csr_array
-
-    cells = len(edges) - 1
-    first = np.clip(np.searchsorted(edges, coordinates - sizes, side="right") - 1, 0, cells - 1)
-    last = np.clip(np.searchsorted(edges, coordinates + sizes, side="left"), first + 1, cells)
-    count = int((last - first).max(initial=1))
-    cell = first[:, None] + np.arange(count + 1)
-    # Beyond the walls there is nothing: what would be there is that of the tent's mirror images within.
-    bounds = np.minimum(edges[np.minimum(cell, cells)], wall)
-    share = np.zeros((len(coordinates), count))
-    for image in (coordinates, -coordinates, 2.0 * wall - coordinates):
-        share += np.diff(tent_below((bounds - image[:, None]) / sizes[:, None]), axis=1)
-    column = np.minimum(cell[:, :-1], cells - 1)
-    rows = count * np.arange(len(coordinates) + 1)
-    return csr_array((share.ravel(), column.ravel(), rows), shape=(len(coordinates), cells))
-
-
-def tent_below(r: Floats) -> Floats:
-    """The part of the tent max(0, 1 - |r|) that lies below r [-]."""
-    r = np.clip(r, -1.0, 1.0)
-    return 0.5 + r - 0.5 * r * np.abs(r)
-
-
-def in_box(scene: Scene, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which particles are in the box, shape [N]."""
-    share = positions / np.array(scene.domain.size)
-    return np.asarray(((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1))
-
-
-def summed(shares: "list[csr_array]", carried: Floats) -> Floats:
-    """The sum in each cell of what the particles carry, shape [N], by their shares along each axis of the map."""
-    if len(shares) == 1:
-        return np.asarray(shares[0].T @ carried)
-    return np.asarray((shares[0].T @ shares[1].multiply(carried[:, None])).toarray())
-
-
-def maps_of(
-    trajectory: Trajectory, edges: tuple[Floats, ...], *, threshold: float | None = None, progress: bool = False
-) -> PlanMaps:
-    """The maps of `trajectory` over cells with these `edges` (`cell_edges`).
+def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
+    """The maps of `trajectory` over cells of an edge [m], in 2D at stations that far apart (`map_grid`).
 
     threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
     layers the simulation does not resolve. Raises InputError for one that is not positive.
     """
     if threshold is not None and not threshold > 0.0:
         raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
-    scene, meshes, volumes, areas = trajectory.scene, Meshes(trajectory), trajectory.volumes, areas_of(edges)
+    scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
     if threshold is None:
         threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
-    axes = plan_axes(scene.dimension)
-    walls = [scene.domain.size[axis] for axis in axes]
-    sizes = np.minimum(WIDTH * volumes ** (1.0 / scene.dimension), min(walls))
-    thickness, depth, fastest, start = np.zeros_like(areas), np.zeros_like(areas), None, None
+    grid, areas = map_grid(scene, cell)
+    depth, fastest, start = np.zeros_like(areas), None, None
     for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
         positions, velocity = trajectory.positions[frame], meshes.velocity(frame)
-        inside = in_box(scene, positions)
-        places = np.clip(positions[inside][:, axes], 0.0, walls).astype(np.float64)
-        lines = zip(places.T, edges, walls, strict=True)
-        shares = [axis_shares(along, sizes[inside], cuts, wall) for along, cuts, wall in lines]
-        volume = summed(shares, volumes[inside])
+        share = positions / np.array(scene.domain.size)
+        inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1)
+        spread = grid.weights(positions[inside][:, plan_axes(scene.dimension)].astype(np.float64)).T
+        volume = (spread @ volumes[inside]).reshape(areas.shape)
         thickness = volume / areas
         depth = np.maximum(depth, thickness)
         if frame == 0 and trajectory.time[0] == 0.0:
             start = thickness
         if velocity is not None:
-            momentum = [summed(shares, volumes[inside] * each) for each in velocity[inside].T]
-            speed = np.divide(np.linalg.norm(momentum, axis=0), volume, out=np.zeros_like(volume), where=volume > 0.0)
-            fastest = np.maximum(0.0 if fastest is None else fastest, np.where(thickness > threshold, speed, 0.0))
+            momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(areas.shape)
+            speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
+            fastest = speed if fastest is None else np.maximum(fastest, speed)
     return PlanMaps(
-        edges=edges,
+        grid=grid,
+        areas=areas,
         thickness=thickness,
         start=start,
         depth=depth,
         velocity=fastest,
-        ground=ground(scene, edges),
+        ground=ground(scene, grid),
         threshold=threshold,
         volume=float(volumes[inside].sum()),
         left=float(volumes[~inside].sum()),
     )
 
 
-def ground(scene: Scene, edges: tuple[Floats, ...]) -> Floats:
-    """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; [X] or [X, Z].
+def ground(scene: Scene, grid: Grid) -> Floats:
+    """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; as the maps.
 
     Of cells that go beyond the box that at the nearest place in it.
     """
-    size = np.array(scene.domain.size)[plan_axes(scene.dimension)]
-    lines = [np.clip(along, 0.0, length) for along, length in zip(coordinates_of(edges), size, strict=True)]
-    plan = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     surface = surface_of(scene)
     if surface is None:
-        return np.zeros(plan.shape[:-1])
-    places = np.insert(plan.reshape(-1, len(lines)), 1, np.inf, axis=1)
-    return tops_beneath(surface, places, 0.0).reshape(plan.shape[:-1])
+        return np.zeros(grid.nodes)
+    plan = np.minimum(grid.positions, np.array(scene.domain.size)[plan_axes(scene.dimension)])
+    return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)

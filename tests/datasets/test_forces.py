@@ -11,7 +11,7 @@ from matplotlib.image import imread
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.forces import command, forces_of, write_forces, write_table
+from datasets.forces import command, forces_of
 from datasets.scene import Baffle
 from datasets.trajectory import Trajectory
 
@@ -34,12 +34,6 @@ def flow(trajectory: Trajectory) -> Trajectory:
         solid_impulse=impulse,
         summary={"side_impulse": {"y-": (every[:, None] * [3.0, -5.0]).tolist()}},
     )
-
-
-def rows(path: Path) -> tuple[list[str], np.ndarray]:
-    with path.open(newline="") as file:
-        head, *lines = list(csv.reader(file))
-    return head, np.array(lines, float)
 
 
 @pytest.mark.parametrize("window", [0.0, 0.003, 0.2])
@@ -83,28 +77,6 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
     np.testing.assert_allclose(forces.force[:, 2], np.tile([3.0, -5.0], (3, 1)))
 
 
-def test_the_table_holds_the_impulse(tmp_path: Path, flow: Trajectory) -> None:
-    write_table(tmp_path / "forces.csv", forces_of(flow))
-    head, values = rows(tmp_path / "forces.csv")
-    assert head[:2] + head[-1:] == ["time_s", "baffles[0]_fx_N_per_m", "y-_fy_N_per_m"]
-    np.testing.assert_allclose(values[:, 0], TIME[1:])
-    given = (np.diff(values[:, 0], prepend=0.0)[:, None] * values[:, 1:5]).sum(axis=0)
-    np.testing.assert_allclose(given, flow.solid_impulse[-1].ravel(), rtol=1e-7)
-
-
-def test_the_peak_is_where_it_is_and_drawn(tmp_path: Path, flow: Trajectory) -> None:
-    impulse = np.zeros_like(flow.solid_impulse)
-    impulse[3:, 0, 0], impulse[5:, 1, 1] = 60.0, -40.0
-    forces = write_forces(dataclasses.replace(flow, solid_impulse=impulse, summary={}), tmp_path)
-    assert forces.peak("baffles[0]") == (pytest.approx(2000.0), pytest.approx(0.035))
-    assert forces.peak("baffles[1]") == (pytest.approx(1000.0), pytest.approx(0.08))
-    with pytest.raises(KeyError):
-        forces.peak("baffles[2]")
-    image = imread(tmp_path / "forces.png")
-    assert image.shape[0] > 400
-    assert image[..., :3].std() > 0.05
-
-
 @pytest.mark.parametrize(
     ("changes", "window", "said"),
     [
@@ -118,13 +90,24 @@ def test_what_cannot_be(flow: Trajectory, changes: dict[str, object], window: fl
 
 
 def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:
-    flow.save(tmp_path / "run" / "trajectory.npz")
+    """Two peaks of known size, told, drawn and in a table that holds the impulse."""
+    impulse = np.zeros_like(flow.solid_impulse)
+    impulse[3:, 0, 0], impulse[5:, 1, 1] = 60.0, -40.0
+    dataclasses.replace(flow, solid_impulse=impulse).save(tmp_path / "run" / "trajectory.npz")
     out = tmp_path / "out"
-    assert run(command, "forces", [str(tmp_path / "run"), "--out", str(out), "--smooth", "0.02"]) == 0
-    said = capsys.readouterr().out
-    assert said.count("peak") == 3
-    assert "impulse (0.3, -0.5) N s/m" in said
-    assert {path.name for path in out.iterdir()} == {"forces.csv", "forces.png"}
+    assert run(command, "forces", [str(tmp_path / "run"), "--out", str(out)]) == 0
+    first, second, floor = capsys.readouterr().out.splitlines()
+    assert first == "baffles[0]: peak 2000 N/m at 0.035 s, impulse (60, 0) N s/m"
+    assert second == "baffles[1]: peak 1000 N/m at 0.08 s, impulse (0, -40) N s/m"
+    assert "impulse (0.3, -0.5) N s/m" in floor
+    assert imread(out / "forces.png").shape[0] > 400
+    with (out / "forces.csv").open(newline="") as file:
+        head, *lines = list(csv.reader(file))
+    values = np.array(lines, float)
+    assert head[:2] + head[-1:] == ["time_s", "baffles[0]_fx_N_per_m", "y-_fy_N_per_m"]
+    np.testing.assert_allclose(values[:, 0], TIME[1:])
+    given = (np.diff(values[:, 0], prepend=0.0)[:, None] * values[:, 1:5]).sum(axis=0)
+    np.testing.assert_allclose(given, impulse[-1].ravel(), atol=1e-6)
     dataclasses.replace(flow, solid_impulse=None, summary={}).save(tmp_path / "none.npz")
     assert run(command, "forces", [str(tmp_path / "none.npz"), "--out", str(out)]) == 2
     assert str(tmp_path / "none.npz") in capsys.readouterr().err

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datasets.maps.__main__ import write_profile
-from datasets.maps.plan import cell_edges, coordinates_of, maps_of
+from datasets.maps.plan import maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
@@ -35,9 +35,9 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
         friction=start.friction,
         scene=scene,
     )
-    maps = maps_of(flow, cell_edges(scene, spacing))
+    maps = maps_of(flow, spacing)
     write_profile(flow, maps, tmp_path)
     settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
     profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
-    np.testing.assert_allclose(profile.at(coordinates_of(maps.edges)[0]), maps.thickness, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(profile.at(maps.grid.axes[0]), maps.thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)
