@@ -151,7 +151,7 @@ def warning(weights: Path, scene: Scene) -> str | None:
     if found := outside(scene, card.ranges):
         reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
     updates = card.data.updates
-    if updates is not None and updates < SHORT * (reference_updates(scene.dimension) or 0):
+    if updates is not None and (share_of_shipped(updates, scene.dimension) or 1.0) < SHORT:
         reasons.append(f"{weights.name}: {length_of_training(updates, scene.dimension)}")
     return "; ".join(reasons) or None
 
@@ -162,20 +162,19 @@ def total_updates(provenance: Mapping[str, Any]) -> int:
     return int((provenance.get("log") or {}).get("updates", 0)) + (total_updates(begin) if begin else 0)
 
 
-def reference_updates(dimension: int) -> int | None:
-    """Updates of the weights of the shipped model in 2D or 3D; None where none ships, or its card does not say."""
+def share_of_shipped(updates: int, dimension: int) -> float | None:
+    """So many updates over those of the shipped model in 2D or 3D; None where none ships, or its card does not say."""
     path = shipped(dimension)
-    card = read(path) if path.exists() else None
-    return None if card is None else card.data.updates
+    reference = read(path) if path.exists() else None
+    return updates / reference.data.updates if reference and reference.data.updates else None
 
 
 def length_of_training(updates: int, dimension: int) -> str:
     """A line on so many updates against those of the shipped model."""
-    reference = reference_updates(dimension)
-    if reference is None:
-        return f"{updates} updates in all"
-    share = updates / reference
-    text = f"{updates} updates in all, {100.0 * share:.3g} % of those of {shipped(dimension).name} ({reference})"
+    text, share = f"{updates} updates in all", share_of_shipped(updates, dimension)
+    if share is None:
+        return text
+    text += f", {100.0 * share:.3g} % of those of {shipped(dimension).name}"
     if share < SHORT:
         text += ": far too short, no answer should rest on this model" if share < FAR_TOO_SHORT else ": train longer"
     return text

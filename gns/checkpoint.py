@@ -32,8 +32,6 @@ FORMAT = "4"
 """Raised when files get another layout."""
 BLANK = Normalisation(displacement=1.0, acceleration=1.0, friction_mean=0.0, friction_std=1.0)
 """The true constants are among the tensors."""
-SCALES = ("displacement_scale", "acceleration_scale", "friction_std")
-"""Constants that features are divided by or outputs multiplied with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +79,7 @@ def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors and metadata of a file of safetensors. Raises InputError."""
     file_size(path, WHAT)
     with reading(path, WHAT), safe_open(path, framework="pt") as file:
-        return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
+        return {name: file.get_tensor(name).float() for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
 def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
@@ -93,15 +91,10 @@ def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
 
 
 def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
-    """Raise InputError where tensors are no finite numbers of float32, or fewer than the layers of such a model."""
+    """Raise InputError where tensors are no finite numbers, or fewer than the layers of such a model."""
     for name, tensor in tensors.items():
-        if tensor.dtype != torch.float32 or tensor.numel() == 0:
-            got = f"{tuple(tensor.shape)} of {str(tensor.dtype).removeprefix('torch.')}"
-            raise InputError(f"expected numbers of float32, got {got}", key=name)
         if not torch.isfinite(tensor).all():
             raise InputError("expected finite numbers", key=name)
-        if name in SCALES and not tensor > 0.0:
-            raise InputError(f"expected a positive number, got {float(tensor):g}", key=name)
     built = settings.layers * (settings.mlp_layers + 1) + settings.rounds * (settings.grid_layers + 1)
     if built > len(tensors):
         raise InputError(

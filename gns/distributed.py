@@ -4,7 +4,6 @@ Each process draws its own samples; `DistributedDataParallel` arranges in its `f
 so a model must be called as a module, never by its methods. Without torchrun there is one process, and nothing to do.
 """
 
-import datetime
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,9 +13,6 @@ from torch import distributed
 
 from datasets.errors import InputError
 from datasets.processes import end_with_parent
-
-TIMEOUT = datetime.timedelta(hours=6)
-"""How long a process waits for the others: the first validates while they wait."""
 
 
 def rank() -> int:
@@ -50,7 +46,7 @@ def joined(device: str | None) -> Iterator[torch.device]:
         return
     # Orphans of torchrun would train on.
     end_with_parent()
-    distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=TIMEOUT)
+    distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
     try:
         yield where
     finally:

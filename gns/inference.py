@@ -2,17 +2,15 @@
 
 import dataclasses
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.library import read_scene
 from datasets.scene import Scene
-from datasets.trajectory import Floats, Trajectory
+from datasets.trajectory import Trajectory
 from gns import checkpoint
 from gns.initial import initial_state
 from gns.library import model_path, shipped
@@ -75,15 +73,12 @@ def simulate(
     positions = np.concatenate((initial.known, moved[1:].cpu().numpy()))
     wall = time.perf_counter() - clock
     deposit, volume = positions[-1], initial.conditions.volume.numpy()
-    # A model runs only scenes whose masses are of one density.
-    mass = scene.material_of(scene.masses[0]).density * volume.astype(np.float64)
     summary = {
         "runout": measures.runout(deposit),
         "front": measures.front(deposit),
         "toe": list(measures.toe(deposit)),
         "steps": initial.steps,
         "particles": len(initial.indices),
-        "energy": energies(positions, initial.velocity0, mass, step=initial.step, gravity=scene.gravity_vector),
         "wall_s": wall,
         "device": str(device),
         "start": "rest" if start is None else "frames",
@@ -98,20 +93,3 @@ def simulate(
         scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
-
-
-def energies(
-    positions: Floats, velocity0: Floats, mass: NDArray[np.float64], *, step: float, gravity: Sequence[float]
-) -> dict[str, list[float]]:
-    """Kinetic and potential energy at each time [J, in 2D per metre of width], by name as the MPM's.
-
-    positions: `step` [s] apart [m], shape [T, n, D]; velocity0: at the first [m/s], [n, D]; mass: [kg], [n];
-    gravity: [m/s^2], [D]. Velocities are central differences, at the end one-sided; a particle in the lower corner of
-    the box has no potential energy.
-    """
-    velocities = np.gradient(positions, step, axis=0) if len(positions) > 1 else np.empty_like(positions)
-    velocities[0] = velocity0
-    kinetic = 0.5 * np.square(velocities).sum(axis=2) @ mass
-    potential = -(positions @ np.array(gravity)) @ mass
-    series = {"kinetic": kinetic, "potential": potential}
-    return {name: [float(f"{value:.6g}") for value in values] for name, values in series.items()}

@@ -8,7 +8,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import Enum, auto
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +29,6 @@ Range = tuple[float, float]
 Floats = NDArray[np.float64]
 
 
-class Bound(Enum):
-    """Which ends of a range count."""
-
-    BOTH = auto()
-    UPPER = auto()
-    LOWER = auto()
-
-
 def logarithm(value: float) -> float:
     """ln x, the scale of what varies by factors; that of `SMALLEST` for all that is smaller."""
     return math.log(max(value, SMALLEST))
@@ -53,7 +44,10 @@ class Quantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
     unit: str = ""
-    bound: Bound = Bound.BOTH
+    below: bool = True
+    """Whether a smaller value than those of the training data is outside."""
+    above: bool = True
+    """Whether a larger one is."""
     scale: Callable[[float], float] = float
     """Increasing function of a value, of which the width of its range is taken."""
 
@@ -62,7 +56,7 @@ QUANTITIES: dict[str, Quantity] = {
     "friction_deg": Quantity(unit="deg", scale=logarithm_of_tangent),
     "cohesion": Quantity(unit="rho g l"),
     "tension_cutoff": Quantity(unit="of the cohesion"),
-    "young": Quantity(unit="rho g l", bound=Bound.LOWER),
+    "young": Quantity(unit="rho g l", above=False),
     "poisson": Quantity(),
     "dilation_deg": Quantity(unit="deg"),
     "softening_length": Quantity(unit="l"),
@@ -74,19 +68,19 @@ QUANTITIES: dict[str, Quantity] = {
     "wall_friction": Quantity(),
     "baffle_friction": Quantity(),
     "ground_friction": Quantity(),
-    "ground_deg": Quantity(unit="deg", bound=Bound.UPPER),
-    "ground_relief": Quantity(unit="l", bound=Bound.UPPER),
+    "ground_deg": Quantity(unit="deg", below=False),
+    "ground_relief": Quantity(unit="l", below=False),
     "damping": Quantity(),
     "slope_deg": Quantity(unit="deg"),
-    "slope_length": Quantity(unit="l", bound=Bound.UPPER),
+    "slope_length": Quantity(unit="l", below=False),
     "masses": Quantity(),
     "mass_aspect": Quantity(scale=logarithm),
     "mass_length": Quantity(unit="l", scale=logarithm),
     "mass_height": Quantity(unit="l", scale=logarithm),
     "mass_width": Quantity(unit="l", scale=logarithm),
-    "drop": Quantity(unit="l", bound=Bound.UPPER),
-    "room_along": Quantity(unit="l", bound=Bound.LOWER),
-    "room_across": Quantity(unit="l", bound=Bound.LOWER),
+    "drop": Quantity(unit="l", below=False),
+    "room_along": Quantity(unit="l", above=False),
+    "room_across": Quantity(unit="l", above=False),
     "speed": Quantity(unit="sqrt(g l)"),
     "upward_speed": Quantity(unit="sqrt(g l)"),
     "spin": Quantity(unit="sqrt(g / l)"),
@@ -96,8 +90,8 @@ QUANTITIES: dict[str, Quantity] = {
     "baffle_foot": Quantity(unit="l"),
     "baffle_width": Quantity(unit="l"),
     "baffle_distance": Quantity(unit="l"),
-    "duration": Quantity(unit="sqrt(l / g)", bound=Bound.UPPER),
-    "spacing": Quantity(unit="l", bound=Bound.UPPER),
+    "duration": Quantity(unit="sqrt(l / g)", below=False),
+    "spacing": Quantity(unit="l", below=False),
     "length": Quantity(unit="m"),
     "density": Quantity(unit="kg/m^3"),
     "gravity": Quantity(unit="m/s^2"),
@@ -227,8 +221,8 @@ def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
         low, high = ranges[name]
         least, most = quantity.scale(low), quantity.scale(high)
         slack = MARGIN * (most - least) + 1.0e-6 * max(abs(least), abs(most))
-        below = quantity.bound is not Bound.UPPER and quantity.scale(min(values)) < least - slack
-        above = quantity.bound is not Bound.LOWER and quantity.scale(max(values)) > most + slack
+        below = quantity.below and quantity.scale(min(values)) < least - slack
+        above = quantity.above and quantity.scale(max(values)) > most + slack
         if not (below or above):
             continue
         trained = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"

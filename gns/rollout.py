@@ -47,23 +47,6 @@ def rollout(
     vtk
         Write a series for ParaView to OUT/vtk too.
     """
-    try:
-        trajectory = _rolled_out(scene, model=model, start=start, seed=seed, threads=threads, device=device)
-    except KeyboardInterrupt as interrupt:
-        raise type(interrupt)("nothing was written") from None
-    summary = trajectory.summary
-    trajectory.save(out / "trajectory.npz")
-    files.write_json(out / "summary.json", summary)
-    if vtk:
-        write_vtk(trajectory, out / "vtk", progress=True)
-    figures = f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {summary['wall_s']:.1f} s"
-    print(f"{figures}, written to {out}")
-
-
-def _rolled_out(
-    scene: str, *, model: Path | None, start: Path | None, seed: int, threads: int, device: str
-) -> Trajectory:
-    """The rollout that the command asks for; a line on standard error where the model may err. Raises InputError."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
@@ -84,9 +67,18 @@ def _rolled_out(
         check(read, simulator.settings)
         if warning := card.warning(path, read):
             print(warning, file=sys.stderr)
-        return simulate(read, model=simulator, start=frames, seed=seed, device=device, progress=True)
+        trajectory = simulate(read, model=simulator, start=frames, seed=seed, device=device, progress=True)
     except InputError as error:
         raise error if error.where else error.at(scene) from None
+    except KeyboardInterrupt as interrupt:
+        raise type(interrupt)("nothing was written") from None
+    summary = trajectory.summary
+    trajectory.save(out / "trajectory.npz")
+    files.write_json(out / "summary.json", summary)
+    if vtk:
+        write_vtk(trajectory, out / "vtk", progress=True)
+    figures = f"front {summary['front']:.4f} m, runout {summary['runout']:.4f} m, {summary['wall_s']:.1f} s"
+    print(f"{figures}, written to {out}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tabulate import tabulate
 
-from datasets import command_line, files, measures
+from datasets import command_line, measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow, Sample
 from datasets.trajectory import Floats
@@ -43,7 +43,7 @@ class Score:
 class Deposit:
     """Where the MPM's deposit of a flow ends, beside which others are measured."""
 
-    positions: Floats
+    positions: measures.Positions
     """[m], shape [N, D]."""
     volume: NDArray[np.floating]
     """Of the particles [m^D], shape [N]."""
@@ -53,7 +53,7 @@ class Deposit:
     """Which of them the flow has moved farther, 0 or 1: the front."""
 
     @staticmethod
-    def of_positions(start: Floats, end: Floats, volume: NDArray[np.floating]) -> "Deposit":
+    def of_positions(start: measures.Positions, end: measures.Positions, volume: NDArray[np.floating]) -> "Deposit":
         """That of particles that moved from `start` to `end` [m], both [N, D]."""
         before, after = measures.ends(start), measures.ends(end)
         return Deposit(positions=end, volume=volume, x=after, side=int(after[1] - before[1] >= before[0] - after[0]))
@@ -68,7 +68,7 @@ class Deposit:
         """The x of the front [m]."""
         return self.x[self.side]
 
-    def errors(self, positions: Floats, volume: NDArray[np.floating]) -> tuple[float, float]:
+    def errors(self, positions: measures.Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
         """Those of front and profile of another deposit of the same scene: see `Score`."""
         beyond = measures.ends(positions)[self.side] - self.front
         apart = measures.transport_distance(positions, volume, self.positions, self.volume)
@@ -151,7 +151,6 @@ def score(
     split: str = "test",
     seed: int = 0,
     threads: int = 1,
-    out: Path | None = None,
     keep: bool = False,
 ) -> None:
     """Score a model by whole rollouts.
@@ -168,8 +167,6 @@ def score(
         Seed of the choice of particles.
     threads
         Threads of torch.
-    out
-        Markdown file to write the table to as well.
     keep
         Write the table onto the model's card, and where members NAME-1 and so on lie beside it, models of the same
         settings that were trained apart, how far it may be from the MPM, by the flows of the valid split.
@@ -196,13 +193,12 @@ def score(
         lines.append(card.length_of_training(updates, settings.dimension) + "\n")
     text = "\n".join(lines)
     print(text)
-    if out is not None:
-        files.write_text(out, text)
     if keep and described is not None:
         card.write(path, dataclasses.replace(described, scores=text))
     if keep and members(path):
         valid = [flow for dataset in datasets for flow in flows_of(dataset, "valid", settings, progress=True)]
-        print(uncertainty.calibrate(path, valid, seed=seed))
+        bands = uncertainty.calibrate(path, valid, seed=seed)
+        print(f"bands by {bands.flows} flows are on {card.card_path(path)}")
 
 
 if __name__ == "__main__":

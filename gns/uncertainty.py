@@ -30,7 +30,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tabulate import tabulate
 from tqdm import tqdm
 
 from datasets import measures
@@ -97,11 +96,6 @@ def rolled_out(models: Sequence[Simulator], state: State, conditions: Conditions
     )
 
 
-def uncertain(spread: Floats | float, extent: Floats | float, floor: float) -> Floats:
-    """u, the error [m] that spread [m] and extent [m] let expect, before it is calibrated."""
-    return np.hypot(spread, floor * np.asarray(extent))
-
-
 def calibrated(errors: Floats, spreads: Floats, extents: Floats) -> Calibration:
     """The calibration by the errors of n flows, spread of the ensemble and extent of each, all [m] and of shape [n].
 
@@ -116,17 +110,13 @@ def calibrated(errors: Floats, spreads: Floats, extents: Floats) -> Calibration:
 
     def misfit(floor: float) -> float:
         """Negative logarithm of the likelihood over n, with the best a."""
-        u = uncertain(spreads, extents, floor)
+        u = np.hypot(spreads, floor * extents)
         return 0.5 * math.log(max(float(np.mean((errors / u) ** 2)), 1.0e-30)) + float(np.mean(np.log(u)))
 
     floor = float(min(FLOORS, key=misfit))
-    ratios = np.sort(np.abs(errors) / uncertain(spreads, extents, floor))
-    ranks = {level: math.ceil((count + 1) * level - 1.0e-9) for level in LEVELS}
-    return Calibration(
-        floor=floor,
-        quantiles={f"{level:g}": float(ratios[rank - 1]) for level, rank in ranks.items()},
-        flows=count,
-    )
+    ratios = np.sort(np.abs(errors) / np.hypot(spreads, floor * extents))
+    quantiles = {f"{level:g}": float(ratios[math.ceil((count + 1) * level - 1.0e-9) - 1]) for level in LEVELS}
+    return Calibration(floor=floor, quantiles=quantiles, flows=count)
 
 
 def half_width(calibration: Calibration, spread: Floats | float, extent: Floats | float, level: float) -> Floats:
@@ -134,13 +124,13 @@ def half_width(calibration: Calibration, spread: Floats | float, extent: Floats 
     key = f"{level:g}"
     if key not in calibration.quantiles:
         raise InputError(f"expected one of {', '.join(calibration.quantiles)}, got {key}", key="level")
-    return calibration.quantiles[key] * uncertain(spread, extent, calibration.floor)
+    return calibration.quantiles[key] * np.hypot(spread, calibration.floor * np.asarray(extent))
 
 
-def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
+def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> Calibration:
     """Compare the rollouts of a model and its members with the MPM's `flows`, and write the calibration on its card.
 
-    Returns a table of the bands in Markdown. Raises InputError.
+    Raises InputError.
     """
     known, models = card.read(path), ensemble(path)
     if known is None:
@@ -156,9 +146,7 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> str:
     errors, spreads, extents = np.array(found, dtype=np.float64).reshape(-1, 3).T
     calibration = calibrated(errors, spreads, extents)
     card.write(path, dataclasses.replace(known, calibration=calibration))
-    widths = [half_width(calibration, spreads, extents, level) / extents for level in LEVELS]
-    rows = [[f"{level:.0%}", f"{100.0 * np.mean(width):.2f}"] for level, width in zip(LEVELS, widths, strict=True)]
-    return tabulate(rows, ["level", f"half-width / extent [%], {len(flows)} flows"], "github")
+    return calibration
 
 
 def predict(

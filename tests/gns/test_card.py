@@ -213,7 +213,7 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
     data["data"]["updates"] = 12000
     card.card_path(reference).write_text(json.dumps(data))
     assert card.warning(own, COLUMN) == (
-        "new.safetensors: 300 updates in all, 2.5 % of those of flow2d.safetensors (12000): "
+        "new.safetensors: 300 updates in all, 2.5 % of those of flow2d.safetensors: "
         "far too short, no answer should rest on this model"
     )
     for text in ('{"ranges": 3}', "3", "{"):

@@ -11,7 +11,6 @@ import torch
 from datasets import command_line, measures
 from datasets.trajectory import Trajectory
 from gns import checkpoint, library
-from gns.inference import energies
 from gns.rollout import rollout
 from gns.simulator import Simulator
 from tests.gns.conftest import spreading
@@ -68,22 +67,6 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
     known = Trajectory.load(files["start"]).positions[::4]
     first = Trajectory.load(tmp_path / "frames" / "trajectory.npz").positions[:6]
     assert all(point in known[5].tolist() for point in first[5].tolist())
-
-
-def test_energies_of_a_fall() -> None:
-    # A point of 2 kg thrown sideways at 3 m/s and one of 1 kg at rest, both from 1 m; parabolas have exact differences.
-    time = 0.01 * np.arange(40)
-    height = 1.0 - 0.5 * 9.81 * time**2
-    positions = np.stack((np.stack((3.0 * time, height), 1), np.stack((0.0 * time, height), 1)), 1)
-    mass, velocity0 = np.array([2.0, 1.0]), np.array([[3.0, 0.0], [0.0, 0.0]])
-    series = energies(positions.astype(np.float32), velocity0.astype(np.float32), mass, step=0.01, gravity=(0.0, -9.81))
-    kinetic, potential = np.array(series["kinetic"]), np.array(series["potential"])
-    assert kinetic[0] == pytest.approx(9.0)
-    assert potential[0] == pytest.approx(3.0 * 9.81)
-    np.testing.assert_allclose(kinetic[:-1], 9.0 + 0.5 * 3.0 * (9.81 * time[:-1]) ** 2, rtol=1e-4)
-    np.testing.assert_allclose((kinetic + potential)[:-1], 9.0 + 3.0 * 9.81, rtol=1e-4)
-    tilted = energies(positions.astype(np.float32), velocity0.astype(np.float32), mass, step=0.01, gravity=(6.0, -8.0))
-    np.testing.assert_allclose(tilted["potential"], 3.0 * 8.0 * height - 2.0 * 6.0 * 3.0 * time, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])

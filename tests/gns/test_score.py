@@ -52,12 +52,12 @@ def test_the_table_keeps_kinds_of_start_apart() -> None:
     assert cells == ["released at rest", "2", "3.5 %", "+0.5 %", "+4.0 %", "25.0 %", "1.0 %"]
 
 
-def test_the_command_writes_the_table(
+def test_the_command_prints_the_table(
     simulator: Simulator, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     checkpoint.save(tmp_path / "model.safetensors", simulator, {})
-    arguments = [str(dataset), "--model", str(tmp_path / "model.safetensors"), "--out", str(tmp_path / "scores.md")]
-    assert command_line.run(score, "score", arguments) == 0
-    assert "released at rest | 1" in (tmp_path / "scores.md").read_text()
-    assert command_line.run(score, "score", [str(tmp_path), *arguments[1:]]) == 2
+    model = ["--model", str(tmp_path / "model.safetensors")]
+    assert command_line.run(score, "score", [str(dataset), *model]) == 0
+    assert "released at rest | 1" in capsys.readouterr().out
+    assert command_line.run(score, "score", [str(tmp_path), *model]) == 2
     assert "expected trajectories in test" in capsys.readouterr().err
