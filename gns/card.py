@@ -78,7 +78,7 @@ class Card(Record):
     scores: str
     """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
     ranges: dict[str, Range]
-    """Quantity (`gns.ranges.QUANTITIES`) -> least and greatest value in the training data."""
+    """Quantity (`gns.ranges.quantities`) -> least and greatest value in the training data."""
     calibration: Calibration | None = None
     """None before `python -m gns.score --keep`."""
 

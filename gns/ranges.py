@@ -6,8 +6,9 @@ sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the 
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +40,12 @@ def logarithm_of_tangent(degrees: float) -> float:
     return logarithm(math.tan(math.radians(degrees)))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Quantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
+    values: Sequence[float]
+    """In its unit; none where the scene has no such thing."""
     unit: str = ""
     below: bool = True
     """Whether a smaller value than those of the training data is outside."""
@@ -52,56 +55,12 @@ class Quantity:
     """Increasing function of a value, of which the width of its range is taken."""
 
 
-QUANTITIES: dict[str, Quantity] = {
-    "friction_deg": Quantity(unit="deg", scale=logarithm_of_tangent),
-    "cohesion": Quantity(unit="rho g l"),
-    "tension_cutoff": Quantity(unit="of the cohesion"),
-    "young": Quantity(unit="rho g l", above=False),
-    "poisson": Quantity(),
-    "dilation_deg": Quantity(unit="deg"),
-    "softening_length": Quantity(unit="l"),
-    "k0": Quantity(),
-    "barriers": Quantity(),
-    "volume_correction": Quantity(),
-    "relaxation_time": Quantity(unit="sqrt(cell / g)"),
-    "floor_friction": Quantity(),
-    "wall_friction": Quantity(),
-    "baffle_friction": Quantity(),
-    "ground_friction": Quantity(),
-    "ground_deg": Quantity(unit="deg", below=False),
-    "ground_relief": Quantity(unit="l", below=False),
-    "damping": Quantity(),
-    "slope_deg": Quantity(unit="deg"),
-    "slope_length": Quantity(unit="l", below=False),
-    "masses": Quantity(),
-    "mass_aspect": Quantity(scale=logarithm),
-    "mass_length": Quantity(unit="l", scale=logarithm),
-    "mass_height": Quantity(unit="l", scale=logarithm),
-    "mass_width": Quantity(unit="l", scale=logarithm),
-    "drop": Quantity(unit="l", below=False),
-    "room_along": Quantity(unit="l", above=False),
-    "room_across": Quantity(unit="l", above=False),
-    "speed": Quantity(unit="sqrt(g l)"),
-    "upward_speed": Quantity(unit="sqrt(g l)"),
-    "spin": Quantity(unit="sqrt(g / l)"),
-    "baffles": Quantity(),
-    "baffle_length": Quantity(unit="l"),
-    "baffle_height": Quantity(unit="l"),
-    "baffle_foot": Quantity(unit="l"),
-    "baffle_width": Quantity(unit="l"),
-    "baffle_distance": Quantity(unit="l"),
-    "duration": Quantity(unit="sqrt(l / g)", below=False),
-    "spacing": Quantity(unit="l", below=False),
-    "length": Quantity(unit="m"),
-    "density": Quantity(unit="kg/m^3"),
-    "gravity": Quantity(unit="m/s^2"),
-}
 ABSOLUTE = ("length", "density", "gravity")
 """What a model that scales its scenes does not see."""
 
 
-def values_of(scene: Scene) -> dict[str, list[float]]:
-    """The values of each quantity in a scene with gravity, in its unit; none where the scene has no such thing."""
+def quantities(scene: Scene) -> dict[str, Quantity]:
+    """Those of a scene with gravity."""
     body, masses, baffles = Units.of_body(scene), scene.masses, scene.baffles
     sand = [scene.material_of(mass) for mass in masses]
     # Where all masses together begin and end along each axis.
@@ -116,74 +75,87 @@ def values_of(scene: Scene) -> dict[str, list[float]]:
         for mass, each in zip(masses, sand, strict=True)
         if mass.k0 is not None
     ]
+    cohesions = [
+        each.cohesion_at(depth) for mass, each in zip(masses, sand, strict=True) for depth in (0.0, mass.size[1])
+    ]
     held = sum(mass.release is not None for mass in masses)
     # That which the scene would not have by itself.
     corrected = scene.volume_correction
     usual = corrected is None or corrected == remembers_gaps(dataclasses.replace(scene, volume_correction=None))
-    lengths = {
-        "softening_length": [each.softening_length for each in sand if each.softening_length is not None],
-        "slope_length": [scene.domain.size[0]] if scene.slope_deg != 0.0 or scene.solids else [],
-        "mass_length": extents[:1],
-        "mass_height": extents[1:2],
-        "mass_width": extents[2:],
-        "drop": [float(heights_above_ground(scene).max())],
-        "room_along": rooms[:1],
-        "room_across": rooms[2:],
-        "baffle_length": [each.size[0] for each in baffles],
-        "baffle_height": [each.size[1] for each in baffles],
-        "baffle_foot": [each.lower[1] for each in baffles],
-        "baffle_width": [each.size[2] for each in baffles if len(each.size) > 2],
-        # Along x from the masses, negative beside or beneath one.
-        "baffle_distance": [max(each.lower[0] - high[0], low[0] - each.lower[0] - each.size[0]) for each in baffles],
-        "spacing": [scene.particle_spacing],
-    }
+    elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
+
+    def lengths(values: Iterable[float], **bounds: Any) -> Quantity:
+        return Quantity([value / body.length for value in values], "l", **bounds)
+
+    def speeds(values: Iterable[float]) -> Quantity:
+        return Quantity([value / body.speed for value in values], "sqrt(g l)")
+
     return {
-        **terrain(scene, body.length),
-        **{name: [length / body.length for length in found] for name, found in lengths.items()},
-        "friction_deg": [each.friction_deg for each in sand],
-        "cohesion": [
-            each.cohesion_at(depth) / body.stress
-            for mass, each in zip(masses, sand, strict=True)
-            for depth in (0.0, mass.size[1])
-        ],
-        "tension_cutoff": [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0],
-        "young": [each.young / body.stress for each in sand],
-        "poisson": [each.poisson for each in sand],
-        "dilation_deg": [each.dilation_deg for each in sand],
-        "k0": stresses,
-        "barriers": [float(held)] if held else [],
-        "volume_correction": [] if usual else [float(bool(corrected))],
-        "relaxation_time": [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)],
-        "floor_friction": [scene.floor_friction],
-        "wall_friction": [scene.wall_friction],
-        "baffle_friction": [scene.baffle_friction if each.friction is None else each.friction for each in baffles],
-        "damping": [scene.damping],
-        "slope_deg": [abs(scene.slope_deg)],
-        "masses": [float(len(masses))],
-        "mass_aspect": [extents[1] / extents[0]],
-        "speed": [max((math.hypot(*each) for each in some), default=0.0) / body.speed for some in velocities],
-        "upward_speed": [each[1] / body.speed for some in velocities for each in some],
-        "spin": [float(abs(mass.spin).max()) * body.time for mass in masses],
-        "baffles": [float(len(baffles))],
-        "duration": [scene.duration / body.time],
-        "length": [body.length],
-        "density": [sand[0].density],
-        "gravity": [scene.gravity],
+        "friction_deg": Quantity([each.friction_deg for each in sand], "deg", scale=logarithm_of_tangent),
+        "cohesion": Quantity([each / body.stress for each in cohesions], "rho g l"),
+        "tension_cutoff": Quantity(
+            [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0], "of the cohesion"
+        ),
+        "young": Quantity([each.young / body.stress for each in sand], "rho g l", above=False),
+        "poisson": Quantity([each.poisson for each in sand]),
+        "dilation_deg": Quantity([each.dilation_deg for each in sand], "deg"),
+        "softening_length": lengths(each.softening_length for each in sand if each.softening_length is not None),
+        "k0": Quantity(stresses),
+        "barriers": Quantity([float(held)] if held else []),
+        "volume_correction": Quantity([] if usual else [float(bool(corrected))]),
+        "relaxation_time": Quantity(
+            [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"
+        ),
+        "floor_friction": Quantity([scene.floor_friction]),
+        "wall_friction": Quantity([scene.wall_friction]),
+        "baffle_friction": Quantity(
+            [scene.baffle_friction if each.friction is None else each.friction for each in baffles]
+        ),
+        "ground_friction": Quantity(roughness),
+        "ground_deg": Quantity(steepness, "deg", below=False),
+        "ground_relief": lengths(elevation, below=False),
+        "damping": Quantity([scene.damping]),
+        "slope_deg": Quantity([abs(scene.slope_deg)], "deg"),
+        "slope_length": lengths(scene.domain.size[:1] if scene.slope_deg != 0.0 or scene.solids else (), below=False),
+        "masses": Quantity([float(len(masses))]),
+        "mass_aspect": Quantity([extents[1] / extents[0]], scale=logarithm),
+        "mass_length": lengths(extents[:1], scale=logarithm),
+        "mass_height": lengths(extents[1:2], scale=logarithm),
+        "mass_width": lengths(extents[2:], scale=logarithm),
+        "drop": lengths([float(heights_above_ground(scene).max())], below=False),
+        "room_along": lengths(rooms[:1], above=False),
+        "room_across": lengths(rooms[2:], above=False),
+        "speed": speeds(max((math.hypot(*each) for each in some), default=0.0) for some in velocities),
+        "upward_speed": speeds(each[1] for some in velocities for each in some),
+        "spin": Quantity([float(abs(mass.spin).max()) * body.time for mass in masses], "sqrt(g / l)"),
+        "baffles": Quantity([float(len(baffles))]),
+        "baffle_length": lengths(each.size[0] for each in baffles),
+        "baffle_height": lengths(each.size[1] for each in baffles),
+        "baffle_foot": lengths(each.lower[1] for each in baffles),
+        "baffle_width": lengths(each.size[2] for each in baffles if len(each.size) > 2),
+        # Along x from the masses, negative beside or beneath one.
+        "baffle_distance": lengths(
+            max(each.lower[0] - high[0], low[0] - each.lower[0] - each.size[0]) for each in baffles
+        ),
+        "duration": Quantity([scene.duration / body.time], "sqrt(l / g)", below=False),
+        "spacing": lengths([scene.particle_spacing], below=False),
+        "length": Quantity([body.length], "m"),
+        "density": Quantity([sand[0].density], "kg/m^3"),
+        "gravity": Quantity([scene.gravity], "m/s^2"),
     }
 
 
-def terrain(scene: Scene, length: float) -> dict[str, list[float]]:
-    """Friction, steepest angle along an axis [deg], and relief over l of the terrain; length: l [m]."""
+def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
+    """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain; none where there is none.
+
+    spacing: of its raster [m].
+    """
     if not scene.solids:
-        return {}
-    spacing = GROUND_SPACING * length
+        return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)
     rise = max(float(np.abs(np.diff(elevation, axis=axis)).max()) for axis in range(elevation.ndim))
-    return {
-        "ground_friction": [float(friction.min()), float(friction.max())],
-        "ground_deg": [math.degrees(math.atan(rise / spacing))],
-        "ground_relief": [float(np.ptp(elevation)) / length],
-    }
+    steepest = math.degrees(math.atan(rise / spacing))
+    return [float(np.ptp(elevation))], [float(friction.min()), float(friction.max())], [steepest]
 
 
 def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Range]:
@@ -191,29 +163,28 @@ def ranges_of(scenes: Iterable[Scene], settings: ModelSettings) -> dict[str, Ran
 
     Particles may be as far apart as a cell of the model is long: it follows one of each cell.
     """
-    found: dict[str, list[float]] = {name: [] for name in QUANTITIES}
+    found: dict[str, list[float]] = {}
     for scene in scenes:
-        for name, values in values_of(scene).items():
-            found[name] += values
+        for name, quantity in quantities(scene).items():
+            found.setdefault(name, []).extend(quantity.values)
         body = settings.body_length or Units.of_body(scene).length
         found["spacing"].append(settings.cell / body)
-    if settings.body_length is not None:
-        for name in ABSOLUTE:
-            del found[name]
-    return {name: (round(min(values), 9), round(max(values), 9)) for name, values in found.items() if values}
+    return {
+        name: (round(min(values), 9), round(max(values), 9))
+        for name, values in found.items()
+        if values and (settings.body_length is None or name not in ABSOLUTE)
+    }
 
 
 def outside(scene: Scene, ranges: dict[str, Range]) -> list[str]:
     """The quantities of `scene` outside of `ranges`: each with its value, the range and by how much it is outside."""
     if scene.gravity <= 0.0:
         return ["gravity 0 (none in the training data)"]
-    found, present = [], values_of(scene)
+    found = []
     scaled = not any(name in ranges for name in ABSOLUTE)
-    for name, quantity in QUANTITIES.items():
-        if scaled and name in ABSOLUTE:
-            continue
-        values, unit = present.get(name), f" {quantity.unit}" if quantity.unit else ""
-        if not values:
+    for name, quantity in quantities(scene).items():
+        values, unit = quantity.values, f" {quantity.unit}" if quantity.unit else ""
+        if not values or (scaled and name in ABSOLUTE):
             continue
         if name not in ranges:
             found.append(f"{name} {values[0]:.3g}{unit} (none in the training data)")

@@ -19,7 +19,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns import card, checkpoint
 from gns.card import Card
 from gns.library import models, shipped
-from gns.ranges import QUANTITIES, outside
+from gns.ranges import outside, quantities
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
@@ -68,7 +68,7 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
 
 def test_the_ranges_are_those_of_the_training_scenes(model: Path) -> None:
     ranges = known(model).ranges
-    assert set(ranges) < set(QUANTITIES)
+    assert set(ranges) < set(quantities(COLUMN))
     assert ranges["tension_cutoff"] == (0.5, 0.5)
     assert ranges["damping"][0] == 0.0
     assert ranges["baffles"] == (0.0, 3.0)
@@ -231,7 +231,7 @@ def test_the_page_names_every_key() -> None:
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)
 def test_every_model_that_ships_has_a_card(weights: Path) -> None:
     found = known(weights)
-    assert set(found.ranges) <= set(QUANTITIES)
+    assert set(found.ranges) <= set(quantities(COLUMN))
     assert found.data.updates
     # That of the models that are used where none is named is known.
     assert found.calibration is not None or weights not in (shipped(2), shipped(3))
