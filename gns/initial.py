@@ -1,7 +1,6 @@
 """What a rollout begins with: a scene at time 0, or the end of the MPM's first frames; and what is around its flow."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,8 +22,6 @@ from gns.units import Units
 
 MOST_STEPS = 1_000_000
 """Of a rollout."""
-GRID_COPIES = 8
-"""Numbers of a channel on the grid that are there at once, over its cells."""
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 
@@ -136,20 +133,15 @@ def initial_state(
 
 
 def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
-    """Raise InputError for a rollout of more steps or grid cells than fit into memory: how many, what to change."""
+    """Raise InputError for a rollout of more steps than fit into memory: how many, what to change."""
     steps = scene.duration / step
     if steps > MOST_STEPS:
         raise InputError(
             f"expected at most {MOST_STEPS} steps of the model, got {steps:.3g} of {step:g} s", key="duration"
         )
     kept = settings.particles_per_cell * released_volume(scene) / (units.length * settings.cell) ** scene.dimension
-    nodes = math.prod(length / (units.length * settings.grid_cell) + 2.0 for length in scene.domain.size)
-    memory.require(
-        4.0 * (steps * kept * scene.dimension + nodes * GRID_COPIES * settings.grid_channels),
-        "a rollout",
-        f"{kept:.3g} particles over {steps:.3g} steps, {nodes:.3g} cells of the grid; a smaller box or a shorter time",
-        key="domain",
-    )
+    instead = f"{kept:.3g} particles over {steps:.3g} steps; a shorter time"
+    memory.require(4.0 * steps * kept * scene.dimension, "a rollout", instead, key="duration")
 
 
 def resampled(frames: Trajectory, step: float) -> Floats:

@@ -13,8 +13,7 @@ from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.training.samples import Flow, Sample
-from datasets.trajectory import Floats
+from datasets.training.samples import Flow
 from gns import card
 from gns.library import members, model_path
 
@@ -35,8 +34,6 @@ class Score:
     """
     profile_error: float
     """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
-    kinetic_error: float
-    """Largest difference of the kinetic energies over time, over all energy at the rollout's start [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,32 +87,11 @@ def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> lis
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         batch = batched([sample], settings).to(simulator.displacement_scale.device)
         with torch.no_grad():
-            moved = unroll(simulator, batch.state, batch.conditions, steps)[1:].cpu().numpy()
+            deposit = unroll(simulator, batch.state, batch.conditions, steps)[-1].cpu().numpy()
         truth = Deposit.of_positions(flow.positions[0], flow.positions[-1], flow.volume)
-        front, profile = truth.errors(moved[-1], sample.volume)
-        scores.append(
-            Score(
-                released=flow.released,
-                front_error=front,
-                profile_error=profile,
-                kinetic_error=kinetic_error(moved, sample, settings.step),
-            )
-        )
+        front, profile = truth.errors(deposit, sample.volume)
+        scores.append(Score(released=flow.released, front_error=front, profile_error=profile))
     return scores
-
-
-def kinetic_error(positions: Floats, sample: Sample, step: float) -> float:
-    """See `Score.kinetic_error`. positions: of the rollout after each step [m], shape [K, n, D]; step: [s]."""
-    start = sample.frames[-1:]
-    predicted, target = (
-        measures.kinetic_energy(np.diff(moved, axis=0, prepend=start) / step, sample.volume)
-        for moved in (positions, sample.targets)
-    )
-    before = sample.frames[-1] - sample.frames[-2] if len(sample.frames) > 1 else step * sample.velocity0
-    gravity = float(np.linalg.norm(sample.surroundings.gravity))
-    total = measures.kinetic_energy(before / step, sample.volume)
-    total = total + measures.potential_energy(start[0], sample.volume, gravity)
-    return float(np.abs(predicted - target).max() / total)
 
 
 def validation_score(scores: Sequence[Score]) -> float:
@@ -139,7 +115,6 @@ def table(scores: Sequence[Score]) -> str:
                 "mean": f"{front.mean():+.1f} %",
                 "worst": f"{front[np.abs(front).argmax()]:+.1f} %",
                 "profile error": f"{100.0 * np.mean([score.profile_error for score in group]):.1f} %",
-                "kinetic energy": f"{100.0 * np.mean([score.kinetic_error for score in group]):.1f} %",
             }
         )
     return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"

@@ -59,16 +59,7 @@ def train(
     begun = None if begin is None else checkpoint.load(model_path(begin))
     if begun is not None and model == MODEL:
         model = begun.simulator.settings
-    fit(
-        datasets,
-        out,
-        model=model,
-        training=training,
-        begin=begun,
-        resume=resume,
-        seed=seed,
-        device=device,
-    )
+    fit(datasets, out, model=model, training=training, begin=begun, resume=resume, seed=seed, device=device)
 
 
 if __name__ == "__main__":

@@ -279,7 +279,7 @@ def validate(
         "loss": round(loss, 6),
         "score": round(total, 4),
     }
-    for name in ("front_error", "profile_error", "kinetic_error"):
+    for name in ("front_error", "profile_error"):
         row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
     position.rows.append(row)
     lines = [row, *(each.values() for each in position.rows)]
