@@ -81,11 +81,15 @@ def column(stream: Stream) -> Scene:
 
 
 def staircase(stream: Stream) -> Scene:
-    """Two or three columns of different heights side by side, let go."""
+    """Two or three columns of different heights side by side, let go; InputError where one is too thin."""
     count = int(stream.integers(2, 4))
-    shares = stream.dirichlet(np.full(count, 4.0))
-    heights = np.exp(stream.normal(0.0, 0.6, count))
-    return released(stream, scaled([(float(a), float(b)) for a, b in zip(shares, heights, strict=True)]))
+    lengths, heights = stream.dirichlet(np.full(count, 4.0)), np.exp(stream.normal(0.0, 0.6, count))
+    piles = [(float(a), float(b)) for a, b in zip(lengths, heights, strict=True)]
+    factor = float(np.sqrt(AREA / sum(length * height for length, height in piles)))
+    sizes = [(factor * length, factor * height) for length, height in piles]
+    if min(map(min, sizes)) < 0.05 or max(height for _, height in sizes) > 0.85:
+        raise InputError("expected columns of at least 0.05 m")
+    return released(stream, sizes)
 
 
 def layers(stream: Stream) -> Scene:
@@ -230,15 +234,6 @@ def pile(stream: Stream, aspects: tuple[float, float] = ASPECT) -> tuple[float, 
     """Length and height [m] of a column of the area, of a random aspect."""
     aspect = log_uniform(stream, *aspects)
     return float(np.sqrt(AREA / aspect)), float(np.sqrt(AREA * aspect))
-
-
-def scaled(piles: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Columns of these relative lengths and heights, scaled to the area; InputError where one is too thin."""
-    factor = float(np.sqrt(AREA / sum(length * height for length, height in piles)))
-    sizes = [(factor * length, factor * height) for length, height in piles]
-    if min(min(size) for size in sizes) < 0.05 or max(size[1] for size in sizes) > 0.85:
-        raise InputError("expected columns of at least 0.05 m")
-    return sizes
 
 
 def start(stream: Stream, length: float, width: float) -> float:

@@ -60,7 +60,7 @@ def shipped(dimension: int) -> tuple[Scene, ...]:
 def held_out_column(scene: Scene) -> bool:
     """Whether a scene is a single box at a wall whose aspect is kept for tests."""
     mass = scene.masses[0]
-    if len(scene.masses) > 1 or scene.dimension != 2 or mass.kind != "box" or not touches(scene, mass).any():
+    if len(scene.masses) > 1 or scene.dimension != 2 or mass.kind != "box" or not touches(scene).any():
         return False
     aspect = mass.size[1] / mass.size[0]
     return any(abs(aspect / other - 1.0) <= ASPECT_MARGIN for other in ASPECTS)
@@ -89,8 +89,7 @@ def images(scene: Scene) -> Iterator[tuple[list[NDArray[np.float64]], NDArray[np
     lower corner of its masses on; and which sides of the box masses touch [H, 2].
     """
     unit = released_volume(scene) ** (1.0 / scene.dimension)
-    level = [axis for axis in range(scene.dimension) if axis != UP]
-    contact = touches_all(scene)
+    level, contact = level_axes(scene), touches(scene)
     for flips in product((False, True), repeat=len(level)):
         groups = [boxes(group, scene.dimension) for group in (scene.masses, scene.baffles)]
         touched = contact.copy()
@@ -115,13 +114,13 @@ def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> NDArr
     return np.stack((middle - 0.5 * extent, middle + 0.5 * extent), axis=1)
 
 
-def touches(scene: Scene, mass: Mass) -> NDArray[np.bool_]:
-    """Whether a mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
-    slack = 0.5 * scene.domain.cell
-    lower, size, box = (np.delete(np.array(each), UP) for each in (mass.lower, mass.size, scene.domain.size))
-    return np.stack((lower <= slack, lower + size >= box - slack), axis=1)
+def level_axes(scene: Scene) -> list[int]:
+    """x and, in 3D, z."""
+    return [axis for axis in range(scene.dimension) if axis != UP]
 
 
-def touches_all(scene: Scene) -> NDArray[np.bool_]:
-    """Whether any mass leans on these sides of the box, shape [H, 2]."""
-    return np.asarray(np.any([touches(scene, mass) for mass in scene.masses], axis=0))
+def touches(scene: Scene) -> NDArray[np.bool_]:
+    """Whether any mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
+    slack, level = 0.5 * scene.domain.cell, level_axes(scene)
+    lower, upper = np.moveaxis(boxes(scene.masses, scene.dimension)[..., level], 1, 0)
+    return np.stack((lower <= slack, upper >= np.array(scene.domain.size)[level] - slack), axis=-1).any(axis=0)

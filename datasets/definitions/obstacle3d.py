@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.definitions import flow2d
 from datasets.definitions.definition import Storage
@@ -44,12 +43,14 @@ BAFFLE_LENGTH, BAFFLE_WIDTH, BAFFLE_HEIGHT = (0.04, 0.16), (0.04, 0.32), (0.05, 
 """Extent of a baffle in x, z and y [m], uniform in its logarithm."""
 GAP = 3 * CELL
 """Least distance of a baffle from the mass and from other baffles [m]: narrower gaps do not flow as a continuum."""
-TURNED = 1 / 3
-"""Share of the scenes with baffles whose baffles are turned."""
+TURNED, TURN_DEG = 1 / 3, (-45.0, 45.0)
+"""Share of the scenes with baffles whose baffles are turned, and by how much [deg]."""
 GRID = 0.1
 """Distance between the elevations of a terrain [m]."""
 TRIES = 200
 """Draws of a baffle that stands apart from the others."""
+
+Extent = tuple[float, float, float]
 
 
 def variant(stream: Stream, scene: Scene) -> Scene:
@@ -61,7 +62,9 @@ def variant(stream: Stream, scene: Scene) -> Scene:
         lower = (first.lower[0] + float(shift[0]), first.lower[1], first.lower[2] + float(shift[1]))
         moved = list(scene.baffles)
         moved[number] = dataclasses.replace(first, lower=lower)
-        return dataclasses.replace(scene, baffles=apart(scene.masses, moved))
+        if not apart(scene.masses, moved):
+            raise InputError("expected baffles before the mass and apart from each other")
+        return dataclasses.replace(scene, baffles=tuple(moved))
     changed = flow2d.variant(stream, dataclasses.replace(scene, baffles=()))
     return dataclasses.replace(changed, baffles=scene.baffles)
 
@@ -77,10 +80,8 @@ def sheet(stream: Stream) -> Scene:
 
 def pile(stream: Stream) -> Scene:
     """A box that is let go: in the middle of the floor, at a wall, or in a corner."""
-    size = cuboid(stream, (0.3, 4.0), (0.6, 1.7))
-    width = roomy(stream, size[2])
-    left = float(stream.uniform(0.0, 0.5)) * float(stream.random() < 0.6)
-    return scene(stream, Mass(lower=(left, 0.0, aside(stream, size[2], width)), size=size), width=width)
+    mass, width = standing(stream, cuboid(stream, (0.3, 4.0), (0.6, 1.7)), 0.5, 0.6)
+    return scene(stream, mass, width=width)
 
 
 def tower(stream: Stream) -> Scene:
@@ -108,7 +109,7 @@ def row(stream: Stream) -> Scene:
     pitch = float(stream.uniform(0.85, 1.15)) * size[2] / (count - 0.3)
     first = left + size[0] + float(stream.uniform(GAP, 0.3))
     between = edge[0] + float(stream.uniform(0.08, 0.3))
-    turned_deg = turn(stream) if stream.random() < TURNED else 0.0
+    turned_deg = float(stream.uniform(*TURN_DEG)) if stream.random() < TURNED else 0.0
     baffles = [
         Baffle(
             lower=(first + line * between, 0.0, z + 0.5 * (size[2] - edge[1]) + pitch * (number - 0.5 * (members - 1))),
@@ -119,35 +120,27 @@ def row(stream: Stream) -> Scene:
         for number in range(members)
     ]
     mass = Mass(lower=(left, 0.0, z), size=size, velocity=throw(stream))
-    return scene(stream, mass, width=width, baffles=apart((mass,), baffles))
+    if not apart((mass,), baffles):
+        raise InputError("expected baffles before the mass and apart from each other")
+    return scene(stream, mass, width=width, baffles=tuple(baffles))
 
 
 def dam(stream: Stream) -> Scene:
     """A column at rest that falls onto one to four baffles."""
-    size = cuboid(stream, (0.5, 2.5), (0.6, 2.5))
-    width = roomy(stream, size[2])
-    left = float(stream.uniform(0.0, 0.2)) * float(stream.random() < 0.4)
-    mass = Mass(lower=(left, 0.0, aside(stream, size[2], width)), size=size)
-    return scene(
-        stream, mass, width=width, baffles=obstacles(stream, mass, width, int(stream.integers(1, 5)), distance=0.25)
-    )
+    mass, width = standing(stream, cuboid(stream, (0.5, 2.5), (0.6, 2.5)), 0.2, 0.4)
+    before = obstacles(stream, mass, width, int(stream.integers(1, 5)), distance=0.25)
+    return scene(stream, mass, width=width, baffles=before)
 
 
 def slope(stream: Stream) -> Scene:
     """A box that is let go or thrown on a slope, in half of the scenes above baffles."""
-    size = cuboid(stream, (0.3, 2.0), (0.6, 2.5))
-    width = roomy(stream, size[2])
-    left = float(stream.uniform(0.0, 0.25)) * float(stream.random() < 0.7)
-    mass = Mass(
-        lower=(left, 0.0, aside(stream, size[2], width)),
-        size=size,
-        velocity=throw(stream, 0.6) if stream.random() < 0.4 else None,
-    )
+    mass, width = standing(stream, cuboid(stream, (0.3, 2.0), (0.6, 2.5)), 0.25, 0.7)
+    if stream.random() < 0.4:
+        mass = dataclasses.replace(mass, velocity=throw(stream, 0.6))
     count = int(stream.integers(1, 5)) * int(stream.random() < 0.5)
     degrees = float(stream.uniform(3.0, 30.0))
-    return scene(
-        stream, mass, width=width, length=LENGTHS[-1], slope_deg=degrees, baffles=obstacles(stream, mass, width, count)
-    )
+    below = obstacles(stream, mass, width, count)
+    return scene(stream, mass, width=width, length=LENGTHS[-1], slope_deg=degrees, baffles=below)
 
 
 def terrain(stream: Stream) -> Scene:
@@ -207,7 +200,17 @@ KINDS: tuple[Callable[[Stream], Scene], ...] = (slab, pile, tower, terrain, dam,
 """Repeated along the dataset."""
 
 
-def thrown(stream: Stream, size: tuple[float, float, float], count: int) -> Scene:
+def standing(stream: Stream, size: Extent, furthest: float, share: float) -> tuple[Mass, float]:
+    """A box of that size [m] on the floor, and the width of its channel [m].
+
+    A share of them stands away from the wall behind, up to `furthest` [m].
+    """
+    width = roomy(stream, size[2])
+    left = float(stream.uniform(0.0, furthest)) * float(stream.random() < share)
+    return Mass(lower=(left, 0.0, aside(stream, size[2], width)), size=size), width
+
+
+def thrown(stream: Stream, size: Extent, count: int) -> Scene:
     """A block of that size [m] thrown at `count` baffles, half of them from the floor."""
     width = roomy(stream, size[2])
     bottom = float(stream.uniform(0.02, 0.2)) * float(stream.random() < 0.5)
@@ -219,7 +222,7 @@ def thrown(stream: Stream, size: tuple[float, float, float], count: int) -> Scen
     return scene(stream, mass, width=width, baffles=obstacles(stream, mass, width, count))
 
 
-def cuboid(stream: Stream, heights: tuple[float, float], widths: tuple[float, float]) -> tuple[float, float, float]:
+def cuboid(stream: Stream, heights: tuple[float, float], widths: tuple[float, float]) -> Extent:
     """Extent [m] of a box of the volume, its height and its width over its length in these ranges."""
     height, width = log_uniform(stream, *heights), log_uniform(stream, *widths)
     length = (VOLUME / (height * width)) ** (1.0 / 3.0)
@@ -248,11 +251,6 @@ def throw(stream: Stream, part: float = 1.0) -> tuple[float, float, float]:
     return float(stream.uniform(0.0, part * SPEED)), float(y), float(z)
 
 
-def turn(stream: Stream) -> float:
-    """Turn of a baffle [deg]: anything up to an eighth of a circle to either side."""
-    return float(stream.uniform(-45.0, 45.0))
-
-
 def obstacles(
     stream: Stream, mass: Mass, width: float, count: int, *, distance: float = 0.6, length: float = LENGTHS[0]
 ) -> tuple[Baffle, ...]:
@@ -266,32 +264,19 @@ def obstacles(
         x_size, y_size, z_size = (log_uniform(stream, *each) for each in (BAFFLE_LENGTH, BAFFLE_HEIGHT, BAFFLE_WIDTH))
         x = float(stream.uniform(nearest, max(min(nearest + distance, length - x_size - 0.02), nearest)))
         z = float(stream.uniform(0.0, max(width - z_size, 0.0)))
-        degrees = turn(stream) if is_turned else 0.0
+        degrees = float(stream.uniform(*TURN_DEG)) if is_turned else 0.0
         another = Baffle(lower=(x, 0.0, z), size=(x_size, y_size, z_size), turned_deg=degrees)
-        if are_apart((mass,), (*baffles, another)):
+        if apart((mass,), (*baffles, another)):
             baffles.append(another)
     raise InputError("expected room for the baffles")
 
 
-def apart(masses: tuple[Mass, ...], baffles: Sequence[Baffle]) -> tuple[Baffle, ...]:
-    """The baffles, if `are_apart`, else InputError."""
-    if not are_apart(masses, baffles):
-        raise InputError("expected baffles before the mass and apart from each other")
-    return tuple(baffles)
-
-
-def are_apart(masses: tuple[Mass, ...], baffles: Sequence[Baffle]) -> bool:
-    """Whether baffles keep `GAP` from each other and stand before the masses."""
+def apart(masses: tuple[Mass, ...], baffles: Sequence[Baffle]) -> bool:
+    """Whether baffles keep `GAP` from each other, along x or z, and stand before the masses."""
     around = boxes(tuple(baffles), 3)
     front = max(mass.lower[0] + mass.size[0] for mass in masses)
-    return bool((around[:, 0, 0] >= front + 0.5 * GAP).all()) and all(
-        max(clearance(a, b, axis) for axis in (0, 2)) >= GAP for a, b in combinations(around, 2)
-    )
-
-
-def clearance(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> float:
-    """Distance of two boxes [2, 3] along one axis [m], negative where they overlap."""
-    return float(max(a[0, axis] - b[1, axis], b[0, axis] - a[1, axis]))
+    distances = (np.maximum(a[0] - b[1], b[0] - a[1])[[0, 2]].max() for a, b in combinations(around, 2))
+    return bool((around[:, 0, 0] >= front + 0.5 * GAP).all()) and all(each >= GAP for each in distances)
 
 
 def sand(stream: Stream) -> Material:
