@@ -39,15 +39,6 @@ def test_linear_fields_are_exact_inside_and_constant_beyond(grid: Grid) -> None:
     np.testing.assert_allclose(grid.weights(beyond) @ (grid.positions @ slope), moved @ slope, rtol=1e-12)
 
 
-@pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
-def test_the_transpose_takes_derivatives_to_the_nodes(grid: Grid) -> None:
-    rng = np.random.default_rng(1)
-    weights = grid.weights(rng.random((40, len(grid.nodes))))
-    values, adjoint = rng.normal(size=grid.count), rng.normal(size=40)
-    assert adjoint @ (weights @ values) == pytest.approx(values @ (weights.T @ adjoint), rel=1e-12)
-    np.testing.assert_allclose(weights @ np.ones(grid.count), 1.0, rtol=1e-12)
-
-
 def test_particles_have_it_at_their_positions() -> None:
     particles = initial_particles(dataclasses.replace(SCENE, fields=(FRICTION,)))
     x, y = particles.positions.T

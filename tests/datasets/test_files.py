@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from datasets.files import PART, remove_own_parts, remove_parts, replacing, write_json, write_text
+from datasets.files import PART, remove_own_parts, replacing, write_json, write_text
 
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -39,14 +39,6 @@ def test_the_bytes_are_on_the_disk_before_the_name_is(tmp_path: Path, monkeypatc
     part, moved, folder = order
     assert part.name.startswith(PART)
     assert (moved, folder) == ("move", tmp_path)
-
-
-def test_parts_that_a_killed_process_left_are_removed(tmp_path: Path) -> None:
-    write_text(tmp_path / "train" / "a.npz", "whole")
-    for name in (f"{PART}b-x1.npz", f"train/{PART}a-x2.npz"):
-        (tmp_path / name).write_text("half")
-    remove_parts(tmp_path)
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "train" / "a.npz"]
 
 
 def test_a_process_that_is_ended_removes_what_it_was_writing_and_no_other_s(tmp_path: Path) -> None:

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from datasets.measures import (
-    SHARES,
-    equal_shares,
     front,
     height_profile,
     kinetic_energy,
@@ -57,13 +55,6 @@ def test_profile_is_continuous() -> None:
     profiles = np.array([height_profile(np.array([[each, 0.0]]), 1.0, stations) for each in x])
     steepest = np.abs(np.diff(profiles, axis=0)).max() / (x[1] - x[0])
     assert steepest == pytest.approx(2.0 / 0.1**2, rel=1e-6)
-
-
-def test_equal_shares_of_a_uniform_block() -> None:
-    deposit = block(0.4, 0.1)
-    shares = equal_shares(deposit, np.ones(len(deposit)))
-    # Columns of particles stand 5 mm apart.
-    np.testing.assert_allclose(shares, 0.4 * (np.arange(SHARES) + 0.5) / SHARES, atol=SPACING)
 
 
 def test_the_distance_of_deposits_is_that_of_their_parts() -> None:

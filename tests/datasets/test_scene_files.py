@@ -47,7 +47,6 @@ MISTAKES = {
     "missing key": ("cell = 0.01", "", "domain.cell", "missing"),
     "text for a number": ("cohesion = 100.0", 'cohesion = "wet"', "material.cohesion", "number"),
     "not TOML": ("[domain]", "[domain", "", "readable TOML"),
-    "cell that does not divide the domain": ("cell = 0.01", "cell = 0.03", "domain.size", "whole number of cells"),
     "dilation above friction": ("cohesion = 100.0", "dilation_deg = 31.0", "material.dilation_deg", "friction_deg"),
     "mass outside the domain": ("lower = [0.0, 0.0]", "lower = [0.9, 0.0]", "masses[0]", "inside the domain"),
     "overlapping masses": (
@@ -82,12 +81,6 @@ def test_no_such_file_and_no_such_name(tmp_path: Path) -> None:
         read_scene(str(tmp_path / "absent.toml"))
     with pytest.raises(InputError, match="did you mean 'column-tall-21'"):
         read_scene("colum-tall-21")
-
-
-def test_json_that_is_no_scene() -> None:
-    for text in ("", "{", "3", '{"domain": 3}'):
-        with pytest.raises(InputError):
-            Scene.from_json(text)
 
 
 @pytest.mark.parametrize(
