@@ -37,7 +37,6 @@ def command(
     vtk: bool = False,
     forces: bool = False,
     hdf5: bool = False,
-    checkpoint: bool = False,
 ) -> int:
     """Simulate a scene and write its trajectory and a summary.
 
@@ -71,11 +70,9 @@ def command(
     hdf5
         Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not fit
         into memory, unless fields are recorded too.
-    checkpoint
-        Leave DIR/checkpoint.npz at the end too: the same scene for a longer duration goes on from it.
     """
     # Imported here: --help needs no compiler.
-    from mpm.simulation import Interrupted, Options, simulate_resumably
+    from mpm.simulation import Interrupted, Options, simulate
 
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
@@ -108,7 +105,7 @@ def command(
             options["file"] = stack.enter_context(FrameWriter(frames))
         stop = stack.enter_context(stopping())
         try:
-            trajectory, end = simulate_resumably(given, resume=start, stop=stop, **options)
+            trajectory = simulate(given, resume=start, stop=stop, **options)
         except Interrupted as interrupted:
             if appended:
                 options["file"].put(**interrupted.so_far.arrays())
@@ -119,10 +116,7 @@ def command(
         except InputError as error:
             raise error.at(str(file)) if start is not None and not error.where else error from None
         write_json(out / "summary.json", trajectory.summary)
-        if checkpoint:
-            end.save(file)
-        else:
-            file.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
         # The folder holds one trajectory: that of this run.
         (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
         if appended:

@@ -30,7 +30,7 @@ from mpm.device import run_on_device
 from mpm.footprint import footprint, require_memory
 from mpm.kernel import Phase, kernel
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.outcome import failure, trajectory
+from mpm.output.outcome import trajectory
 from mpm.output.request import ALL, Recording
 from mpm.runtime import Arch
 
@@ -81,31 +81,22 @@ class Interrupted(KeyboardInterrupt):
         super().__init__()
 
 
-def simulate(scene: Scene, *, resume: Checkpoint | None = None, **options: Unpack[Options]) -> Trajectory:
-    """Run one scene, a large one on all threads.
-
-        trajectory = simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity"})))
-        trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
-
-    resume: where an earlier run of the scene ended (`simulate_resumably`), from which this one goes on for a longer
-    duration; on as many threads, the same to the bit as a run that was never interrupted. What is recorded and
-    the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where there is no
-    GPU, or where the checkpoint is of another scene, recording or precision.
-    """
-    return simulate_resumably(scene, resume=resume, **options)[0]
-
-
-def simulate_resumably(
+def simulate(
     scene: Scene,
     *,
     resume: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
     **options: Unpack[Options],
-) -> tuple[Trajectory, Checkpoint]:
-    """As `simulate`, with the state at its end, from which a longer run can go on.
+) -> Trajectory:
+    """Run one scene, a large one on all threads.
 
-    stop: called every few frames; once it returns True, Interrupted is raised with the checkpoint.
-    Other errors as `simulate`.
+        trajectory = simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity"})))
+        trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
+
+    stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: such a one,
+    from which the same run goes on; on as many threads, the same to the bit as one that was never interrupted. What is
+    recorded and the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where
+    there is no GPU, or where the checkpoint is of another scene, recording or precision.
     """
     warn_if_unlikely(scene)
     warn_if_unresolved(scene)
@@ -126,9 +117,8 @@ def simulate_resumably(
     with progress_bar(scene.frames - 1, batch.computed, options) as bar:
         wall_s, compile_s = run_batch(batch, arch, bar, stop)
     wall_s += 0.0 if resume is None else resume.run.wall_s
-    checkpoint = Checkpoint.from_batch(batch, wall_s=wall_s)
-    if batch.computed < scene.frames - 1 and not checkpoint.run.rest and failure(batch, 0) is None:
-        kept = [frame for frame in batch.kept(0) if frame <= checkpoint.run.frame]
+    if batch.computed < scene.frames - 1 and not batch.ended(batch.computed + 1).any():
+        kept = [frame for frame in batch.kept(0) if frame <= batch.computed]
         so_far = Trajectory(
             positions=batch.recorded(0)[: len(kept)],
             time=np.array(kept, np.float64) * scene.frame_dt,
@@ -136,11 +126,11 @@ def simulate_resumably(
             friction=particles[0].friction,
             scene=scene,
         )
-        raise Interrupted(checkpoint, so_far)
+        raise Interrupted(Checkpoint.from_batch(batch, wall_s=wall_s), so_far)
     outcome = trajectory(batch, 0, arch=arch, wall_s=wall_s, compile_s=compile_s)
     if isinstance(outcome, WorkFailed):
         raise outcome
-    return outcome, checkpoint
+    return outcome
 
 
 def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:

@@ -211,7 +211,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
         for index, scene in enumerate(tape.batch.scenes):
             here, (faces, nodes) = tape.particles(index), tape.solids(index)
 
-            def numbers(first: int, count: int, blocks: Any = ours.blocks, here: slice = here) -> Floats:
+            def numbers(first: int, count: int, blocks: Any = ours["adjoints"], here: slice = here) -> Floats:
                 return tape.vectors(blocks, first, count)[here].astype(np.float64)
 
             size = features.dimension
@@ -224,10 +224,10 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
                     stress=numbers(features.stress, features.stresses),
                     properties=numbers(layout.properties, features.columns),
-                    settings=ours.settings[index].copy(),
-                    faces=ours.faces[faces],
-                    cut=float(ours.cut[index]),
-                    node_contacts=ours.node_contacts[nodes],
+                    settings=ours["settings"][index].copy(),
+                    faces=ours["face_adjoints"][faces],
+                    cut=float(ours["cut"][index]),
+                    node_contacts=ours["node_contact_adjoints"][nodes],
                 )
             )
         found.append(own)

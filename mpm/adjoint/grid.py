@@ -28,7 +28,7 @@ from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.grid import SLOW, TINY, covers, shared_box, summed_node
+from mpm.physics.grid import SLOW, TINY, node_of, own_box, put_node, shares_row
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
@@ -49,52 +49,12 @@ def keep_nodes(worker, strides, arrays: ti.template()):
 
 
 @ti.func
-def own_box(worker, arrays: ti.template()):
-    """The nodes in the support of a worker's particles, of those of all workers of a shared scene, [low, high)."""
-    if ti.static(arrays.features.shared):
-        return shared_box(arrays)
-    else:
-        low = ti.Vector([arrays.workers[worker, Worker.LOW_X + k] for k in ti.static(range(3))])
-        high = ti.Vector([arrays.workers[worker, Worker.HIGH_X + k] for k in ti.static(range(3))])
-        return low, high
-
-
-@ti.func
-def shares_row(i, worker, arrays: ti.template()):
-    """Whether the nodes of row i are a worker's to compute, who is one of several in a shared scene."""
-    result = 1
-    if ti.static(arrays.features.shared):
-        result = ti.cast(i % arrays.workers.shape[0] == worker, ti.i32)
-    return result
-
-
-@ti.func
 def first_kept(worker, arrays: ti.template()):
     """The first of a worker's nodes in `kept`; workers of a shared scene keep theirs where the first one does."""
     if ti.static(arrays.features.shared):
         return arrays.workers[0, Worker.NODE]
     else:
         return arrays.workers[worker, Worker.NODE]
-
-
-@ti.func
-def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
-    """Node (i, j, k), the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
-    if ti.static(arrays.features.shared):
-        return summed_node(array, n, i, j, k, arrays)
-    else:
-        return array[arrays.workers[worker, Worker.NODE] + n]
-
-
-@ti.func
-def put_node(array: ti.template(), value, n, i, j, k, worker, arrays: ti.template()):
-    """Put what `node_of` reads; in a shared scene all workers in whose support it is have the sum."""
-    if ti.static(arrays.features.shared):
-        for other in range(arrays.workers.shape[0]):
-            if covers(other, i, j, k, arrays):
-                array[arrays.workers[other, Worker.NODE] + n] = value
-    else:
-        array[arrays.workers[worker, Worker.NODE] + n] = value
 
 
 @ti.func

@@ -5,9 +5,10 @@ numbers do in its state: position, velocity, C, stress from vector 0 on; those o
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar
 
-from mpm.arrays.features import Features
+from mpm.arrays.features import Features, begins
 
 
 @dataclass(frozen=True)
@@ -23,69 +24,44 @@ class Layout:
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
-    @property
-    def history(self) -> int:
-        """Vectors of a block that are kept of every step: all that a step changes and a reverse step reads."""
-        return self.history_present + int(self.features.outflow)
+    def __getattr__(self, name: str) -> int:
+        """Where the part `name` begins of bars, history or scratch; see `parts`."""
+        found = None if name.startswith("_") else offsets(self.features).get(name)
+        if found is None:
+            raise AttributeError(name)
+        return found
 
-    @property
-    def history_present(self) -> int:
-        """Vector of a block's history that holds whether particles are in the box, where `outflow`."""
-        return self.history_contacts + self.features.contact_vectors
 
-    @property
-    def history_contacts(self) -> int:
-        """First of the vectors of a block's history that `mpm.arrays.layout.Contact` lists, where `contact`."""
-        return self.features.properties
+def parts(features: Features) -> list[dict[str, int]]:
+    """How long the parts are of what the reverse keeps, in their order."""
+    size, contact = features.dimension, int(features.contact)
+    return [
+        {  # Vectors of bars of a block: of its state, of `Property` and of `Contact`.
+            "state": features.properties,
+            "properties": features.columns,
+            "contacts": features.contact_vectors,
+            "width": 0,
+        },
+        {  # Vectors of a block that are kept of every step: all that it changes and a reverse step reads.
+            "history_state": features.properties,
+            "history_contacts": features.contact_vectors,
+            "history_present": int(features.outflow),
+            "history": 0,
+        },
+        {  # Scratch vectors of a worker: those of the step, whose weights times distances become slopes, and
+            "weights": 3 * size,
+            "slopes": features.scratch - 3 * size,  # dw/dx_p of the three nodes along each axis [1/m],
+            "levers": 3 * size,  # w (x_i - x_p) along each axis [m],
+            "sums": (1 + size) * features.node,  # sum w n of a block's nodes n, then sum w n x_ip of each axis,
+            "forces": size,  # the sums that move a particle's weights,
+            "foot": size * contact,  # bars of v_f (`mpm.physics.contact`),
+            "before": 2 * size * contact,  # velocity and shear traction before contact is found
+            "scratch": 0,
+        },
+    ]
 
-    @property
-    def properties(self) -> int:
-        """First of the vectors of bars of `mpm.arrays.layout.Property`, behind those of the state."""
-        return self.features.properties
 
-    @property
-    def width(self) -> int:
-        """Vectors of bars in a block."""
-        return self.contacts + self.features.contact_vectors
-
-    @property
-    def contacts(self) -> int:
-        """First of the vectors of bars of `mpm.arrays.layout.Contact`, where `contact`."""
-        return self.properties + self.features.columns
-
-    # The scratch vectors of a worker: those of the step, whose weights times distances become slopes of the weights.
-
-    @property
-    def slopes(self) -> int:
-        """First of the 3 D scratch vectors dw/dx_p of the three nodes along each axis [1/m]."""
-        return 3 * self.features.dimension
-
-    @property
-    def levers(self) -> int:
-        """First of the 3 D scratch vectors w (x_i - x_p) along each axis [m]."""
-        return self.features.scratch
-
-    @property
-    def sums(self) -> int:
-        """First of the 1 + D groups of what a block gathers of its nodes: sum w n, then sum w n x_ip of each axis."""
-        return self.levers + 3 * self.features.dimension
-
-    @property
-    def forces(self) -> int:
-        """First of the D scratch vectors of the sums that move a particle's weights."""
-        return self.sums + (1 + self.features.dimension) * self.features.node
-
-    @property
-    def scratch(self) -> int:
-        """Scratch vectors of a worker."""
-        return self.before + (2 * self.features.dimension if self.features.contact else 0)
-
-    @property
-    def foot(self) -> int:
-        """First of the D scratch vectors of the bars of v_f (`mpm.physics.contact`), where `contact`."""
-        return self.forces + self.features.dimension
-
-    @property
-    def before(self) -> int:
-        """First of the 2 D scratch vectors of velocity and shear traction before contact is found, where `contact`."""
-        return self.foot + (self.features.dimension if self.features.contact else 0)
+@cache
+def offsets(features: Features) -> dict[str, int]:
+    """Where each of the `parts` begins."""
+    return begins(parts(features))

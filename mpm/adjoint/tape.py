@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import Particles
 from datasets.scene import Scene
 from mpm import runtime
@@ -40,8 +39,9 @@ MEMORY_MIB = 256.0
 CUT = 20.0
 """Bar of a particle's velocity, over the largest one that the objective has times the duration, beyond which it is cut.
 
-Single particles that fly apart and touch again swing on their own, and beyond `lone_particle_step` ever more so until
-they lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of
+Single particles that fly apart and touch again swing on their own, and where a step is large ever more so until they
+lose touch: some 1e-8 m, in a flow that does not notice. A particle that has its nodes to itself is stable up to a
+`step_fraction` of sqrt((lambda + 2 mu) / (D lambda + 2 mu)). The derivative along the run grows by a factor at each of
 their steps. What such a particle does has no derivative that says anything, and its bar is set to 0. Bars of the force
 on a baffle grow beyond 5 without such particles."""
 MOST_CUT = 0.02
@@ -57,16 +57,6 @@ def check(features: Features) -> None:
         raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
 
 
-def lone_particle_step(material: Material, dimension: int) -> float:
-    """The largest stable `step_fraction` of a particle that has its nodes to itself, compressed alike along all axes.
-
-    Its C and stress swing as dC/dt = -4 p / (rho dx^2), dp/dt = (D lambda + 2 mu) C per axis, whatever its place in the
-    cell, and explicit steps follow that up to 2 / omega; waves in a body are slower than this.
-    """
-    swinging = dimension * material.lame + 2.0 * material.shear_modulus
-    return math.sqrt((material.lame + 2.0 * material.shear_modulus) / swinging)
-
-
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
     """`frames` in ascending order, once each. Raises InputError for one that a scene has not."""
     shortest = min(scene.frames for scene in scenes)
@@ -74,21 +64,6 @@ def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
     if not found or found[0] < 0 or found[-1] >= shortest or found[-1] == 0:
         raise InputError(f"expected frames from 0 to {shortest - 1}, one of them after the first, got {list(frames)}")
     return found
-
-
-class Adjoints(NamedTuple):
-    """Bars of what a run of scenes begins with."""
-
-    blocks: Array
-    """Of particles, shape [blocks, Layout.width, lanes]."""
-    settings: Array
-    """Shape [scenes, len(Setting)]."""
-    faces: Array
-    """Of the solids of all scenes, shape [F, columns]."""
-    node_contacts: Array
-    """Of the nodes that solids hold, shape [K, D + 2]."""
-    cut: Array
-    """Share of the bars of particles and steps that were cut, shape [scenes]."""
 
 
 class FlowAdjoints(NamedTuple):
@@ -272,10 +247,13 @@ class Tape:
         """Momentum that the solids of a scene have taken at the observed frames [N s], shape [T, solids, D]."""
         return self.batch.impulses(index)[self.frames]
 
-    def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[Adjoints]:
+    def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[dict[str, Array]]:
         """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
-        flow_adjoints: for each objective and scene. Raises WorkFailed where a gradient grows without bound.
+        flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
+        settings of each scene (`settings`), faces (`face_adjoints`) and nodes that solids hold
+        (`node_contact_adjoints`), and the share of the bars of each scene that were cut (`cut`). Raises WorkFailed
+        where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -329,18 +307,10 @@ class Tape:
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
                 raise WorkFailed(self.unbounded(index, share))
-        return [
-            Adjoints(
-                own["adjoints"], self.of_scenes(own["sums"]), own["face_adjoints"], own["node_contact_adjoints"], share
-            )
-            for own, share in zip(objectives, shares, strict=True)
-        ]
-
-    def of_scenes(self, sums: Array) -> Array:
-        """What each worker has summed, shape [workers, ...], of all workers of each scene, shape [scenes, ...]."""
-        found = np.zeros((len(self.batch.scenes), *sums.shape[1:]))
-        np.add.at(found, self.batch.workers[:, Worker.SCENE], sums)
-        return found
+        for own, share in zip(objectives, shares, strict=True):
+            own["cut"], own["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
+            np.add.at(own["settings"], batch.workers[:, Worker.SCENE], own["sums"])
+        return objectives
 
     def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
         """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
@@ -358,12 +328,9 @@ class Tape:
 
     def unbounded(self, index: int, share: float) -> str:
         """What to say of a scene of whose bars a `share` was cut."""
-        scene = self.batch.scenes[index]
-        stable = min(lone_particle_step(each, scene.dimension) for each in self.batch.particles[index].materials)
         return (
-            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were cut. "
-            f"A step is stable for single particles up to a step_fraction of {stable:.2f}; "
-            f"the scene has {scene.step_fraction:g}"
+            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were cut, of "
+            f"single particles that swing; try a step_fraction below {self.batch.scenes[index].step_fraction:g}"
         )
 
     def add_adjoints(self, own: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:

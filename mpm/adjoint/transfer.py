@@ -47,42 +47,41 @@ def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.tem
     Leaves the sum of w_ip n_i of what lies at the nodes, and the `weight_forces`.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    stride_x, stride_y = strides[0], strides[1]
+    size = ti.static(features.dimension)
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         slope = weight + layout.slopes * lanes
-        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        dx, dy = three_vectors(arrays, slope), three_vectors(arrays, slope + 3 * lanes)
+        w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
+        d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
         value = node_adjoint(arrays, scratch, 0, lane)
-        slope_x, slope_y = node_adjoint(arrays, scratch, 1, lane), node_adjoint(arrays, scratch, 2, lane)
-        around, x_force, y_force = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-        if ti.static(features.dimension == 2):
-            for a in ti.static(range(3)):
-                at = no_overflow(n + a * stride_x)
-                row, product, y_product = scatter_line(at, wx[a], wy, dy, value, slope_y, arrays)
-                around = around + wx[a] * row
-                x_force = x_force + dx[a] * product
-                y_force = y_force + wx[a] * y_product
-                value = value + slope_x
-            store_forces((x_force, y_force), scratch, lane, arrays)
-        else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_adjoint(arrays, scratch, 3, lane)
-            dz = three_vectors(arrays, slope + 6 * lanes)
-            z_force = zero_node(arrays)
-            for a in ti.static(range(3)):
-                along = value
-                for b in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x + b * stride_y)
-                    row, product, z_product = scatter_line(at, wx[a] * wy[b], wz, dz, along, slope_z, arrays)
-                    around = around + (wx[a] * wy[b]) * row
-                    x_force = x_force + (dx[a] * wy[b]) * product
-                    y_force = y_force + (wx[a] * dy[b]) * product
-                    z_force = z_force + (wx[a] * wy[b]) * z_product
-                    along = along + slope_y
-                value = value + slope_x
-            store_forces((x_force, y_force, z_force), scratch, lane, arrays)
+        steps = [node_adjoint(arrays, scratch, 1 + k, lane) for k in ti.static(range(size))]
+        around, forces = zero_node(arrays), [zero_node(arrays) for _ in ti.static(range(size))]
+        for a in ti.static(range(3)):
+            along = value
+            for b in ti.static(range(3 if size == 3 else 1)):
+                at = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
+                outer = outer_weights(w, d, a, b, size)
+                row, product, last = scatter_line(
+                    at, outer[0], w[size - 1], d[size - 1], along, steps[size - 1], arrays
+                )
+                around = around + outer[0] * row
+                for k in ti.static(range(size - 1)):
+                    forces[k] = forces[k] + outer[1 + k] * product
+                forces[size - 1] = forces[size - 1] + outer[0] * last
+                along = along + steps[1]
+            value = value + steps[0]
+        store_forces(forces, scratch, lane, arrays)
         store_sum(around, 0, scratch, lane, arrays)
+
+
+@ti.func
+def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.template(), size: ti.template()):
+    """Of a line of nodes along the last axis: the weight by the other axes, then with that of each in `d` instead."""
+    if ti.static(size == 2):
+        return w[0][a], d[0][a]
+    else:
+        return w[0][a] * w[1][b], d[0][a] * w[1][b], w[0][a] * d[1][b]
 
 
 @ti.func
@@ -157,52 +156,37 @@ def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.temp
 def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Leave Z, Y_j of each particle of a block and the `weight_forces` of what it gave, from the bars of the nodes."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    stride_x, stride_y = strides[0], strides[1]
+    size = ti.static(features.dimension)
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         slope, lever = weight + layout.slopes * lanes, weight + layout.levers * lanes
-        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        dx, dy = three_vectors(arrays, slope), three_vectors(arrays, slope + 3 * lanes)
-        lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
+        w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
+        d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
+        levers = [three_vectors(arrays, lever + 3 * k * lanes) for k in ti.static(range(size))]
         value = node_vector(arrays, scratch, 0, lane)
-        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
-        around, x_sum, y_sum = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-        x_force, y_force = zero_node(arrays), zero_node(arrays)
-        if ti.static(features.dimension == 2):
-            for a in ti.static(range(3)):
-                at = no_overflow(n + a * stride_x)
-                row, y_row, product, y_product = gather_line(at, wy, ly, dy, value, slope_y, arrays)
-                around = around + wx[a] * row
-                x_sum = x_sum + lx[a] * row
-                y_sum = y_sum + wx[a] * y_row
-                x_force = x_force + dx[a] * product
-                y_force = y_force + wx[a] * y_product
-                value = value + slope_x
-            store_forces((x_force, y_force), scratch, lane, arrays)
-        else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
-            dz, lz = three_vectors(arrays, slope + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
-            z_sum, z_force = zero_node(arrays), zero_node(arrays)
-            for a in ti.static(range(3)):
-                along = value
-                for b in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x + b * stride_y)
-                    row, z_row, product, z_product = gather_line(at, wz, lz, dz, along, slope_z, arrays)
-                    around = around + (wx[a] * wy[b]) * row
-                    x_sum = x_sum + (lx[a] * wy[b]) * row
-                    y_sum = y_sum + (wx[a] * ly[b]) * row
-                    z_sum = z_sum + (wx[a] * wy[b]) * z_row
-                    x_force = x_force + (dx[a] * wy[b]) * product
-                    y_force = y_force + (wx[a] * dy[b]) * product
-                    z_force = z_force + (wx[a] * wy[b]) * z_product
-                    along = along + slope_y
-                value = value + slope_x
-            store_forces((x_force, y_force, z_force), scratch, lane, arrays)
-            store_sum(z_sum, 3, scratch, lane, arrays)
-        store_sum(around, 0, scratch, lane, arrays)
-        store_sum(x_sum, 1, scratch, lane, arrays)
-        store_sum(y_sum, 2, scratch, lane, arrays)
+        steps = [node_vector(arrays, scratch, 1 + k, lane) for k in ti.static(range(size))]
+        sums = [zero_node(arrays) for _ in ti.static(range(1 + size))]
+        forces = [zero_node(arrays) for _ in ti.static(range(size))]
+        for a in ti.static(range(3)):
+            along = value
+            for b in ti.static(range(3 if size == 3 else 1)):
+                at = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
+                outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
+                row, last_row, product, last = gather_line(
+                    at, w[size - 1], levers[size - 1], d[size - 1], along, steps[size - 1], arrays
+                )
+                sums[0] = sums[0] + outer[0] * row
+                for k in ti.static(range(size - 1)):
+                    sums[1 + k] = sums[1 + k] + arm[1 + k] * row
+                    forces[k] = forces[k] + outer[1 + k] * product
+                sums[size] = sums[size] + outer[0] * last_row
+                forces[size - 1] = forces[size - 1] + outer[0] * last
+                along = along + steps[1]
+            value = value + steps[0]
+        store_forces(forces, scratch, lane, arrays)
+        for k in ti.static(range(1 + size)):
+            store_sum(sums[k], k, scratch, lane, arrays)
 
 
 @ti.func

@@ -141,10 +141,8 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        scenes = self.scenes if self.features.contact else []
-        obstacles, self.first_obstacles = obstacles_of(scenes, self.features.dimension)
-        for offset, first in zip(self.offsets, self.first_obstacles, strict=bool(scenes)):
-            offset[Offset.GEOMETRY] = first.cell
+        obstacles, self.first_obstacles = obstacles_of(self.scenes if self.features.contact else self.scenes[:1])
+        self.offsets[: len(self.first_obstacles), Offset.GEOMETRY] = [first.cell for first in self.first_obstacles]
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""

@@ -160,9 +160,14 @@ def parts(features: Features) -> list[dict[str, int]]:
 
 @cache
 def offsets(features: Features) -> dict[str, int]:
-    """Where each of the `parts` begins; the last of a group has no length and says how long the group is."""
+    """Where each of the `parts` begins."""
+    return begins(parts(features))
+
+
+def begins(groups: Sequence[dict[str, int]]) -> dict[str, int]:
+    """Where parts of given lengths begin in their group; the last of one has none and says how long the group is."""
     found: dict[str, int] = {}
-    for group in parts(features):
+    for group in groups:
         found |= dict(zip(group, accumulate(group.values(), initial=0), strict=False))
     return found
 

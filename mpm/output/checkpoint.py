@@ -1,4 +1,4 @@
-"""The state at the end of a run, from which a longer run of the same scene goes on, the same to the bit."""
+"""The state of a run that was interrupted, from which it goes on, the same to the bit."""
 
 import dataclasses
 import json
@@ -29,8 +29,6 @@ class Progress(Record):
 
     frame: int
     """The last frame that was computed."""
-    rest: int
-    """The frame in which the scene was found at rest, 0 while it moves."""
     steps: int
     """Steps so far."""
     clamped: int
@@ -41,8 +39,8 @@ class Progress(Record):
     """Of the solver."""
 
     def __post_init__(self) -> None:
-        if not (0 <= self.rest <= self.frame and min(self.steps, self.clamped, self.wall_s) >= 0):
-            raise InputError("expected numbers of at least 0, and rest not after the frame", key="run")
+        if min(self.frame, self.steps, self.clamped, self.wall_s) < 0:
+            raise InputError("expected numbers of at least 0", key="run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,10 +56,8 @@ class Checkpoint:
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
         """The state of a batch of one scene; views of its arrays."""
-        rest = int(batch.offsets[0, Offset.REST])
         run = Progress(
-            frame=rest or batch.computed,
-            rest=rest,
+            frame=batch.computed,
             steps=int(batch.offsets[0, Offset.STEPS]),
             clamped=int(batch.clamped.sum()),
             wall_s=wall_s,
@@ -76,12 +72,8 @@ class Checkpoint:
 
     def difference(self, scene: Scene, recording: Recording, precision: Precision) -> str:
         """The key in which a run differs from one that can go on from here; empty where it does not."""
-        own = dataclasses.replace(self.scene, duration=scene.duration)
-        if key := difference(own, scene) or difference(self.recording, recording):
-            return key
-        if scene.frames - 1 < self.run.frame:
-            return "duration"
-        return "" if self.run.precision == precision else "precision"
+        key = difference(self.scene, scene) or difference(self.recording, recording)
+        return key or ("" if self.run.precision == precision else "precision")
 
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.
@@ -89,13 +81,11 @@ class Checkpoint:
         Raises InputError, which names the key, where the run is one of another scene, recording or precision.
         """
         if key := self.difference(batch.scenes[0], batch.recording, batch.features.precision):
-            end = self.scene.frame_dt * self.run.frame
-            raise InputError(f"expected the run of the checkpoint, for {end:g} s or longer; it differs", key=key)
+            raise InputError("expected the run of the checkpoint; it differs", key=key)
         for key, part in arrays_of(batch, self.run.frame).items():
             if key not in self.arrays:
                 raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
-            # The last frame of a shorter run may be none that a longer one keeps.
-            array = self.arrays[key][: len(part)]
+            array = self.arrays[key]
             if array.shape != part.shape or array.dtype != part.dtype:
                 got = f"{array.dtype} of shape {array.shape}"
                 raise InputError(f"expected {part.dtype} of shape {part.shape}, got {got}", key=key)
@@ -105,8 +95,8 @@ class Checkpoint:
             kept = sum(number <= self.run.frame for number in batch.kept(0))
             for number in range(batch.recording.every > 0, kept):
                 batch.file.append(positions=self.arrays["positions"][number][None])
-        batch.offsets[0, Offset.REST], batch.offsets[0, Offset.STEPS] = self.run.rest, self.run.steps
-        batch.clamped[0], batch.computed = self.run.clamped, self.run.frame
+        batch.offsets[0, Offset.STEPS], batch.clamped[0] = self.run.steps, self.run.clamped
+        batch.computed = self.run.frame
 
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays and JSON strings."""

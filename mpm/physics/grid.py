@@ -39,49 +39,60 @@ def clear(worker, strides, arrays: ti.template()):
 
 @ti.func
 def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Momentum to velocity, on the grid of a worker that has the scene to itself, or on a share of all their grids."""
-    if ti.static(arrays.features.shared):
-        update_shared_nodes(worker, scene, dt, kappa, strides, arrays)
-    else:
-        update_own_nodes(worker, scene, dt, kappa, strides, arrays)
-
-
-@ti.func
-def update_own_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Momentum to velocity, where one worker has the scene to itself."""
+    """Momentum to velocity at the nodes of a worker; in a shared scene at its rows of all, summed over the grids."""
     features = arrays.features
-    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
-        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
-            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
-                node = arrays.grid[first + k]
-                if node[features.dimension] > 0.0:
-                    old = velocity_before(node, arrays)
-                    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                    store_node_velocity(first + k, new, old, kappa, arrays)
-
-
-@ti.func
-def update_shared_nodes(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Sum the nodes over the grids of all workers of a scene and give each the velocities; a share of the rows each."""
-    features = arrays.features
-    count = arrays.workers.shape[0]
-    low, high = shared_box(arrays)
+    low, high = own_box(worker, arrays)
     for i in range(low[0], high[0]):
-        if i % count == worker:
+        if shares_row(i, worker, arrays):
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
                     n = i * strides[0] + j * strides[1] + k
-                    node = summed_node(arrays.grid, n, i, j, k, arrays)
+                    node = node_of(arrays.grid, n, i, j, k, worker, arrays)
                     if node[features.dimension] > 0.0:
                         old = velocity_before(node, arrays)
                         new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                        for other in range(count):
-                            if covers(other, i, j, k, arrays):
-                                own = arrays.workers[other, Worker.NODE] + n
-                                store_node_velocity(own, new, old, kappa, arrays)
-                                if ti.static(features.volume_correction):
-                                    arrays.grid[own][features.dimension] = node[features.dimension]
+                        node = with_velocity(node, new, old, kappa, arrays)
+                        put_node(arrays.grid, node, n, i, j, k, worker, arrays)
+
+
+@ti.func
+def own_box(worker, arrays: ti.template()):
+    """The nodes in the support of a worker's particles, of those of all workers of a shared scene, [low, high)."""
+    if ti.static(arrays.features.shared):
+        return shared_box(arrays)
+    else:
+        low = ti.Vector([arrays.workers[worker, Worker.LOW_X + k] for k in ti.static(range(3))])
+        high = ti.Vector([arrays.workers[worker, Worker.HIGH_X + k] for k in ti.static(range(3))])
+        return low, high
+
+
+@ti.func
+def shares_row(i, worker, arrays: ti.template()):
+    """Whether the nodes of row i are a worker's to compute, who is one of several in a shared scene."""
+    result = 1
+    if ti.static(arrays.features.shared):
+        result = ti.cast(i % arrays.workers.shape[0] == worker, ti.i32)
+    return result
+
+
+@ti.func
+def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
+    """Node (i, j, k), the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
+    if ti.static(arrays.features.shared):
+        return summed_node(array, n, i, j, k, arrays)
+    else:
+        return array[arrays.workers[worker, Worker.NODE] + n]
+
+
+@ti.func
+def put_node(array: ti.template(), value, n, i, j, k, worker, arrays: ti.template()):
+    """Put what `node_of` reads; in a shared scene all workers in whose support it is have the sum."""
+    if ti.static(arrays.features.shared):
+        for other in range(arrays.workers.shape[0]):
+            if covers(other, i, j, k, arrays):
+                array[arrays.workers[other, Worker.NODE] + n] = value
+    else:
+        array[arrays.workers[worker, Worker.NODE] + n] = value
 
 
 @ti.func
@@ -123,7 +134,7 @@ def update_node(n, scene, arrays: ti.template()):
         if node[arrays.features.dimension] > 0.0:
             old = velocity_before(node, arrays)
             new = velocity_after(node, old, i, j, k, scene, scene, dt, arrays)
-            store_node_velocity(n, new, old, relaxation_factor(scene, dt, arrays), arrays)
+            arrays.grid[n] = with_velocity(node, new, old, relaxation_factor(scene, dt, arrays), arrays)
 
 
 @ti.func
@@ -145,13 +156,14 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def store_node_velocity(n, new, old, kappa, arrays: ti.template()):
-    """Store the new velocity of node n in place of its momentum and, where relaxed, its change new - kept old."""
+def with_velocity(node, new, old, kappa, arrays: ti.template()):
+    """A node with its new velocity in place of its momentum and, where relaxed, its change new - kept old."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
-        arrays.grid[n][axis] = new[axis]
+        node[axis] = new[axis]
         if ti.static(features.relaxed):
-            arrays.grid[n][features.change + axis] = new[axis] - kappa * old[axis]
+            node[features.change + axis] = new[axis] - kappa * old[axis]
+    return node
 
 
 @ti.func

@@ -58,31 +58,31 @@ class FirstEntries(NamedTuple):
     """In `faces`."""
 
 
-def obstacles_of(scenes: Sequence[Scene], dimension: int) -> tuple[Obstacles, list[FirstEntries]]:
-    """The solids of several scenes in `dimension` dimensions in one, and where each scene's begin.
+def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, list[FirstEntries]]:
+    """The solids of several scenes in one, and where each scene's begin.
 
     Raises InputError as `datasets.geometry.surface.surface_of`.
     """
     parts = [obstacles_in(scene) for scene in scenes]
-    firsts = [FirstEntries(cell=0, face=0)]
-    near = fixed = 0
-    none = np.zeros(0, np.int32)
-    cell_faces, near_faces, fixed_nodes = [none], [none], [none]
-    for part in parts:
-        first = firsts[-1]
-        cell_faces.append(part.cell_faces + near)
-        near_faces.append(part.near_faces + first.face)
-        fixed_nodes.append(np.where(part.fixed_nodes > 0, part.fixed_nodes + fixed, 0))
-        near, fixed = near + len(part.near_faces), fixed + len(part.node_contacts)
-        firsts.append(FirstEntries(cell=first.cell + len(part.cell_faces), face=first.face + len(part.faces)))
+    counts = [(len(part.cell_faces), len(part.faces), len(part.near_faces), len(part.node_contacts)) for part in parts]
+    firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)[:-1].tolist()
     together = Obstacles(
-        faces=np.concatenate([np.zeros((0, face_columns(dimension))), *(part.faces for part in parts)]),
-        cell_faces=np.concatenate(cell_faces),
-        near_faces=np.concatenate(near_faces),
-        fixed_nodes=np.concatenate(fixed_nodes),
-        node_contacts=np.concatenate([np.zeros((0, dimension + 2)), *(part.node_contacts for part in parts)]),
+        faces=np.concatenate([part.faces for part in parts]),
+        cell_faces=np.concatenate(
+            [part.cell_faces + near for part, (_, _, near, _) in zip(parts, firsts, strict=True)]
+        ),
+        near_faces=np.concatenate(
+            [part.near_faces + face for part, (_, face, _, _) in zip(parts, firsts, strict=True)]
+        ),
+        fixed_nodes=np.concatenate(
+            [
+                np.where(part.fixed_nodes > 0, part.fixed_nodes + node, 0)
+                for part, (_, _, _, node) in zip(parts, firsts, strict=True)
+            ]
+        ),
+        node_contacts=np.concatenate([part.node_contacts for part in parts]),
     )
-    return together, firsts[:-1]
+    return together, [FirstEntries(cell=cell, face=face) for cell, face, _, _ in firsts]
 
 
 def obstacles_in(scene: Scene) -> Obstacles:

@@ -1,7 +1,6 @@
-"""A run that goes on from a checkpoint is the run that was never interrupted, to the bit."""
+"""A run that goes on from a checkpoint, and one whose frames go to a file, is the plain run to the bit."""
 
 import dataclasses
-import json
 import os
 import signal
 from pathlib import Path
@@ -11,19 +10,24 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
+from datasets.arrays import FrameWriter
 from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm import AT_REST, WITH_FIELDS, Recording, simulate
+from mpm import WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import FRAMES_PER_CALL, Precision
+from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.request import FIELDS
 from mpm.run import command
-from mpm.simulation import Options, simulate_resumably
+from mpm.simulation import Interrupted, simulate_each
 from tests.mpm.scenes import COLUMN, box
 
 RECORD = Recording(frames=3, fields=frozenset(FIELDS), wall_forces=True)
+OPEN = box(duration=0.28)
 FLOW = box(baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),), floor_friction=0.5, duration=0.28)
 
 
@@ -38,50 +42,43 @@ def same(one: Trajectory, other: Trajectory) -> None:
     }
 
 
+def broken_off(scene: Scene, calls: int, **options: Any) -> Checkpoint:
+    """What is left of a run that is asked to stop after so many calls of the kernel."""
+    asked = iter([False] * calls + [True])
+    with pytest.raises(Interrupted) as caught:
+        simulate(scene, stop=lambda: next(asked), **options)
+    return caught.value.checkpoint
+
+
 @pytest.mark.parametrize(
-    ("precision", "shared"),
+    ("record", "precision", "shared"),
     [
-        ("f32", False),
-        pytest.param("f64", False, marks=pytest.mark.slow),
-        pytest.param("f32", True, marks=pytest.mark.slow),
+        (RECORD, "f32", False),
+        (Recording(), "f32", False),
+        pytest.param(RECORD, "f64", False, marks=pytest.mark.slow),
+        pytest.param(RECORD, "f32", True, marks=pytest.mark.slow),
     ],
 )
 def test_a_resumed_run_is_the_unbroken_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, precision: Any, shared: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record: Recording, precision: Precision, shared: bool
 ) -> None:
-    """Broken off twice, in the middle of a launch and at its end; a large scene is sorted at every launch."""
+    """Broken off twice; a large scene is sorted at every launch."""
     if shared:
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr(solver, "SORTED", 0)
-    options: Options = {"precision": precision, "record": RECORD, "threads": 2 if shared else 1}
-    whole = simulate(FLOW, **options)
-    _, first = simulate_resumably(dataclasses.replace(FLOW, duration=0.065), **options)
-    first.save(tmp_path / "checkpoint.npz")
-    again = Checkpoint.load(tmp_path / "checkpoint.npz")
+    threads = 2 if shared else 1
+    whole = simulate(FLOW, precision=precision, record=record, threads=threads)
+    broken_off(FLOW, 1, precision=precision, record=record, threads=threads).save(tmp_path / "checkpoint.npz")
     # What is recorded and the precision are the checkpoint's.
-    threads = options["threads"]
-    _, second = simulate_resumably(dataclasses.replace(FLOW, duration=0.2), resume=again, threads=threads)
-    assert (first.run.frame, second.run.frame) == (13, 40)
+    second = broken_off(FLOW, 1, resume=Checkpoint.load(tmp_path / "checkpoint.npz"), threads=threads)
+    assert second.run.frame == 2 * (3 if record is RECORD else FRAMES_PER_CALL)
     same(simulate(FLOW, resume=second, threads=threads), whole)
-    # A run that is finished has nothing left to do.
-    same(simulate(dataclasses.replace(FLOW, duration=0.2), resume=second, threads=threads), _)
-
-
-def test_rest_is_remembered(tmp_path: Path) -> None:
-    scene = box(floor_friction=0.5, duration=1.5)
-    options: Options = {"record": AT_REST, "threads": 1}
-    whole = simulate(scene, **options)
-    for duration in (0.7, 1.2):
-        _, checkpoint = simulate_resumably(dataclasses.replace(scene, duration=duration), **options)
-        assert bool(checkpoint.run.rest) == (duration == 1.2)
-        same(simulate(scene, resume=checkpoint, threads=1), whole)
-    assert whole.summary["rest_time"] is not None
 
 
 @pytest.fixture(scope="module")
 def checkpoint() -> Checkpoint:
-    """Of the column, after 0.02 s."""
-    return simulate_resumably(box(duration=0.02), threads=1)[1]
+    """Of the column, after 0.05 s."""
+    return broken_off(box(), 1, record=Recording(frames=10), threads=1)
 
 
 @pytest.mark.parametrize(
@@ -90,22 +87,21 @@ def checkpoint() -> Checkpoint:
         (box(damping=0.1), {}, "damping"),
         (box(COLUMN, Mass(lower=(0.5, 0.0), size=(0.1, 0.1))), {}, "masses"),
         (box(domain=Domain(size=(1.0, 1.0), cell=0.01)), {}, "domain.cell"),
-        (box(duration=0.015), {}, "duration"),
-        (box(), {"record": WITH_FIELDS}, "fields"),
+        (box(), {"record": dataclasses.replace(WITH_FIELDS, frames=10)}, "fields"),
         (box(), {"precision": "f64"}, "precision"),
     ],
 )
 def test_another_run_is_refused_with_the_key(checkpoint: Checkpoint, scene: Scene, options: Any, said: str) -> None:
-    with pytest.raises(InputError) as caught:
+    options = {"record": Recording(frames=10)} | options
+    with pytest.raises(InputError, match=f"^{said}: expected the run of the checkpoint"):
         simulate(scene, resume=checkpoint, threads=1, **options)
-    assert str(caught.value).startswith(f"{said}: expected the run of the checkpoint, for 0.02 s or longer")
 
 
 @pytest.mark.parametrize("key", ["state", "positions"])
 def test_arrays_of_another_shape(checkpoint: Checkpoint, key: str) -> None:
     broken = dataclasses.replace(checkpoint, arrays=checkpoint.arrays | {key: checkpoint.arrays[key][:-1]})
     with pytest.raises(InputError, match=f"{key}: expected"):
-        simulate(box(duration=0.02), resume=broken, threads=1)
+        simulate(box(), resume=broken, threads=1)
 
 
 @pytest.mark.parametrize("change", [{"run": None}, {"scene": np.array("{")}])
@@ -136,13 +132,18 @@ size = [0.2, 0.2]
 """
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status", "flags", "end"),
+    [(signal.SIGINT, 130, ["--every", "8"], 0.04), (signal.SIGTERM, 143, ["--hdf5"], 0.005)],
+)
 def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     number: signal.Signals,
     status: int,
+    flags: list[str],
+    end: float,
 ) -> None:
     class Bar(tqdm):  # type: ignore[type-arg]
         """Sends the signal after the first launch."""
@@ -156,31 +157,49 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     before = signal.getsignal(number)
     with monkeypatch.context() as patch:
         patch.setattr(solver, "tqdm", Bar)
-        assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "8"]) == status
+        assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == status
     assert signal.getsignal(number) is before
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said == f"talus: interrupted at t = 0.04 s; the same command goes on from {out}/checkpoint.npz"
-    assert [file.name for file in out.iterdir()] == ["checkpoint.npz"]
+    assert said == f"talus: interrupted at t = {end} s; the same command goes on from {out}/checkpoint.npz"
+    name = "trajectory.h5" if "--hdf5" in flags else "trajectory.npz"
+    if "--hdf5" in flags:
+        assert len(Trajectory.load(out / name).positions) == 2
     for folder in (out, tmp_path / "whole"):
-        assert run(command, "mpm.run", [str(scene), "--out", str(folder), "--every", "8"]) == 0
-    assert not (out / "checkpoint.npz").exists()
-    found = Trajectory.load(out / "trajectory.npz")
-    assert len(found.time) == 11
-    same(found, Trajectory.load(tmp_path / "whole" / "trajectory.npz"))
+        assert run(command, "mpm.run", [str(scene), "--out", str(folder), *flags]) == 0
+    assert sorted(file.name for file in out.iterdir()) == ["summary.json", name]
+    same(Trajectory.load(out / name), Trajectory.load(tmp_path / "whole" / name))
 
 
-def test_the_command_goes_on_for_longer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_checkpoint_of_another_run_is_named_and_left(
+    tmp_path: Path, checkpoint: Checkpoint, capsys: pytest.CaptureFixture[str]
+) -> None:
     scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    flags = [str(scene), "--out", str(out), "--last-frame", "--checkpoint"]
-    for duration, frames in ((0.035, 8), (0.06, 13)):
-        scene.write_text(SCENE.replace("duration = 0.4", f"duration = {duration}"))
-        assert run(command, "mpm.run", flags) == 0
-        assert Trajectory.load(out / "trajectory.npz").time.tolist() == [pytest.approx(duration)]
-        assert len(json.loads((out / "summary.json").read_text())["energy"]["kinetic"]) == frames
-        assert Checkpoint.load(out / "checkpoint.npz").run.frame == frames - 1
-    scene.write_text(SCENE.replace("friction_deg = 30.0", "friction_deg = 31.0"))
-    capsys.readouterr()
-    assert run(command, "mpm.run", flags) == 0
-    said = f"talus: {out}/checkpoint.npz: material.friction_deg: that of another run; beginning anew\n"
-    assert said in capsys.readouterr().err
+    scene.write_text(SCENE.replace("duration = 0.4", "duration = 0.01"))
+    checkpoint.save(out / "checkpoint.npz")
+    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--last-frame"]) == 0
+    assert f"talus: {out}/checkpoint.npz: duration: that of another run; beginning anew" in capsys.readouterr().err
     assert run(command, "mpm.run", [str(scene), "--out", str(out), "--every", "2", "--last-frame"]) == 2
+
+
+@pytest.mark.parametrize(
+    "record", [Recording(), Recording(frames=50), Recording(until_rest=True)], ids=["all", "few", "until rest"]
+)
+def test_frames_in_a_file_are_the_same_to_the_bit(tmp_path: Path, record: Recording) -> None:
+    scene = dataclasses.replace(OPEN, duration=0.6) if record.until_rest else OPEN
+    whole = simulate(scene, record=record)
+    with FrameWriter(tmp_path / "flow.h5") as file:
+        file.put(**simulate(scene, record=record, file=file).arrays())
+    same(Trajectory.load(tmp_path / "flow.h5"), whole)
+
+
+def test_memory_holds_one_frame_of_those_in_a_file(tmp_path: Path) -> None:
+    whole = Batch([OPEN], precision="f32")
+    with FrameWriter(tmp_path / "flow.h5") as file:
+        batch = Batch([OPEN], precision="f32", file=file)
+        assert batch.record[0]["positions"].size == whole.positions.size / 57
+        assert batch.positions.size == 1
+        with pytest.raises(InputError, match="file: expected positions alone"):
+            simulate(OPEN, record=WITH_FIELDS, file=file)
+        with pytest.raises(InputError, match="file: expected one scene"):
+            simulate_each([OPEN, OPEN], file=file)
+    assert footprint(OPEN, in_file=True).bytes <= footprint(OPEN).bytes - whole.positions.nbytes

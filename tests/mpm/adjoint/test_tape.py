@@ -12,7 +12,7 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
-from mpm.adjoint.tape import FlowAdjoints, Tape, lone_particle_step
+from mpm.adjoint.tape import FlowAdjoints, Tape
 from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
 from tests.mpm.adjoint.test_gradient import SCENES
 
@@ -107,18 +107,12 @@ def test_scenes_of_two_kinds_are_refused() -> None:
         Tape([plane(), plane(damping=0.1)], [8], threads=1)
 
 
-def test_the_stable_step_of_a_lone_particle() -> None:
-    """2 / omega with omega^2 = 4 (2 lambda + 2 mu) / (rho dx^2) in the plane: by hand for nu = 0 and nu = 0.3."""
-    assert lone_particle_step(dataclasses.replace(SOIL, poisson=0.0), 2) == pytest.approx(1.0)
-    assert lone_particle_step(SOIL, 2) == pytest.approx(np.sqrt(0.7 / (2 * 0.5)), rel=1e-12)
-
-
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more bars are cut than may be: here all that are not 0."""
     scene = plane(step_fraction=0.9)
     tape = Tape([scene], [8], threads=1)
     monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
-    with pytest.raises(WorkFailed, match=r"grows without bound.* up to a step_fraction of 0.84; the scene has 0.9"):
+    with pytest.raises(WorkFailed, match=r"grows without bound.* try a step_fraction below 0.9"):
         pull_back_all(tape, [[FlowAdjoints(np.ones_like(tape.positions()))]])
 
 
