@@ -211,7 +211,13 @@ def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
 
 
 def warn_if_unresolved(scene: Scene) -> None:
-    """One UserWarning where a mass is thinner than a cell: which one, and the cell that would resolve it.
+    """One UserWarning where a mass is thinner than a cell."""
+    if line := unresolved(scene, 1.0):
+        warnings.warn(line, stacklevel=3)
+
+
+def unresolved(scene: Scene, cells: float) -> str:
+    """Which masses are thinner than so many cells, and the cell that would resolve them; empty where none is.
 
     A mass that continues in another one of its material across its thin side is no thinner than the two together, and
     a mass of a single particle is meant to be one.
@@ -221,18 +227,18 @@ def warn_if_unresolved(scene: Scene) -> None:
         index
         for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
         if count > 1
-        and thinnest(scene, mass) < cell - TOLERANCE
+        and thinnest(scene, mass) < cells * cell - TOLERANCE
         and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
     ]
-    if thin:
-        names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
-        thickness = min(thinnest(scene, scene.masses[index]) for index in thin)
-        finest, coarsest = (thickness / cells for cells in reversed(RESOLVED))
-        warnings.warn(
-            f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid does not resolve it; "
-            f"a cell of {finest:.2g} to {coarsest:.2g} m would",
-            stacklevel=3,
-        )
+    if not thin:
+        return ""
+    names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
+    thickness = min(thinnest(scene, scene.masses[index]) for index in thin)
+    finest, coarsest = (thickness / each for each in reversed(RESOLVED))
+    return (
+        f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it; "
+        f"a cell of {finest:.2g} to {coarsest:.2g} m would"
+    )
 
 
 def thinnest(scene: Scene, mass: Mass) -> float:

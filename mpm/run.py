@@ -135,6 +135,8 @@ def command(
         f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "
         f"{summary['compile_s']:.2f} s to compile"
     )
+    for line in summary["remarks"]:
+        print(f"talus: {line}", file=sys.stderr)
     return 0
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from datasets.command_line import WorkFailed
 from datasets.measures import front, runout, toe
 from datasets.particles import Particles
+from datasets.remarks import remarks
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
@@ -113,8 +114,12 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         names = DOMAIN_SIDES[: 2 * scene.dimension]
         summary["wall_impulse"] = rounded(walls.sum(axis=1))
         summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
+    left = outflow(batch, index) if scene.open_sides else {}
     if scene.open_sides:
-        summary["outflow"] = outflow(batch, index)
+        summary["outflow"] = left
+    end_time = summary["end_time"]
+    kinetic = energies[:, Energy.KINETIC]
+    summary["remarks"] = remarks(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
     return Trajectory(
         positions=positions,
         time=np.array(kept, np.float64) * scene.frame_dt,

@@ -1,0 +1,70 @@
+"""What a user must know of a flow beside its numbers, a line each: it still moves, a wall holds it, part of it left."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.particles import Particles, unresolved
+from datasets.scene import DOMAIN_SIDES, Scene
+
+AT_REST = 1e-3
+"""Kinetic energy of a deposit at rest, over its largest, at most."""
+SLOW = 2e-3
+"""Root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start."""
+SHARE = 0.005
+"""Of the particles: what is beyond the front."""
+FEWEST_CELLS = 3.0
+"""Cells across a body or a layer."""
+
+
+def remarks(
+    scene: Scene,
+    particles: Particles,
+    deposit: NDArray[np.floating],
+    *,
+    kinetic: NDArray[np.floating],
+    end_time: float,
+    outflow: Mapping[str, float],
+) -> list[str]:
+    """Lines on a flow of `particles`, none where all is well.
+
+    Parameters
+    ----------
+    deposit
+        Positions at the end [m], shape [N, D].
+    kinetic
+        Kinetic energy of every frame [J, in 2D per metre of width], shape [T].
+    end_time
+        Until when the flow was computed [s].
+    outflow
+        Mass that has left through each open side [kg, in 2D per metre of width].
+    """
+    lines = []
+    mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
+    speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
+    slow = SLOW * math.sqrt(scene.gravity * float(np.ptp(start[:, 1])))
+    if kinetic[-1] > AT_REST * kinetic.max() and speed > slow:
+        lines.append(
+            f"not at rest: at t = {end_time:g} s, where the run ends, the material still moves at {speed:.2g} m/s (rms);"
+            " front and deposit are not final"
+        )
+    for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):
+        axis, upper = divmod(number, 2)
+        if side in (*scene.open_sides, "y-"):
+            continue
+        near = [_near(each[:, axis], scene.domain.size[axis] if upper else 0.0, scene) for each in (start, deposit)]
+        if near[0] == 0.0 and near[1] > SHARE:
+            lines.append(f"the side {side} of the box holds {near[1]:.2g} of the particles, which would have spread further")
+    lines += [
+        f"{left / mass:.2g} of the mass left the box through its open side {side}"
+        for side, left in outflow.items()
+        if left > 0.0
+    ]
+    return lines + [line for line in [unresolved(scene, FEWEST_CELLS)] if line]
+
+
+def _near(coordinates: NDArray[np.floating], wall: float, scene: Scene) -> float:
+    """Share of the particles within a cell of a wall [-]."""
+    return float(np.mean(np.abs(coordinates - wall) < scene.domain.cell))
