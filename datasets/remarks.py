@@ -55,8 +55,9 @@ def remarks(
         if side in (*scene.open_sides, "y-"):
             continue
         near = [_near(each[:, axis], scene.domain.size[axis] if upper else 0.0, scene) for each in (start, deposit)]
-        if near[0] == 0.0 and near[1] > SHARE:
-            lines.append(f"the side {side} of the box holds {near[1]:.2g} of the particles, which would have spread further")
+        if not near[0] and near[1] > SHARE:
+            share = f"{near[1]:.2g} of the particles"
+            lines.append(f"the side {side} of the box holds {share}, which would have spread further")
     lines += [
         f"{left / mass:.2g} of the mass left the box through its open side {side}"
         for side, left in outflow.items()
