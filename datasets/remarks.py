@@ -47,7 +47,7 @@ def remarks(
     slow = SLOW * math.sqrt(scene.gravity * float(np.ptp(start[:, 1])))
     if kinetic[-1] > AT_REST * kinetic.max() and speed > slow:
         lines.append(
-            f"not at rest: at t = {end_time:g} s, where the run ends, the material still moves at {speed:.2g} m/s (rms);"
+            f"not at rest: at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms);"
             " front and deposit are not final"
         )
     for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):
