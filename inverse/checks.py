@@ -108,21 +108,25 @@ def check_fields(
     """Raise InputError for fields, each with its index, that the adjoint cannot find, or a twin without their truth."""
     own = {(each.quantity, each.mass) for each in scene.fields}
     for index, each in fields:
-        try:
-            each.check_bounds(scene)
-        except InputError as error:
-            raise InputError(error.message, key=f"unknowns[{index}].{error.key}") from None
-        known = not target.twin or (each.settings.quantity, each.settings.mass) in own
-        expected = f"a scene with a field of {each.name} as the truth"
-        require(known, f"unknowns[{index}].name", expected, "none")
-        if each.settings.quantity == FRICTION:
+        settings, key = each.settings, f"unknowns[{index}]"
+        for name, bound in (("lower", settings.lower), ("upper", settings.upper)):
+            others = tuple(other for other in scene.fields if other.quantity != settings.quantity)
+            try:
+                if bound is not None:
+                    dataclasses.replace(scene, fields=(*others, each.uniform(bound)))
+            except InputError as error:
+                message = f"expected a bound at which the scene can be simulated, but {error}"
+                raise InputError(message, key=f"{key}.{name}") from None
+        known = not target.twin or (settings.quantity, settings.mass) in own
+        require(known, f"{key}.name", f"a scene with a field of {each.name} as the truth", "none")
+        if settings.quantity == FRICTION:
             expected = "a body without initial stress, whose yield depends on an unknown friction"
-            for index, mass in enumerate(scene.masses):
-                require(mass.k0 is None, f"scene.masses[{index}].k0", expected, mass.k0)
-    for index, settings in enumerate(observations):
-        operator = build(settings, scene)
+            for number, mass in enumerate(scene.masses):
+                require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
+    for index, kind in enumerate(each.kind for each in observations):
+        operator = KINDS[kind]
         jointly = operator.of_positions and not operator.every_particle
-        require(jointly, f"observations[{index}].kind", "an observation of positions of few numbers", settings.kind)
+        require(jointly, f"observations[{index}].kind", "an observation of positions of few numbers", kind)
     require(not target.minimise, "target.minimise", "numbers, a field has no design", "fields")
 
 
@@ -196,5 +200,5 @@ def check_search(
         fixed = parameter.is_field or not parameter.kind.changes_volume
         expected = f"another kind: with {parameter.name} the number of particles changes"
         require(fixed, "observations[0].kind", expected, observations[0].kind)
-    expected = "lbfgs-b or secants: a deposit is too many numbers for their Jacobian"
+    expected = "lbfgs-b: a deposit is too many numbers for their Jacobian"
     require(optimiser.method is not Method.GAUSS_NEWTON, "optimiser.method", expected, optimiser.method)

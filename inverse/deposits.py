@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib
 
@@ -15,8 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from datasets import files, measures
@@ -30,9 +29,12 @@ from inverse.settings import ObservationSettings
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
 """One colour per deposit, the same in every picture."""
-STYLES: dict[str, Literal[":", "-", "--"]] = {"start": ":", "found": "-", "truth": "--"}
-"""Outline of a baffle that stands where the search started, where it was found and where it is in truth."""
-INKS = {"start": "#777777", "found": "#1b6ca8", "truth": "#222222"}
+OUTLINES: dict[str, tuple[Literal[":", "-", "--"], str, str]] = {
+    "start": (":", "#777777", "baffle at the start"),
+    "found": ("-", "#1b6ca8", "baffle found"),
+    "truth": ("--", "#222222", "baffle in truth"),
+}
+"""Line, colour and meaning of the outline of a baffle."""
 HEIGHTS = "viridis"
 """Colours of the heights in a picture from above."""
 LINE = "#b2182b"
@@ -40,6 +42,15 @@ WIDTH = 10.0
 """Of a picture [inches]."""
 RESOLUTION = 100
 """Pixels per inch."""
+STYLE: dict[str, Any] = {
+    "axes.labelsize": 8,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+}
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -49,35 +60,31 @@ def save(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def draw_deposits(path: Path, found: Found) -> None:
+@matplotlib.rc_context(STYLE)
+def deposits(found: Found) -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
-    problem, scenes = found.problem, standings(found)
-    deposits = shown(found)
-    top = 1.08 * max(float(deposit[:, 1].max()) for deposit in deposits.values())
-    flat = (top if problem.scene.dimension == 2 else problem.scene.domain.size[2]) / problem.scene.domain.size[0]
+    scene, scenes, target = found.problem.scene, standings(found), found.target.deposit
+    shown = ({} if target is None else {"target": target}) | {found.forward: found.deposit}
+    top = 1.08 * max(float(deposit[:, 1].max()) for deposit in shown.values())
+    flat = (top if scene.dimension == 2 else scene.domain.size[2]) / scene.domain.size[0]
     # Of the height of a panel a part is its title and the names of its axis.
     height = float(np.clip(0.85 * WIDTH * flat, 1.0, 3.4)) + 0.75
-    rows = len(deposits) + 1
+    rows = len(shown) + 1
     figure, axes = plt.subplots(rows, 1, figsize=(WIDTH, rows * height), layout="constrained")
-    for axis, (name, deposit) in zip(axes, deposits.items(), strict=False):
+    for axis, (name, deposit) in zip(axes, shown.items(), strict=False):
         # The baffles that were in the way of this deposit are filled.
         filled = "truth" if name == "target" and "truth" in scenes else "found"
         paint(axis, deposit, COLOURS[name], scenes, filled, top)
-        mark(axis, found, deposit, COLOURS[name])
-        axis.set_title(f"{name}: {caption(found, deposit)}", loc="left", fontsize=9)
-    profiles(axes[-1], found, deposits, scenes["found"])
-    if problem.scene.dimension == 3:
+        axis.set_title(f"{name}: {mark(axis, found, deposit, COLOURS[name])}")
+    profiles(axes[-1], found, shown, scenes["found"])
+    if scene.dimension == 3:
         bar = figure.colorbar(ScalarMappable(Normalize(0.0, top), HEIGHTS), ax=list(axes[:-1]), shrink=0.6, aspect=30)
-        bar.set_label("height [m]", fontsize=8)
-    if handles := explanation(found, scenes):
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
-    save(figure, path)
-
-
-def shown(found: Found) -> dict[str, Deposit]:
-    """The deposits that are known, by their names."""
-    target = found.target.deposit
-    return ({} if target is None else {"target": target}) | {found.forward: found.deposit}
+        bar.set_label("height [m]")
+    drawn = [axis.get_legend_handles_labels() for axis in axes[:-1]]
+    if labels := {label: handle for handles, names in drawn for handle, label in zip(handles, names, strict=True)}:
+        figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=len(labels))
+    figure.suptitle(f"{found.problem.name}: {found.verdict}")
+    return figure
 
 
 def standings(found: Found) -> dict[str, Scene]:
@@ -106,71 +113,38 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
         dots = float(np.clip(40_000.0 / len(deposit), 3.0, 14.0))
         axis.scatter(x, z, c=y, s=dots, cmap=HEIGHTS, vmin=0.0, vmax=top, linewidths=0, rasterized=True)
     for name, scene in scenes.items():
+        line, ink, label = OUTLINES[name]
         for baffle in scene.baffles:
-            corner, extent = (baffle.lower[0], baffle.lower[across]), (baffle.size[0], baffle.size[across])
-            axis.add_patch(
-                Rectangle(
-                    corner,
-                    *extent,
-                    facecolor="#d9d9d9" if name == filled else "none",
-                    edgecolor=INKS[name],
-                    linestyle=STYLES[name],
-                    linewidth=1.3,
-                    zorder=4,
-                )
-            )
+            box = Rectangle((baffle.lower[0], baffle.lower[across]), baffle.size[0], baffle.size[across], zorder=4)
+            box.set(facecolor="#d9d9d9" if name == filled else "none", edgecolor=ink, linestyle=line, linewidth=1.3)
+            box.set_label(label)
+            axis.add_patch(box)
     axis.set(xlim=(0.0, size[0]), ylim=(0.0, top if across == 1 else size[2]), aspect="equal")
-    axis.set_xlabel("x [m]", fontsize=8)
-    axis.set_ylabel(f"{'xyz'[across]} [m]", fontsize=8)
-    axis.tick_params(labelsize=8)
+    axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
 
 
-def caption(found: Found, deposit: Deposit) -> str:
-    """What was observed of a deposit, in a few words."""
-    observation = found.target.observation
-    if isinstance(observation, Passed | Toe):
-        return f"{observation.kind} {observation.text(observation.exact(deposit))}"
-    return f"front at {measures.front(deposit):.4f} m"
-
-
-def mark(axis: Axes, found: Found, deposit: Deposit, colour: str) -> None:
-    """Mark on a picture of a deposit what was observed."""
+def mark(axis: Axes, found: Found, deposit: Deposit, colour: str) -> str:
+    """Mark on a picture of a deposit what was observed of it, and say it in a few words."""
     observation, across = found.target.observation, deposit.shape[1] - 1
     if isinstance(observation, Passed):
-        axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5)
+        axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5, label="line")
     elif isinstance(observation, Toe):
         own, target = observation.exact(deposit), found.target.values
-        axis.plot(own[0], own[across], "o", color=colour, markeredgecolor="white", markersize=8, zorder=5)
-        axis.plot(target[0], target[across], "+", color="#222222", markersize=13, markeredgewidth=2, zorder=6)
+        style = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 5}
+        axis.plot(own[0], own[across], "o", color=colour, label="toe of this deposit", **style)
+        axis.plot(target[0], target[across], "k+", markersize=13, markeredgewidth=2, zorder=6, label="target toe")
     else:
         axis.axvline(measures.front(deposit), color=colour, linewidth=0.9)
+        return f"front at {measures.front(deposit):.4f} m"
+    return f"{observation.kind} {observation.text(observation.exact(deposit))}"
 
 
-def explanation(found: Found, scenes: Mapping[str, Scene]) -> list[Patch | Line2D]:
-    """What outlines and marks mean."""
-    names = {"start": "baffle at the start", "found": "baffle found", "truth": "baffle in truth"}
-    handles: list[Patch | Line2D] = [
-        Patch(facecolor="none", edgecolor=INKS[each], linestyle=STYLES[each], label=names[each])
-        for each in scenes
-        if scenes[each].baffles
-    ]
-    if handles:
-        handles.append(Patch(facecolor="#d9d9d9", label="in the way of this deposit"))
-    if isinstance(found.target.observation, Toe):
-        handles.append(Line2D([], [], linestyle="", marker="o", color="#777777", label="toe of this deposit"))
-        handles.append(Line2D([], [], linestyle="", marker="+", color="#222222", label="target toe"))
-    if isinstance(found.target.observation, Passed):
-        handles.append(Line2D([], [], linestyle="--", color=LINE, label="line"))
-    return handles
-
-
-def profiles(axis: Axes, found: Found, deposits: Mapping[str, Deposit], scene: Scene) -> None:
+def profiles(axis: Axes, found: Found, shown: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
-    target = found.target
-    profile = Profile(
-        ObservationSettings(kind="profile", spacing=min(2.0 * scene.domain.cell, 0.5 * scene.domain.size[0])), scene
-    )
-    for name, deposit in deposits.items():
+    target, domain = found.target, scene.domain
+    spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
+    profile = Profile(ObservationSettings(kind="profile", spacing=spacing), scene)
+    for name, deposit in shown.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)
     if target.deposit is None and target.profile is not None:
@@ -179,11 +153,7 @@ def profiles(axis: Axes, found: Found, deposits: Mapping[str, Deposit], scene: S
         axis.axvline(target.front, color=COLOURS["target"], linestyle=":", label="target's front")
     for baffle in scene.baffles:
         axis.axvspan(baffle.lower[0], baffle.lower[0] + baffle.size[0], color="#bbbbbb", alpha=0.35, linewidth=0)
-    axis.set(xlim=(0.0, scene.domain.size[0]))
+    axis.set(xlim=(0.0, domain.size[0]), xlabel="x [m]", ylabel="height [m]")
     axis.set_ylim(bottom=0.0)
-    axis.set_xlabel("x [m]", fontsize=8)
-    axis.set_ylabel("height [m]", fontsize=8)
-    axis.tick_params(labelsize=8)
-    what = "height profiles" if scene.dimension == 2 else "from the side: mean height over z"
-    axis.set_title(what, loc="left", fontsize=9)
-    axis.legend(fontsize=8, frameon=False)
+    axis.set_title("height profiles" if scene.dimension == 2 else "from the side: mean height over z")
+    axis.legend()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,40 +48,30 @@ class FoundField:
         """As a scene has it."""
         return self.unknown.field(self.latent)
 
-    @property
-    def mean(self) -> Floats:
-        """The most probable field, shape [K]."""
-        return self.unknown.values(self.latent)
+    @cached_property
+    def arrays(self) -> dict[str, Floats]:
+        """What is known at each node by name, shape [K] each.
 
-    @property
-    def lower(self) -> Floats:
-        """Lower end of the band of 95 % at each node, shape [K]."""
-        return self.unknown.values(self.latent - BAND * self.width)
-
-    @property
-    def upper(self) -> Floats:
-        """Upper end, shape [K]."""
-        return self.unknown.values(self.latent + BAND * self.width)
-
-    @property
-    def deviation(self) -> Floats:
-        """Width of that band over that of one standard deviation, shape [K]."""
-        return self.unknown.deviation(self.latent, self.width)
-
-    @property
-    def prior_deviation(self) -> Floats:
-        """The same of the prior, shape [K]."""
-        return self.unknown.deviation(np.zeros_like(self.latent), self.unknown.prior.deviation)
-
-    @property
-    def removed(self) -> Floats:
-        """Share of the prior's variance that the observation removed, shape [K]."""
-        return np.asarray(1.0 - (self.width / self.unknown.prior.deviation) ** 2)
+        The most probable field, the ends of its band of 95 %, the widths of that band and of the prior's over those of
+        one standard deviation, the share of the prior's variance that is removed, whether a node is beside the body,
+        and the truth where that is known.
+        """
+        unknown, latent, width = self.unknown, self.latent, self.width
+        found = {
+            "mean": unknown.values(latent),
+            "lower": unknown.values(latent - BAND * width),
+            "upper": unknown.values(latent + BAND * width),
+            "deviation": unknown.deviation(latent, width),
+            "prior_deviation": unknown.deviation(np.zeros_like(latent), unknown.prior.deviation),
+            "removed": np.asarray(1.0 - (width / unknown.prior.deviation) ** 2),
+            "inside": unknown.inside,
+        }
+        return found if self.truth is None else found | {"truth": self.truth}
 
     @property
     def identified(self) -> NDArray[np.bool_]:
         """Which nodes beside the body the observation identifies, shape [K]."""
-        return (self.removed > IDENTIFIED) & self.unknown.inside
+        return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside
 
     def average(self, values: Floats) -> float:
         """Mean of values [K] beside the body."""
@@ -97,18 +88,20 @@ class FoundField:
         """Root mean square error of the found field, or of other `values`, at nodes `where` [K]; None if unknown."""
         if self.truth is None or not where.any():
             return None
-        found = self.mean if values is None else np.broadcast_to(values, self.truth.shape)
+        found = self.arrays["mean"] if values is None else values
         return float(np.sqrt(np.mean((found - self.truth)[where] ** 2)))
 
     def covered(self, where: NDArray[np.bool_]) -> float | None:
         """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""
         if self.truth is None or not where.any():
             return None
-        return float(np.mean((self.lower <= self.truth)[where] & (self.truth <= self.upper)[where]))
+        inside = (self.arrays["lower"] <= self.truth) & (self.truth <= self.arrays["upper"])
+        return float(np.mean(inside[where]))
 
     def as_json(self) -> dict[str, Any]:
         """As `result.json` has it."""
         inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
+        deviation = self.arrays["deviation"]
         return {
             "name": self.name,
             "unit": self.unknown.unit,
@@ -116,11 +109,11 @@ class FoundField:
             "values": int(inside.sum()),
             "identified": float(identified[inside].mean()),
             "identified_between": self.identified_box(),
-            "variance_removed": float(self.removed[inside].mean()),
+            "variance_removed": self.average(self.arrays["removed"]),
             "deviation": {
-                "prior": float(self.prior_deviation[inside].mean()),
-                "posterior": float(self.deviation[inside].mean()),
-                "identified": float(self.deviation[identified].mean()) if identified.any() else None,
+                "prior": self.average(self.arrays["prior_deviation"]),
+                "posterior": self.average(deviation),
+                "identified": float(deviation[identified].mean()) if identified.any() else None,
             },
             "error": {
                 "prior": self.error(inside, mean),
@@ -131,19 +124,13 @@ class FoundField:
             "truth_in_band": {"all": self.covered(inside), "identified": self.covered(identified)},
         }
 
-    def arrays(self) -> dict[str, Floats]:
-        """Its values on the nodes by name, shape [K] each."""
-        names = ("mean", "lower", "upper", "deviation", "prior_deviation", "removed")
-        found = {name: getattr(self, name) for name in names} | {"inside": self.unknown.inside}
-        return found if self.truth is None else found | {"truth": self.truth}
-
 
 def arrays_of(fields: Sequence[FoundField]) -> dict[str, Floats]:
     """The arrays of `field.npz`; those of field k begin with `k_`."""
     found: dict[str, Floats] = {}
     for index, each in enumerate(fields):
         grid = each.unknown.grid
-        own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays()
+        own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays
         found |= {f"{index}_{name}": values for name, values in own.items()}
     return found
 
@@ -159,7 +146,7 @@ def write_vti(found: FoundField, path: Path) -> None:
         spacing=(*grid.spacing, *[1.0] * flat),
         origin=(*grid.origin, *[0.0] * flat),
     )
-    for name, values in found.arrays().items():
+    for name, values in found.arrays.items():
         # VTK counts x fastest.
         image.point_data[name] = np.asarray(values, np.float32).reshape(grid.nodes).ravel(order="F")
     with replacing(path) as part:

@@ -171,7 +171,7 @@ class Found:
     @property
     def unknowns(self) -> dict[str, float]:
         """The first answer by name; of a field its mean over the body."""
-        return self.problem.named(self.answer) | {each.name: each.average(each.mean) for each in self.fields}
+        return self.problem.named(self.answer) | {each.name: each.average(each.arrays["mean"]) for each in self.fields}
 
     @property
     def certainty(self) -> dict[str, float] | None:
@@ -179,7 +179,8 @@ class Found:
         widths = self.answers[0].half_widths
         if widths is None:
             return None
-        return self.problem.named(widths) | {e.name: e.average(0.5 * (e.upper - e.lower)) for e in self.fields}
+        bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
+        return self.problem.named(widths) | {name: 0.5 * band for name, band in bands.items()}
 
     @property
     def misfit(self) -> float:

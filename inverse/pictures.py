@@ -1,4 +1,4 @@
-"""Pictures of what was found: parameters, posterior, predicted deposits, the way there, fields."""
+"""Pictures of what was found: parameters, posterior, the way there, fields."""
 
 from pathlib import Path
 from typing import Any
@@ -7,14 +7,12 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from inverse.deposits import COLOURS, WIDTH, paint, save, shown, standings
+from inverse.deposits import COLOURS, WIDTH, save
 from inverse.fields import FoundField
 from inverse.found import Found
 from inverse.parameters.field import LABELS
-from inverse.parameters.parameter import Parameter
 
 Floats = NDArray[np.float64]
 
@@ -24,69 +22,38 @@ BINS = 40
 FEW = 6
 """Up to so many lines have colours of their own; more of them follow a ramp."""
 ANSWER = "tab:red"
-
-
-def summary(found: Found) -> Figure:
-    """The deposit observed and found, and the parameters with their half-widths within their bounds."""
-    units, deposits = units_of(found), shown(found)
-    heights = [3.0 * len(deposits), *([2.0] * len(units))]
-    figure, axes = plt.subplots(
-        len(deposits) + len(units), 1, figsize=(8.0, sum(heights) + 1.0), layout="constrained", squeeze=False
-    )
-    top = 1.08 * max(float(deposit[:, 1].max()) for deposit in deposits.values())
-    for axis, (name, deposit) in zip(axes[:, 0], deposits.items(), strict=False):
-        paint(axis, deposit, COLOURS[name], standings(found), "found", top)
-        axis.set_title(name, loc="left", fontsize=9)
-    for axis, unit in zip(axes[len(deposits) :, 0], units, strict=True):
-        paint_unknowns(axis, found, unit)
-    figure.suptitle(f"{found.problem.name}: {found.verdict}")
-    return figure
-
-
-def draw_unknowns(path: Path, found: Found) -> None:
-    """Every number side by side: start, found with its half-width, truth."""
-    units = units_of(found)
-    size = (WIDTH, 0.4 + 3.2 * len(units))
-    figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
-    for unit, axis in zip(units, grid[:, 0], strict=True):
-        paint_unknowns(axis, found, unit)
-    save(figure, path)
-
-
-def paint_unknowns(axis: Axes, found: Found, unit: str) -> None:
-    """The numbers of one unit."""
-    every = found.problem.numbers
-    own = [index for index, each in enumerate(every) if each.kind.unit == unit]
-    truth, x = found.target.truth, np.arange(len(own))
-    if truth:
-        # Steps as wide as their columns: the profile of the truth over the layers.
-        true = [truth[every[index].name] for index in own]
-        axis.hlines(true, x - 0.4, x + 0.4, color="black", label="truth")
-    starts = [every[index].start for index in own]
-    axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
-    for number, answer in enumerate(found.answers):
-        widths = None if answer.half_widths is None else answer.half_widths[own]
-        label = "found" if widths is None else "found, with its half-width (95 %)"
-        at = x + 0.1 + 0.15 * number
-        axis.errorbar(
-            at,
-            answer.parameters[own],
-            yerr=widths,
-            fmt="o",
-            color=COLOURS["MPM"],
-            capsize=4,
-            label="" if number else label,
-        )
-    axis.set_xticks(x, [every[index].name.replace(".", "\n") for index in own], fontsize=8)
-    axis.set_xlim(-0.6, len(own) - 0.4)
-    axis.set_ylabel(f"[{unit}]")
-    axis.grid(axis="y", color="#e5e5e5")
-    axis.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+"""A legend to the right of its panel."""
 
 
 def units_of(found: Found) -> list[str]:
     """The units of the numbers, in the order of the problem."""
     return list(dict.fromkeys(kind.unit for kind in found.problem.kinds))
+
+
+def draw_unknowns(path: Path, found: Found) -> None:
+    """Every number side by side, a panel for each unit: start, found with its half-width, truth."""
+    units, truth = units_of(found), found.target.truth
+    size = (WIDTH, 0.4 + 3.2 * len(units))
+    figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
+    for unit, axis in zip(units, grid[:, 0], strict=True):
+        own = [index for index, each in enumerate(found.problem.numbers) if each.kind.unit == unit]
+        every, x = [found.problem.numbers[index] for index in own], np.arange(len(own))
+        if truth:
+            # Steps as wide as their columns: the profile of the truth over the layers.
+            axis.hlines([truth[each.name] for each in every], x - 0.4, x + 0.4, color="black", label="truth")
+        starts = [each.start for each in every]
+        axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
+        for number, answer in enumerate(found.answers):
+            widths = None if answer.half_widths is None else answer.half_widths[own]
+            label = "" if number else "found" if widths is None else "found, with its half-width (95 %)"
+            style = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 4, "label": label}
+            axis.errorbar(x + 0.1 + 0.15 * number, answer.parameters[own], yerr=widths, **style)
+        axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
+        axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
+        axis.grid(axis="y", color="#e5e5e5")
+        axis.legend(**BESIDE)
+    save(figure, path)
 
 
 def draw_course(path: Path, found: Found) -> None:
@@ -96,9 +63,8 @@ def draw_course(path: Path, found: Found) -> None:
     x = [each["mpm_runs"] for each in records] if waves else list(range(1, len(records) + 1))
     units = units_of(found)
     rows = len(units) + (not waves)
-    figure, grid = plt.subplots(
-        rows, 1, figsize=(WIDTH, 0.6 + 2.7 * rows), sharex=True, layout="constrained", squeeze=False
-    )
+    size = (WIDTH, 0.6 + 2.7 * rows)
+    figure, grid = plt.subplots(rows, 1, figsize=size, sharex=True, layout="constrained", squeeze=False)
     axes = list(grid[:, 0])
     if not waves:
         losses = [max(each["loss"], 1e-14) for each in records]
@@ -118,8 +84,7 @@ def draw_course(path: Path, found: Found) -> None:
         axis.set_ylabel(f"[{each.kind.unit}]")
     axes[-1].set_xlabel("runs of the MPM" if waves else "evaluation")
     for axis in axes:
-        axis.tick_params(labelsize=8)
-        axis.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        axis.legend(**BESIDE)
     save(figure, path)
 
 
@@ -131,70 +96,51 @@ def ramp(count: int) -> list[tuple[float, ...]]:
 
 
 def draw_posterior(path: Path, found: Found) -> None:
-    """Prior and posterior of every number, and the samples of every pair."""
-    assert found.posterior is not None, "an optimiser has none"
-    every, samples, weights = found.problem.numbers, found.samples, found.posterior.samples.weights
-    count = len(every)
-    if count > PAIRS:
-        rows = -(-count // 4)
-        figure, grid = plt.subplots(rows, 4, figsize=(WIDTH, 2.0 * rows + 0.4), layout="constrained")
-        for axis in grid.ravel()[count:]:
-            axis.axis("off")
-        for index, axis in enumerate(grid.ravel()[:count]):
-            marginal(axis, found, samples[:, index], weights, index)
-    else:
-        side = min(WIDTH, 3.2 * count + 1.0)
-        figure, grid = plt.subplots(
-            count, count, figsize=(side, 0.85 * side + 0.4), layout="constrained", squeeze=False
-        )
-        for row, column in np.ndindex(count, count):
-            pane: Any = grid[row, column]
-            if column > row:
-                pane.axis("off")
-            elif column == row:
-                marginal(pane, found, samples[:, row], weights, row)
-            else:
-                pair(pane, found, samples[:, [column, row]], (column, row))
-    handles, labels = grid.ravel()[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
+    """Prior and posterior of every number and, of a few, the samples of every pair."""
+    count = len(found.problem.numbers)
+    pairs = count <= PAIRS
+    rows, columns = (count, count) if pairs else (-(-count // 4), 4)
+    side = min(WIDTH, 3.2 * count + 1.0)
+    size = (side, 0.85 * side + 0.4) if pairs else (WIDTH, 2.0 * rows + 0.4)
+    figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    for row, column in np.ndindex(rows, columns):
+        pane, index = grid[row, column], row if pairs else columns * row + column
+        if index >= count or (pairs and column > row):
+            pane.axis("off")
+        elif pairs and column < row:
+            pair(pane, found, column, row)
+        else:
+            marginal(pane, found, index)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
     save(figure, path)
 
 
-def marginal(axis: Axes, found: Found, samples: Floats, weights: Floats, index: int) -> None:
-    """Prior and posterior of one number, samples and weights [S]."""
-    each, truth = found.problem.numbers[index], found.target.truth or {}
-    colour = COLOURS["MPM"]
-    axis.hist(samples, bins=BINS, range=each.bounds, weights=weights, density=True, color=colour, label="posterior")
+def marginal(axis: Axes, found: Found, index: int) -> None:
+    """Prior and posterior of one number."""
+    assert found.posterior is not None, "an optimiser has none"
+    each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
+    style = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
+    axis.hist(found.samples[:, index], weights=weights, label="posterior", **style)
     axis.axhline(1.0 / each.range, color="#888888", linestyle=":", linewidth=1.0, label="prior")
     for number, answer in enumerate(found.answers):
-        label = "" if number else "answer"
-        axis.axvline(answer.parameters[index], color=ANSWER, linewidth=0.8, label=label)
+        axis.axvline(answer.parameters[index], color=ANSWER, linewidth=0.8, label="" if number else "answer")
     if each.name in truth:
         axis.axvline(truth[each.name], color="black", linestyle="--", linewidth=1.0, label="truth")
-    axis.set_xlim(*each.bounds)
-    axis.set_yticks([])
-    axis.set_xlabel(f"{each.name} [{each.kind.unit}]", fontsize=8)
-    axis.tick_params(labelsize=8)
+    axis.set(xlim=each.bounds, yticks=[], xlabel=f"{each.name} [{each.kind.unit}]")
 
 
-def pair(axis: Axes, found: Found, samples: Floats, which: tuple[int, int]) -> None:
-    """The samples [S, 2] of two numbers."""
-    across, up = (found.problem.numbers[index] for index in which)
-    truth = found.target.truth or {}
-    axis.scatter(samples[:, 0], samples[:, 1], s=2.0, alpha=0.3, color=COLOURS["MPM"], linewidths=0)
+def pair(axis: Axes, found: Found, first: int, second: int) -> None:
+    """The samples of two numbers."""
+    across, up = (found.problem.numbers[index] for index in (first, second))
+    truth, samples = found.target.truth or {}, found.samples
+    axis.scatter(samples[:, first], samples[:, second], s=2.0, alpha=0.3, color=COLOURS["MPM"], linewidths=0)
     for answer in found.answers:
-        axis.plot(answer.parameters[which[0]], answer.parameters[which[1]], "x", color=ANSWER)
+        axis.plot(answer.parameters[first], answer.parameters[second], "x", color=ANSWER)
     if across.name in truth:
         axis.plot(truth[across.name], truth[up.name], "+", color="black", markersize=10)
     axis.set(xlim=across.bounds, ylim=up.bounds)
-    axis.set_xlabel(name_of(across), fontsize=8)
-    axis.set_ylabel(name_of(up), fontsize=8)
-    axis.tick_params(labelsize=8)
-
-
-def name_of(parameter: Parameter) -> str:
-    """Of an axis."""
-    return f"{parameter.name} [{parameter.kind.unit}]"
+    axis.set(xlabel=f"{across.name} [{across.kind.unit}]", ylabel=f"{up.name} [{up.kind.unit}]")
 
 
 def draw_field(path: Path, found: FoundField) -> None:
@@ -205,12 +151,13 @@ def draw_field(path: Path, found: FoundField) -> None:
     if len(varying) < 2:
         draw_curve(path, found, varying[0] if varying else 0, label)
         return
-    seen = [values[found.unknown.inside] for values in (found.mean, found.truth) if values is not None]
+    arrays = found.arrays
+    seen = [arrays[name][found.unknown.inside] for name in ("mean", "truth") if name in arrays]
     between = (float(np.min(seen)), float(np.max(seen)))
     panels: list[tuple[str, Floats, tuple[float, float], str]] = [
-        (f"most probable: {label}", found.mean, between, "viridis"),
-        (f"standard deviation: {label}", found.deviation, (0.0, float(found.prior_deviation.max())), "magma_r"),
-        ("share of the prior's variance removed [-]", found.removed, (0.0, 1.0), "Greens"),
+        (f"most probable: {label}", arrays["mean"], between, "viridis"),
+        (f"standard deviation: {label}", arrays["deviation"], (0.0, float(arrays["prior_deviation"].max())), "magma_r"),
+        ("share of the prior's variance removed [-]", arrays["removed"], (0.0, 1.0), "Greens"),
     ]
     if found.truth is not None:
         panels.insert(0, (f"truth: {label}", found.truth, between, "viridis"))
@@ -222,8 +169,7 @@ def draw_field(path: Path, found: FoundField) -> None:
         pane = pane if pane.ndim == 2 else pane[:, :, grid.nodes[2] // 2]
         image = axis.pcolormesh(*grid.axes[:2], pane.T, shading="nearest", cmap=colours, vmin=limits[0], vmax=limits[1])
         figure.colorbar(image, ax=axis, shrink=0.9)
-        axis.set_title(title, loc="left", fontsize=9)
-        axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title)
     for axis in axes.ravel()[len(panels) :]:
         axis.set_visible(False)
     save(figure, path)
@@ -234,27 +180,26 @@ def draw_curve(path: Path, found: FoundField, axis: int, label: str) -> None:
     figure, panel = plt.subplots(figsize=(0.6 * WIDTH, 3.0), layout="constrained")
     grid = found.unknown.grid
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)
-    first, along = lines.reshape(len(lines), -1)[:, 0], grid.axes[axis]
-    panel.fill_between(along, found.lower[first], found.upper[first], alpha=0.3, color=COLOURS["MPM"], label="95 %")
-    panel.plot(along, found.mean[first], color=COLOURS["MPM"], label="most probable")
-    if found.truth is not None:
-        panel.plot(along, found.truth[first], color=COLOURS["target"], label="truth")
+    along, first = grid.axes[axis], lines.reshape(len(lines), -1)[:, 0]
+    line = {name: values[first] for name, values in found.arrays.items()}
+    panel.fill_between(along, line["lower"], line["upper"], alpha=0.3, color=COLOURS["MPM"], label="95 %")
+    panel.plot(along, line["mean"], color=COLOURS["MPM"], label="most probable")
+    if "truth" in line:
+        panel.plot(along, line["truth"], color=COLOURS["target"], label="truth")
     panel.set(xlabel=f"{'xyz'[axis]} [m]", ylabel=label)
-    panel.legend(fontsize=8)
+    panel.legend()
     save(figure, path)
 
 
 def draw_residuals(path: Path, found: Found) -> None:
     """What is shown at the answer less the target, of several observations, in standard deviations."""
     figure, axis = plt.subplots(figsize=(WIDTH, 2.6), layout="constrained")
-    residual = found.predicted - found.target.values
+    residual, label = found.predicted - found.target.values, f"{found.forward} less target"
     axis.axhspan(-2.0, 2.0, color="#dddddd", zorder=0, label="two standard deviations")
-    axis.plot(
-        np.arange(len(residual)), residual, ".", color=COLOURS[found.forward], label=f"{found.forward} less target"
-    )
+    axis.plot(np.arange(len(residual)), residual, ".", color=COLOURS[found.forward], label=label)
     for part in getattr(found.target.observation, "parts", ()):
         axis.axvline(part.numbers.start - 0.5, color="#888888", linewidth=0.6)
         axis.text(part.numbers.start, axis.get_ylim()[1], part.name, fontsize=8, va="top")
     axis.set(xlabel="number", ylabel="standard deviations", xlim=(-0.5, len(residual) - 0.5))
-    axis.legend(fontsize=8)
+    axis.legend()
     save(figure, path)

@@ -11,6 +11,7 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.field import Field
+from datasets.geometry.shapes import require
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
@@ -103,9 +104,9 @@ class Problem:
         if any(each.is_field for each in self.parameters):
             indices = [index for index, each in enumerate(self.parameters) if each.is_field]
             checks.check_fields(self.scene, [*zip(indices, self.fields, strict=True)], self.observations, self.target)
-            if self.target.seed in self.seeds and self.target.twin:
-                expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
-                raise InputError(f"expected {expected}, got {self.target.seed}", key="target.seed")
+            expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
+            other = self.target.seed not in self.seeds or not self.target.twin
+            require(other, "target.seed", expected, self.target.seed)
 
     @property
     def numbers(self) -> list[Parameter]:
@@ -208,26 +209,12 @@ def read_problem(name: str) -> Problem:
     """
     path = find(name, PROBLEMS, "problem")
     try:
-        data = read_toml(path)
-        for former, now in (("observation", "observations"), ("fields", "unknowns")):
-            if former in data:
-                message = f"expected [[{now}]], each with what was measured of it, and no [{former}]"
-                raise InputError(message, key=former)
-        file = from_mapping(_File, data)
+        file = from_mapping(_File, read_toml(path))
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
-        return Problem(
-            name=path.stem,
-            asked=str(name),
-            folder=path.parent,
-            scene=scene,
-            parameters=file.unknowns,
-            observations=file.observations,
-            target=file.target,
-            optimiser=file.optimiser,
-            loop=file.loop,
-            surrogate=file.surrogate,
-        )
+        own = {each.name: getattr(file, each.name) for each in dataclasses.fields(file)}
+        own |= {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
+        return Problem(parameters=own.pop("unknowns"), **own)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None

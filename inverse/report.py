@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from tabulate import tabulate
 
 from datasets.files import write_text
 from inverse import deposits, pictures
 from inverse.fields import IDENTIFIED, FoundField
 from inverse.found import Answer, Combination, Found, Purpose, Verdict, peak_memory_mib, unidentified
-from inverse.noise import CONFIDENCE
-from inverse.observations import Values
-from inverse.observations.joint import Joint
+from inverse.noise import CONFIDENCE, rms
+from inverse.observations.joint import Joint, Part
 
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
@@ -24,11 +24,12 @@ SUGGESTED = 3
 """Measurements that the conclusion names."""
 
 
+@rc_context(deposits.STYLE)
 def write(found: Found, folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
     parts += [f"`{command}`", question(found), *parameters_table(found)]
-    deposits.draw_deposits(folder / "deposit.png", found)
+    deposits.save(deposits.deposits(found), folder / "deposit.png")
     if len(found.problem.numbers) > 2:
         pictures.draw_unknowns(folder / "unknowns.png", found)
         parts.append("![unknowns](unknowns.png)")
@@ -40,7 +41,7 @@ def write(found: Found, folder: Path, command: str) -> None:
     parts += ["## Comparison with the target", comparison(found), "![deposits](deposit.png)"]
     if isinstance(found.target.observation, Joint):
         pictures.draw_residuals(folder / "residuals.png", found)
-        parts += [each_observation(found, found.target.observation), "![residuals](residuals.png)"]
+        parts.append("![residuals](residuals.png)")
     if notes := uncertainty(found):
         parts += ["## Uncertainty", *notes]
     if found.posterior is not None:
@@ -228,38 +229,22 @@ def every_answer(found: Found) -> str:
 
 
 def comparison(found: Found) -> str:
-    """What is shown at the answer beside the target."""
-    observation, runs = found.target.observation, len(found.answers[0].checks)
+    """Each observation as it was measured and at the answer."""
+    whole, target, shown = found.target.observation, found.target, found.predicted
+    alone = Part(name=whole.kind, observation=whole, numbers=slice(None))
+    scale = whole.raw(np.ones(len(target.values)))
+    design, same = found.problem.target.minimise, len(shown) == len(target.values)
+    rows = []
+    for part in whole.parts if isinstance(whole, Joint) else (alone,):
+        own, text, root = part.numbers, part.observation.text, part.observation.root_text
+        measured = whole.raw(target.values)[own]
+        answer = whole.raw(shown)[own] if same else shown
+        noise, residual = rms(target.deviation[own] * scale[own]), rms(answer - measured) if same else np.nan
+        known = ["-"] * 3 if design else [text(measured), root(noise), root(residual)]
+        rows.append([part.name, known[0], text(answer), *known[1:]])
+    runs = len(found.answers[0].checks)
     which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
-    rows = [] if found.problem.target.minimise else [["target", observation.text(found.target.values), "-"]]
-    rows.append([f"**{which}**", observation.text(found.predicted), f"{found.as_json()['loss'].popitem()[1]:.2e}"])
-    return table(["", "observed", "loss"], rows)
-
-
-def each_observation(found: Found, joint: Joint) -> str:
-    """Of several observations: each as measured and at the answer."""
-    measured, shown, rows = joint.raw(found.target.values), joint.raw(found.predicted), []
-    for part in joint.parts:
-        own, unit = part.numbers, part.observation.unit or "-"
-        residual = (shown - measured)[own] / joint.scale[own]
-        noise = (found.target.deviation * joint.scale)[own]
-        texts = [f"{brief(each)} {unit}" for each in (measured[own], shown[own], noise)]
-        rows.append([part.name, *texts, f"{float(np.sqrt(np.mean(residual**2))):.2g}"])
-    head = [
-        "observation",
-        "measured",
-        f"{found.forward}, at the answer",
-        "noise",
-        "residual [standard deviations, rms]",
-    ]
-    return table(head, rows)
-
-
-def brief(values: Values) -> str:
-    """Numbers in a cell of a table: all of a few, else the ends."""
-    if len(values) <= 3:
-        return ", ".join(f"{value:.4g}" for value in values)
-    return f"{values[0]:.4g} ... {values[-1]:.4g} ({len(values)})"
+    return table(["observation", "target", which, "noise", "residual (root mean square)"], rows)
 
 
 def identified(field: FoundField) -> str:
@@ -283,7 +268,7 @@ def field_table(field: FoundField) -> str:
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
         if not where.any():
             continue
-        numbers = [field.prior_deviation[where].mean(), field.deviation[where].mean()]
+        numbers = [field.arrays[name][where].mean() for name in ("prior_deviation", "deviation")]
         if field.truth is not None:
             numbers += [field.error(where, field.unknown.settings.mean), field.error(where)]
         row = [name, str(int(where.sum())), *(f"{value:.3g}" for value in numbers)]

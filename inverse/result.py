@@ -51,7 +51,7 @@ class Result(Found):
         report.write(self, folder, f"{self.command} {self.problem.asked or self.problem.name} --out {folder}")
 
     def plot(self) -> "Figure":
-        """The deposit observed and found, and the answers with their half-widths within their bounds."""
-        from inverse import pictures
+        """The deposits observed and found, and their profiles."""
+        from inverse import deposits
 
-        return pictures.summary(self)
+        return deposits.deposits(self)

@@ -18,7 +18,7 @@ from inverse.observations.joint import Joint, Part
 from inverse.observations.observation import Errors, Matrix, Measurement, Observation, Values
 from inverse.observations.table import Context
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, noise_of
+from inverse.settings import noise_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,47 +127,44 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
         own = np.zeros(1) if own is None else own
         share, noise = noise_of(settings.noise)
         errors.append(each.observation.errors(own, profile, share=share, noise=noise))
-        first = sum(len(before) for before in values)
-        name = settings.name or name_of(settings, problem.observations[: len(parts)])
+        first, same = sum(len(before) for before in values), [part.observation.kind for part in parts]
+        counted = f" {same.count(settings.kind) + 1}" if settings.kind in same else ""
+        name = settings.name or settings.kind + counted
         parts.append(Part(name=name, observation=each.observation, numbers=slice(first, first + len(own))))
         values.append(own)
-    deposit = None if run is None else run.positions[-1]
-    profile = measurements[0].profile
-    front = math.nan if problem.target.minimise else parts[0].observation.front(values[0])
+    alone, profile = len(parts) == 1, measurements[0].profile
+    front = math.nan
+    if run is not None:
+        front = measures.front(run.positions[-1])
+    elif alone and not problem.target.minimise:
+        front = parts[0].observation.front(values[0])
     target = Target(
         observation=parts[0].observation,
         values=values[0],
         deviation=errors[0].deviation,
         covariance=errors[0].covariance,
-        front=front if deposit is None else measures.front(deposit),
+        front=front,
         cell=None if run is None else run.scene.domain.cell,
-        deposit=deposit,
-        profile=None if profile is None or len(parts) > 1 else (profile.x, profile.height),
+        deposit=None if run is None else run.positions[-1],
+        profile=(profile.x, profile.height) if profile is not None and alone else None,
         roughness=max(each.roughness for each in errors),
     )
-    return target if len(parts) == 1 else joined(target, values, errors, parts)
+    return target if alone else joined(target, values, errors, parts)
 
 
 def joined(first: Target, values: Sequence[Values], errors: Sequence[Errors], parts: Sequence[Part]) -> Target:
     """The target of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
     noise = np.concatenate([each.deviation for each in errors])
-    prior = [part.observation.prior_scatter(own) for part, own in zip(parts, values, strict=True)]
-    scale = np.hypot(noise, np.concatenate(prior))
-    if not np.all(scale > 0.0):
-        name = next(part.name for part in parts if not np.all(scale[part.numbers] > 0.0))
-        raise InputError(f"expected a noise above 0 for {name}, whose numbers are all 0", key="observations")
+    prior = np.concatenate([part.observation.prior_scatter(own) for part, own in zip(parts, values, strict=True)])
+    scale = np.hypot(noise, prior)
+    for part in parts:
+        if not np.all(scale[part.numbers] > 0.0):
+            raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
     blocks = [np.diag(each.deviation**2) if each.covariance is None else each.covariance for each in errors]
     return dataclasses.replace(
         first,
-        observation=Joint(parts, scale, np.concatenate(prior)),
+        observation=Joint(parts, scale, prior),
         values=np.concatenate(values) / scale,
         deviation=noise / scale,
         covariance=block_diag(*blocks) / np.outer(scale, scale),
-        front=math.nan if first.deposit is None else first.front,
     )
-
-
-def name_of(settings: ObservationSettings, others: Sequence[ObservationSettings]) -> str:
-    """The name of an observation that has none: its kind, counted where others have the same."""
-    same = sum(other.kind == settings.kind for other in others)
-    return settings.kind if same == 0 else f"{settings.kind} {same + 1}"

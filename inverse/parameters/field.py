@@ -7,17 +7,15 @@ m and the deviation of u are such that the stated mean is the median of f, and t
 stated deviation to either side on average. Everywhere the standard deviation of a field stands for this width.
 """
 
-import dataclasses
-import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import expit, logit
 
-from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES, Field, Grid
+from datasets.geometry.shapes import require
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from inverse.parameters.parameter import Parameter
@@ -44,34 +42,31 @@ class UnknownField:
     """One unknown field over the masses of a scene; K values at nodes, W numbers of the prior. Raises InputError."""
 
     def __init__(self, settings: Parameter, scene: Scene) -> None:
-        spacing, lengths, mean, deviation = checked(settings, scene)
+        spacing, lengths, self.mean, deviation = checked(settings, scene)
         self.settings = settings
         masses = scene.masses if settings.mass is None else (scene.masses[settings.mass],)
         lower = np.min([mass.lower for mass in masses], axis=0)
         upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
-        cells = [
-            0 if step > length * (1.0 + 1e-6) else math.ceil(length / step - 1e-6)
-            for length, step in zip(upper - lower, spacing, strict=True)
-        ]
+        extent, step = upper - lower, np.array(spacing)
+        flat = step > extent * (1.0 + 1e-6)
+        cells = np.where(flat, 0, np.ceil(extent / step - 1e-6)).astype(int)
         self.grid = Grid(
-            tuple((lower + np.where(np.array(cells) == 0, 0.5 * (upper - lower), 0.0)).tolist()),
-            tuple(
-                float(length / count) if count else step
-                for length, count, step in zip(upper - lower, cells, spacing, strict=True)
-            ),
-            tuple(count + 1 for count in cells),
+            tuple((lower + np.where(flat, 0.5 * extent, 0.0)).tolist()),
+            tuple(np.where(flat, step, extent / np.maximum(cells, 1)).tolist()),
+            tuple((cells + 1).tolist()),
         )
-        for length, step, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
-            if count > 1 and length < NODES_PER_LENGTH * step * (1.0 - 1e-9):
-                message = f"expected at least {NODES_PER_LENGTH:g} times the spacing of {step:.3g} m, got {length:g}"
-                raise InputError(message, key="length")
-        self.offset, low, high = mean, settings.lower, settings.upper
+        for length, between, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
+            fine = count == 1 or length >= NODES_PER_LENGTH * between * (1.0 - 1e-9)
+            require(fine, "length", f"at least {NODES_PER_LENGTH:g} times the spacing of {between:.3g} m", length)
+        self.offset, low, high = self.mean, settings.lower, settings.upper
         if low is not None and high is not None:
-            self.offset = float(logit((mean - low) / (high - low)))
+            self.offset = float(logit((self.mean - low) / (high - low)))
             stated = deviation
             deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
         self.prior = Prior(self.grid, deviation, lengths)
-        self.inside: NDArray[np.bool_] = self.support(scene) > 0.0
+        particles = initial_particles(scene)
+        own = np.full(len(particles.mass), True) if settings.mass is None else particles.mass == settings.mass
+        self.inside: NDArray[np.bool_] = self.grid.weights(particles.positions).T @ own.astype(np.float64) > 0.0
         """Which nodes some particle lies beside, shape [K]."""
 
     @property
@@ -83,13 +78,6 @@ class UnknownField:
     def unit(self) -> str:
         """Of its values."""
         return UNITS[self.settings.quantity]
-
-    def support(self, scene: Scene) -> Floats:
-        """Particles of the initial body that each node stands for, shape [K]."""
-        particles = initial_particles(scene)
-        every, own = np.full(len(particles.mass), True), self.settings.mass
-        here = every if own is None else particles.mass == own
-        return np.asarray(self.grid.weights(particles.positions).T @ here.astype(np.float64))
 
     def values(self, latent: Floats) -> Floats:
         """f of u, both [..., K]."""
@@ -113,16 +101,17 @@ class UnknownField:
 
     def field(self, latent: Floats) -> Field:
         """As a scene has it, of u [K]."""
-        grid, settings = self.grid, self.settings
-        values = tuple(self.values(latent).tolist())
-        return Field(
-            quantity=settings.quantity,
-            origin=grid.origin,
-            spacing=grid.spacing,
-            nodes=grid.nodes,
-            values=values,
-            mass=settings.mass,
-        )
+        return self.of_values(self.values(latent))
+
+    def uniform(self, value: float) -> Field:
+        """All but `value` at every node; a bound itself is never reached."""
+        return self.of_values(np.full(self.grid.count, value + 1e-6 * (self.mean - value)))
+
+    def of_values(self, values: Floats) -> Field:
+        """A field with `values` [K]."""
+        grid, own = self.grid, self.settings
+        place = {"origin": grid.origin, "spacing": grid.spacing, "nodes": grid.nodes, "mass": own.mass}
+        return Field(quantity=own.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
 
     def at_nodes(self, gradient: "Gradient", latent: Floats) -> Floats:
         """dJ/du [K] from the gradient with respect to what a run begins with."""
@@ -132,41 +121,17 @@ class UnknownField:
             each = np.where(particles.mass == field.mass, each, 0.0)
         return np.asarray((self.grid.weights(particles.positions).T @ each) * self.slope(latent))
 
-    def check_bounds(self, scene: Scene) -> None:
-        """Raise InputError where `scene` cannot have the field at one of its bounds."""
-        settings = self.settings
-        for value, key in ((settings.lower, "lower"), (settings.upper, "upper")):
-            if value is None or settings.mean is None:
-                continue
-            # The bound itself is never reached.
-            near = (value + 1e-6 * (settings.mean - value),) * self.grid.count
-            others = tuple(each for each in scene.fields if each.quantity != settings.quantity)
-            try:
-                uniform = dataclasses.replace(self.field(np.zeros(self.grid.count)), values=near)
-                dataclasses.replace(scene, fields=(*others, uniform))
-            except InputError as error:
-                message = f"expected a bound at which the scene can be simulated, but {error}"
-                raise InputError(message, key=key) from None
-
 
 def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
     """Spacing, correlation lengths, mean and deviation. Raises InputError for a prior that no field can have."""
-
-    def require(ok: bool, key: str, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=key)
-
-    spacing, length, mean, deviation = settings.spacing, settings.length, settings.mean, settings.deviation
-    assert spacing is not None, "a number has no nodes"
-    assert length is not None, "`inverse.checks` asks for it"
-    assert mean is not None, "`inverse.checks` asks for it"
-    assert deviation is not None, "`inverse.checks` asks for it"
+    spacing, length = cast("tuple[float, ...]", settings.spacing), settings.length
+    mean, deviation = cast("float", settings.mean), cast("float", settings.deviation)
     kinds, masses = (FRICTION, *VELOCITIES[: scene.dimension]), range(len(scene.masses))
     plain = settings.name in (settings.quantity, f"masses[{settings.mass}].{settings.quantity}")
     known = f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, for a field"
     require(plain and settings.quantity in kinds, "name", known, repr(settings.name))
     require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
-    lengths = length if isinstance(length, tuple) else (length,) * scene.dimension
+    lengths = length if isinstance(length, tuple) else (cast("float", length),) * scene.dimension
     for key, values in (("spacing", spacing), ("length", lengths)):
         positive = len(values) == scene.dimension and min(values) > 0.0
         require(positive, key, f"{scene.dimension} positive lengths in m", list(values))

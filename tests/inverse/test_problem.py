@@ -61,18 +61,6 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
 
 
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
-        (GOOD.replace("[[observations]]", "[observation]"), "observation"),
-        (GOOD.replace("[[unknowns]]", "[[fields]]"), "fields"),
-    ],
-)
-def test_the_former_notation_gets_one_clear_line(text: str, key: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=rf"{key}: expected \[\[(observations|unknowns)\]\]"):
-        read_problem(written(tmp_path, text))
-
-
 def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="friction_deg") as caught:
         read_problem(written(tmp_path, GOOD.replace('"friction_deg"', '"phi"')))
