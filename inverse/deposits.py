@@ -60,7 +60,7 @@ def save(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-@matplotlib.rc_context(STYLE)
+@matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
 def deposits(found: Found) -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
     scene, scenes, target = found.problem.scene, standings(found), found.target.deposit
@@ -130,7 +130,7 @@ def mark(axis: Axes, found: Found, deposit: Deposit, colour: str) -> str:
         axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5, label="line")
     elif isinstance(observation, Toe):
         own, target = observation.exact(deposit), found.target.values
-        style = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 5}
+        style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 5}
         axis.plot(own[0], own[across], "o", color=colour, label="toe of this deposit", **style)
         axis.plot(target[0], target[across], "k+", markersize=13, markeredgewidth=2, zorder=6, label="target toe")
     else:

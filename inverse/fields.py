@@ -64,7 +64,7 @@ class FoundField:
             "deviation": unknown.deviation(latent, width),
             "prior_deviation": unknown.deviation(np.zeros_like(latent), unknown.prior.deviation),
             "removed": np.asarray(1.0 - (width / unknown.prior.deviation) ** 2),
-            "inside": unknown.inside,
+            "inside": unknown.inside.astype(np.float64),
         }
         return found if self.truth is None else found | {"truth": self.truth}
 

@@ -1,10 +1,9 @@
-"""Pictures of what was found: parameters, posterior, the way there, fields."""
+"""Pictures of what was found: parameters, posterior, fields, residuals."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -19,8 +18,6 @@ Floats = NDArray[np.float64]
 PAIRS = 5
 """Parameters up to which every pair is drawn; of more, each by itself."""
 BINS = 40
-FEW = 6
-"""Up to so many lines have colours of their own; more of them follow a ramp."""
 ANSWER = "tab:red"
 BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
 """A legend to the right of its panel."""
@@ -56,45 +53,6 @@ def draw_unknowns(path: Path, found: Found) -> None:
     save(figure, path)
 
 
-def draw_course(path: Path, found: Found) -> None:
-    """The numbers over the evaluations of the loss or, with bands, over the runs of the MPM; true values dashed."""
-    records, every, truth = found.iterations, found.problem.numbers, found.target.truth or {}
-    waves = "mean" in records[0]
-    x = [each["mpm_runs"] for each in records] if waves else list(range(1, len(records) + 1))
-    units = units_of(found)
-    rows = len(units) + (not waves)
-    size = (WIDTH, 0.6 + 2.7 * rows)
-    figure, grid = plt.subplots(rows, 1, figsize=size, sharex=True, layout="constrained", squeeze=False)
-    axes = list(grid[:, 0])
-    if not waves:
-        losses = [max(each["loss"], 1e-14) for each in records]
-        axes[0].semilogy(x, losses, ".-", color=COLOURS[found.forward], label=found.forward)
-        axes[0].set_ylabel("loss")
-    for each, colour in zip(every, ramp(len(every)), strict=True):
-        axis = axes[units.index(each.kind.unit) + (not waves)]
-        values = np.array([record["mean" if waves else "unknowns"][each.name] for record in records])
-        axis.plot(x, values, ".-", color=colour, label=each.name)
-        if waves:
-            band = 1.96 * np.array([record["deviation"][each.name] for record in records])
-            low, high = np.maximum(values - band, each.bounds[0]), np.minimum(values + band, each.bounds[1])
-            axis.fill_between(x, low, high, color=colour, alpha=0.15, label="95 %" if len(every) == 1 else "")
-        if each.name in truth:
-            label = "truth" if len(every) == 1 else ""
-            axis.axhline(truth[each.name], color=colour, linestyle="--", linewidth=1.0, alpha=0.8, label=label)
-        axis.set_ylabel(f"[{each.kind.unit}]")
-    axes[-1].set_xlabel("runs of the MPM" if waves else "evaluation")
-    for axis in axes:
-        axis.legend(**BESIDE)
-    save(figure, path)
-
-
-def ramp(count: int) -> list[tuple[float, ...]]:
-    """A colour for each of `count` parameters."""
-    if count <= FEW:
-        return [colormaps["Dark2"](number) for number in (0, 2, 3, 4, 5, 7)[:count]]  # The surrogate's orange is not.
-    return [colormaps["turbo"](0.05 + 0.9 * number / (count - 1)) for number in range(count)]
-
-
 def draw_posterior(path: Path, found: Found) -> None:
     """Prior and posterior of every number and, of a few, the samples of every pair."""
     count = len(found.problem.numbers)
@@ -104,7 +62,8 @@ def draw_posterior(path: Path, found: Found) -> None:
     size = (side, 0.85 * side + 0.4) if pairs else (WIDTH, 2.0 * rows + 0.4)
     figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
     for row, column in np.ndindex(rows, columns):
-        pane, index = grid[row, column], row if pairs else columns * row + column
+        index = row if pairs else columns * row + column
+        pane: Any = grid[row, column]
         if index >= count or (pairs and column > row):
             pane.axis("off")
         elif pairs and column < row:
@@ -120,7 +79,7 @@ def marginal(axis: Axes, found: Found, index: int) -> None:
     """Prior and posterior of one number."""
     assert found.posterior is not None, "an optimiser has none"
     each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
-    style = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
+    style: dict[str, Any] = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
     axis.hist(found.samples[:, index], weights=weights, label="posterior", **style)
     axis.axhline(1.0 / each.range, color="#888888", linestyle=":", linewidth=1.0, label="prior")
     for number, answer in enumerate(found.answers):

@@ -24,7 +24,7 @@ SUGGESTED = 3
 """Measurements that the conclusion names."""
 
 
-@rc_context(deposits.STYLE)
+@rc_context(deposits.STYLE)  # type: ignore[arg-type]
 def write(found: Found, folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
@@ -55,9 +55,6 @@ def write(found: Found, folder: Path, command: str) -> None:
             table(["measurement", "information [nat]"], gains),
         ]
     parts += ["## How it was found", search_table(found)]
-    if found.problem.numbers and not found.fields:
-        pictures.draw_course(folder / "course.png", found)
-        parts.append("![the numbers on the way](course.png)")
     parts += ["## Cost", cost(found)]
     write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
 

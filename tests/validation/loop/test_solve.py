@@ -197,7 +197,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     report = (out / "report.md").read_text()
     assert "The MPM confirms" in report
-    for picture in ("deposit.png", "posterior.png", "course.png"):
+    for picture in ("deposit.png", "posterior.png"):
         assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     figure = found.plot()
