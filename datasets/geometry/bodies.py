@@ -237,10 +237,7 @@ class Plan:
         """Thickness [m] at places in plan, shape [N]."""
         if not self.stations:
             return np.full(len(plan), float(self.values))
-        if self.region is None:
-            return np.asarray(np.interp(plan[:, 0], self.stations[0], self.values))
-        x, z = self.stations
-        return interpolated(x, z, self.values, plan)
+        return interpolated(self.stations, self.values, plan)
 
 
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:

@@ -134,7 +134,7 @@ class Reader:
             shape = np.array(entry["heights"]).shape
             axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
         plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        return interpolated(field.x, field.z, field.values, plan).reshape(shape)
+        return interpolated((field.x, field.z), field.values, plan).reshape(shape)
 
     def thickness(self, path: Path, at: list[float] | None) -> Entry:
         """The thickness of a layer in 3D."""

@@ -1,6 +1,7 @@
 """The ground: lines and height fields of terrain, beyond the sides of the box, and their elevation anywhere in plan."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,41 +55,33 @@ def highest(
     for index, solid in enumerate(solids):
         if solid.kind != "terrain":
             continue
-        if domain.dimension == 2:
-            points, rough = ground_line(solid, f"solids[{index}]", domain)
-            own, mu = (np.interp(plan[:, 0], points[:, 0], values) for values in (points[:, 1], rough))
-        else:
-            x, z, heights, roughs = ground_grid(solid, f"solids[{index}]", domain)
-            own, mu = interpolated(x, z, heights, plan), interpolated(x, z, roughs, plan)
+        axes, heights, rough = ground_grid(solid, f"solids[{index}]", domain)
+        own, mu = interpolated(axes, heights, plan), interpolated(axes, rough, plan)
         higher = own >= height
         friction, top = np.where(higher, mu, friction), np.where(higher, index, top)
         height = np.maximum(height, own)
     return height, friction, top
 
 
-def ground_line(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats]:
-    """Points [P, 2] and friction [P] of a ground line, from some cells before the box to some cells behind it."""
-    points = np.array(solid.points, dtype=np.float64)
-    friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(points))
-    x = points[:, 0]
-    check_covers(x, "x", domain.size[0], domain.cell, f"{key}.points")
-    x, y, place = extended(x, points[:, 1], domain.size[0], BEYOND * domain.cell)
-    return np.stack([x, y], axis=1), friction[place]
-
-
-def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[Floats, Floats, Floats, Floats]:
-    """x [X], z [Z] and elevations [X, Z] of a terrain [m], its friction [X, Z], to some cells beyond the box."""
-    heights = np.array(solid.heights, dtype=np.float64)
+def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], Floats, Floats]:
+    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box."""
+    if domain.dimension == 2:
+        x, heights = np.array(solid.points, np.float64).T
+        given, name, slack = [x], "points", [domain.cell]
+    else:
+        heights, name = np.array(solid.heights, np.float64), "heights"
+        steps = list(zip(solid.origin or (), solid.spacing or (), heights.shape, strict=True))
+        given = [np.asarray(origin + spacing * np.arange(count), np.float64) for origin, spacing, count in steps]
+        slack = [max(domain.cell, spacing) for _, spacing, _ in steps]
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), heights.shape)
     axes: list[Floats] = []
-    for number, (axis, name) in enumerate(((0, "x"), (2, "z"))):
-        origin, spacing = (solid.origin or ())[number], (solid.spacing or ())[number]
-        length, at = domain.size[axis], np.asarray(origin + spacing * np.arange(heights.shape[number]), np.float64)
-        check_covers(at, name, length, max(domain.cell, spacing), f"{key}.heights")
+    for number, (axis, at) in enumerate(zip(plan_axes(domain.dimension), given, strict=True)):
+        length = domain.size[axis]
+        check_covers(at, "xyz"[axis], length, slack[number], f"{key}.{name}")
         at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
         axes.append(at)
         heights, friction = np.moveaxis(h, 0, number), np.take(friction, place, axis=number)
-    return axes[0], axes[1], heights, friction
+    return axes, heights, friction
 
 
 def check_covers(at: Floats, name: str, length: float, slack: float, key: str, *, what: str = "ground") -> None:
@@ -143,8 +136,14 @@ def grid_triangles(values: Floats) -> Integers:
     return halves.reshape(-1, 3)
 
 
-def interpolated(x: Floats, z: Floats, values: Floats, plan: Floats) -> Floats:
-    """Values of a grid [X, Z] at `plan` [N, 2], linear on its triangles; beyond the grid those of its edge; [N]."""
+def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats:
+    """Values of a line [X] or a grid [X, Z] at `plan` [N, D - 1], linear on its segments or triangles; shape [N].
+
+    Beyond its ends those of its edge.
+    """
+    if len(axes) == 1:
+        return np.asarray(np.interp(plan[:, 0], axes[0], values))
+    x, z = axes
     i = np.clip(np.searchsorted(x, plan[:, 0], side="right") - 1, 0, len(x) - 2)
     k = np.clip(np.searchsorted(z, plan[:, 1], side="right") - 1, 0, len(z) - 2)
     u = np.clip((plan[:, 0] - x[i]) / (x[i + 1] - x[i]), 0.0, 1.0)

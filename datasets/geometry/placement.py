@@ -1,6 +1,5 @@
 """Where bodies stand: clear of solids and of each other, and how high above what is beneath them."""
 
-import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -13,16 +12,7 @@ from datasets.geometry import spatial
 from datasets.geometry.bodies import Plan, filling, lattice_in
 from datasets.geometry.ground import CLOSING, TOUCHING, elevation, plan_axes
 from datasets.geometry.nearest import inside
-from datasets.geometry.surface import (
-    CORNERS,
-    FACES,
-    Surface,
-    body_of,
-    solids_of,
-    surface_around,
-    surface_in,
-    surface_of,
-)
+from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
 from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
 
 Floats = NDArray[np.float64]
@@ -45,19 +35,15 @@ def check_overlaps(scene: Scene) -> None:
         return
     surface_of(scene)  # says what is wrong with the shapes
     for index, mass in enumerate(scene.masses):
-        for solid, key in zip(*solids_of(scene), strict=True):
-            if mass.kind == "box" and key.startswith("baffles") and solid.turned_deg == 0.0:
+        others: list[tuple[Mass | Solid, str]] = [*zip(*solids_of(scene), strict=True)]
+        others += [(other, names[number]) for number, other in enumerate(scene.masses[:index])]
+        for other, key in others:
+            upright = mass.kind == other.kind == "box" and (isinstance(other, Mass) or other.turned_deg == 0.0)
+            if upright and not key.startswith("solids"):
                 continue  # compared above
-            if overlaps_solid(scene, mass, solid, key):
-                hint = " (on a slope a body is a layer, or a polygon along it)" if solid.kind == "terrain" else ""
+            if overlap(scene, mass, other, key):
+                hint = " (on a slope a body is a layer, or a polygon along it)" if other.kind == "terrain" else ""
                 raise InputError(f"expected a body clear of {key}, got an overlap{hint}", key=f"masses[{index}]")
-    # Bodies of which one at least is no box, by their particles.
-    for first, a in enumerate(scene.masses):
-        for second, b in enumerate(scene.masses[:first]):
-            if (a.kind == "box" and b.kind == "box") or not overlaps((a, b)).any():
-                continue
-            if contains(scene, b, lattice_of(scene, a)).any() or contains(scene, a, lattice_of(scene, b)).any():
-                raise InputError(f"expected a body clear of masses[{second}], got an overlap", key=f"masses[{first}]")
 
 
 def has_shapes(scene: Scene) -> bool:
@@ -79,30 +65,42 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
     return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))
 
 
-def overlaps_solid(scene: Scene, mass: Mass, solid: Solid, key: str) -> bool:
-    """Whether a mass shares volume with a solid: boxes, polygons and meshes exactly, a layer by its particles."""
+def overlap(scene: Scene, mass: Mass, other: Mass | Solid, key: str) -> bool:
+    """Whether a mass shares volume with another one or a solid: exactly, a layer by its particles."""
+    if isinstance(other, Mass):
+        if not overlaps((mass, other)).any():
+            return False
+        if other.kind == "layer":
+            mass, other = other, mass
     if mass.kind != "layer":
-        shape = dataclasses.replace(mass, material=None, velocity=None, angular_velocity=None, k0=None, release=None)
-        return shapes_overlap(shape, solid, key, scene.domain)
-    if solid.kind == "terrain":
+        return shapes_overlap(shape_of(mass), shape_of(other), key, scene.domain)
+    if other.kind == "terrain":
         return False  # it lies on the highest terrain
-    return bool(inside(surface_in(scene.domain, (solid,), (key,)), lattice_of(scene, mass)).any())
+    places = lattice_of(scene, mass)
+    if isinstance(other, Solid) or other.kind != "layer":
+        return bool(inside(surface_in(scene.domain, (shape_of(other),), (key,)), places).any())
+    plan, level = Plan(other, scene.domain, key), places[:, plan_axes(scene.dimension)]
+    below = places[:, 1] < elevation(scene.solids, scene.domain, level) + plan.thickness(level)
+    return bool((plan.contains(level) & below).any())
+
+
+def shape_of(body: Mass | Solid) -> Solid:
+    """A box, a polygon or a mesh as a solid."""
+    if isinstance(body, Solid):
+        return body
+    box = {"lower": body.lower, "size": body.size} if body.kind == "box" else {}
+    return Solid(kind=body.kind, vertices=body.vertices, triangles=body.triangles, **box)
 
 
 @lru_cache(maxsize=256)
-def shapes_overlap(mass: Mass, solid: Solid, key: str, domain: Domain) -> bool:
-    """Whether a box, a polygon or a mesh of material shares more than a margin of rounding with a solid."""
-    margin, other = 10.0 * TOUCHING, body_of(solid, key, domain)
+def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> bool:
+    """Whether two shapes share more than a margin of rounding."""
+    margin = 10.0 * TOUCHING
+    a, b = closed_body(first, key, domain), closed_body(second, key, domain)
     if domain.dimension == 2:
-        box = shapely.box(*mass.lower, *np.add(mass.lower, mass.size))
-        shape = shapely.Polygon(mass.vertices) if mass.kind == "polygon" else box
-        return bool(shape.buffer(-margin).intersects(shapely.Polygon(other.vertices)))
-    vertices, faces = np.array(mass.lower) + CORNERS[3] * np.array(mass.size), FACES[3]
-    if mass.kind == "mesh":
-        vertices = np.array(mass.vertices)
-        faces = spatial.outward(vertices, np.array(mass.triangles, np.int64), "masses")
-    body = spatial.manifold(vertices, faces)
-    return bool((body ^ spatial.manifold(other.vertices, other.faces)).volume() > margin * body.surface_area())
+        return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
+    solid = spatial.manifold(a.vertices, a.faces)
+    return bool((solid ^ spatial.manifold(b.vertices, b.faces)).volume() > margin * solid.surface_area())
 
 
 def lattice_of(scene: Scene, mass: Mass) -> Floats:
@@ -112,23 +110,6 @@ def lattice_of(scene: Scene, mass: Mass) -> Floats:
         return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]
     found = filling(scene, mass)
     return found.raised(found.lattice)
-
-
-def contains(scene: Scene, mass: Mass, places: Floats) -> NDArray[np.bool_]:
-    """Which of N places [m], shape [N, D], lie in a body, shape [N]."""
-    low, high = np.array(mass.lower) + TOUCHING, np.add(mass.lower, mass.size) - TOUCHING
-    found = np.asarray(((places > low) & (places < high)).all(axis=1))
-    here = places[found]
-    if mass.kind == "polygon":
-        found[found] = shapely.contains_xy(shapely.Polygon(mass.vertices), here)
-    elif mass.kind == "mesh":
-        found[found] = inside(surface_around(np.array(mass.vertices), np.array(mass.triangles)), here)
-    elif mass.kind == "layer":
-        plan = Plan(mass, scene.domain, "masses")
-        level = here[:, plan_axes(scene.dimension)]
-        above = here[:, 1] - elevation(scene.solids, scene.domain, level)
-        found[found] = plan.contains(level) & (above > 0.0) & (above < plan.thickness(level))
-    return found
 
 
 def remembers_gaps(scene: Scene) -> bool:

@@ -10,7 +10,7 @@ from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError
 from datasets.geometry.closed import Body, Integers, ring
-from datasets.geometry.ground import BEYOND, OUTSIDE, TOUCHING, ground_line
+from datasets.geometry.ground import BEYOND, OUTSIDE, TOUCHING, ground_grid
 from datasets.scene import Domain, Solid
 
 Floats = NDArray[np.float64]
@@ -43,10 +43,10 @@ def check_simple(points: Floats, key: str) -> None:
 
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     """All that lies below a ground line, some cells beyond the box: it goes on level, or straight from a side."""
-    points, friction = ground_line(solid, key, box)
-    beyond = BEYOND * box.cell
-    deep = min(-beyond, float(points[:, 1].min()) - beyond)
-    under = np.array([[points[-1, 0], deep], [points[0, 0], deep]])
+    (x,), heights, friction = ground_grid(solid, key, box)
+    points, beyond = np.stack([x, heights], axis=1), BEYOND * box.cell
+    deep = min(-beyond, float(heights.min()) - beyond)
+    under = np.array([[x[-1], deep], [x[0], deep]])
     # The line runs towards +x with the solid on its right: from its end back to its start is anticlockwise.
     return Body(
         vertices=np.concatenate([points[::-1], under[::-1]]),

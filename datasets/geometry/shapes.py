@@ -54,10 +54,8 @@ def check_keys(shape: Solid | Mass, table: Mapping[tuple[str, int], tuple[str, .
     every = set(itertools.chain(*table.values(), *OPTIONAL.values()))
     for name in sorted(name for name in every if hasattr(shape, name)):
         given = getattr(shape, name) is not None
-        files = " or a file" if shape.kind in ("terrain", "mesh") else ""
-        require(
-            given or name not in needed, f"{key}.{name}", f"`{'`, `'.join(needed)}`{files} of a {shape.kind}", "none"
-        )
+        expected = f"`{'`, `'.join(needed)}`{' or a file' * (shape.kind in ('terrain', 'mesh'))} of a {shape.kind}"
+        require(given or name not in needed, f"{key}.{name}", expected, "none")
         require(not given or name in (*needed, *optional), f"{key}.{name}", f"no such key of a {shape.kind}", "one")
 
 

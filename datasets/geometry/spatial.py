@@ -37,7 +37,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
 
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     """All that lies below a height field, some cells beyond the box; it goes on level, or straight from a side."""
-    x, z, heights, friction = ground_grid(solid, key, box)
+    (x, z), heights, friction = ground_grid(solid, key, box)
     deep = min(0.0, float(heights.min())) - BEYOND * box.cell
     plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)

@@ -139,6 +139,16 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
 
 def body_of(solid: Solid, key: str, box: Domain) -> Body:
     """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
+    body = closed_body(solid, key, box)
+    # The floor last.
+    for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):
+        if axis < box.dimension:
+            body = (planar if box.dimension == 2 else spatial).continued(body, axis, side, box)
+    return body
+
+
+def closed_body(solid: Solid, key: str, box: Domain) -> Body:
+    """The surface of `solid` itself; of a terrain of all that is below it, some cells beyond the box."""
     dimension = box.dimension
     if solid.kind == "terrain":
         return planar.ground_body(solid, key, box) if dimension == 2 else spatial.ground_body(solid, key, box)
@@ -158,8 +168,4 @@ def body_of(solid: Solid, key: str, box: Domain) -> Body:
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(vertices)).copy()
     if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
         vertices, friction = vertices[::-1].copy(), friction[::-1].copy()
-    body = Body(vertices=vertices, faces=faces, friction=friction, key=key)
-    # The floor last.
-    for axis, side in itertools.product((0, 1) if dimension == 2 else (0, 2, 1), (0, 1)):
-        body = (planar if dimension == 2 else spatial).continued(body, axis, side, box)
-    return body
+    return Body(vertices=vertices, faces=faces, friction=friction, key=key)

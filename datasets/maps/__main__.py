@@ -1,11 +1,11 @@
 """python -m datasets.maps TRAJECTORY --out DIR: the deposit as rasters, outlines and pictures; in 2D as a profile."""
 
+import dataclasses
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from shapely import MultiPolygon
 
 from datasets.command_line import run
 from datasets.files import make_folder, replacing, write_json
@@ -22,52 +22,63 @@ from datasets.maps.files import (
 from datasets.maps.plan import PlanMaps, maps_of
 from datasets.trajectory import Trajectory, read_trajectory
 
-PROFILE, SUMMARY, OUTLINES = "profile.csv", "maps.json", "outline.geojson"
-
-
-class Kind(NamedTuple):
-    """What one of the maps shows, in which unit and colours (of matplotlib)."""
-
-    title: str
-    unit: str
-    colours: str
-
-
 KINDS = {
-    "thickness": Kind("thickness of the deposit", "m", "YlOrBr"),
-    "depth": Kind("largest depth of the flow", "m", "YlGnBu"),
-    "velocity": Kind("largest velocity of the flow", "m/s", "plasma"),
+    "thickness": ("thickness of the deposit", "m", "YlOrBr"),
+    "depth": ("largest depth of the flow", "m", "YlGnBu"),
+    "velocity": ("largest velocity of the flow", "m/s", "plasma"),
 }
-"""Attributes of `PlanMaps`, and the names of their files."""
+"""Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
 
 
-def write_maps(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georeference) -> None:
-    """Write the maps of a trajectory in 3D into `folder`: rasters, pictures, outlines, and maps.json.
+def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georeference = LOCAL) -> dict[str, Any]:
+    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
 
     Raises WorkFailed.
     """
+    own = write_profile(maps, folder) if trajectory.scene.dimension == 2 else write_plan(maps, folder, location)
+    found = {name: getattr(maps, name) for name in KINDS}
+    said = {
+        "time": float(trajectory.time[-1]),
+        "cell": maps.cell,
+        "threshold": maps.threshold,
+        "volume": maps.volume,
+        "left": maps.left,
+        **own,
+        **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
+    }
+    write_json(folder / "maps.json", said)
+    return said
 
-    said = summary(trajectory, maps, location)
-    for name, kind in KINDS.items():
-        values = getattr(maps, name)
-        if values is None:
-            continue
-        write_raster(folder / f"{name}.tif", values, maps.cell, location, name=kind.title, unit=kind.unit)
-        label, title = f"{kind.title} [{kind.unit}]", heading(name, said)
-        draw_map(folder / f"{name}.png", maps, values, location, label=label, colours=kind.colours, title=title)
-    write_outlines(folder / OUTLINES, outlines(maps, location), maps.threshold, location)
-    write_json(folder / SUMMARY, said)
+
+def write_plan(maps: PlanMaps, folder: Path, location: Georeference) -> dict[str, Any]:
+    """In 3D: rasters and pictures, and outlines as GeoJSON. Returns areas, extent and location."""
+    shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
+    outlines = {
+        name: outline(values, maps.cell, location, maps.threshold)
+        for name, values in shown.items()
+        if values is not None
+    }
+    for name, (title, unit, colours) in KINDS.items():
+        if (values := getattr(maps, name)) is not None:
+            write_raster(folder / f"{name}.tif", values, maps.cell, location, name=title, unit=unit)
+            draw_map(
+                folder / f"{name}.png", maps, values, outlines, location, label=f"{title} [{unit}]", colours=colours
+            )
+    write_outlines(folder / "outline.geojson", outlines, maps.threshold, location)
+    # Single particles that rolled on are islands of their own.
+    largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
+    return {
+        **{f"area_{name}": polygons.area for name, polygons in outlines.items()},
+        "extent": None if largest is None else largest.bounds[2] - location.east,
+        **dataclasses.asdict(location),
+    }
 
 
-def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> None:
-    """Write the profile of a trajectory in 2D into `folder`: a CSV, a picture, and maps.json.
-
-    Columns x and height of profile.csv are those of a measured profile of `equivalent` heights.
-    """
-
-    said = summary(trajectory, maps, LOCAL)
+def write_profile(maps: PlanMaps, folder: Path) -> dict[str, Any]:
+    """In 2D: profile.csv, whose x and height are those of a measured profile, and a picture. Returns the extent."""
+    (x,) = maps.grid.axes
     columns = {
-        "x": maps.grid.axes[0],
+        "x": x,
         "height": maps.thickness,
         "surface": maps.ground + maps.thickness,
         "ground": maps.ground,
@@ -75,64 +86,15 @@ def write_profile(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> None:
         "largest_velocity": maps.velocity,
     }
     known = {name: column for name, column in columns.items() if column is not None}
-    rows = np.stack(list(known.values()), axis=1)
-    with replacing(folder / PROFILE) as part:
+    with replacing(folder / "profile.csv") as part:
+        rows = np.stack(list(known.values()), axis=1)
         np.savetxt(part, rows, fmt="%.9g", delimiter=",", header=",".join(known), comments="")
-    draw_profile(folder / "profile.png", maps, [heading(name, said) for name in ("thickness", "velocity")])
-    write_json(folder / SUMMARY, said)
-
-
-def outlines(maps: PlanMaps, location: Georeference) -> dict[str, MultiPolygon]:
-    """The polygons of the deposit, of all that the flow covered, and of the release where it is known."""
-
-    shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
+    draw_profile(folder / "profile.png", maps)
+    covered = maps.thickness > maps.threshold
     return {
-        name: outline(values, maps.cell, location, maps.threshold)
-        for name, values in shown.items()
-        if values is not None
+        "length": float(maps.areas[covered].sum()),
+        "extent": float(np.minimum(x + 0.5 * maps.cell, x[-1])[covered].max()) if covered.any() else None,
     }
-
-
-def summary(trajectory: Trajectory, maps: PlanMaps, location: Georeference) -> dict[str, Any]:
-    """What the maps come to: location, resolution, volume, area, extent and largest values, as plain numbers."""
-
-    flat, covered = trajectory.scene.dimension == 2, maps.thickness > maps.threshold
-    said: dict[str, Any] = {
-        "time": float(trajectory.time[-1]),
-        "cell": maps.cell,
-        "threshold": maps.threshold,
-        "volume": maps.volume,
-        "left": maps.left,
-    }
-    if flat:
-        said["length"] = float(maps.areas[covered].sum())
-        ends = np.minimum(maps.grid.axes[0] + 0.5 * maps.cell, trajectory.scene.domain.size[0])
-        said["extent"] = float(ends[covered].max()) if covered.any() else None
-    else:
-        found = outlines(maps, location)
-        said |= {f"area_{name}": polygons.area for name, polygons in found.items()}
-        # Single particles that rolled on are islands of their own.
-        largest = max(found["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
-        said["extent"] = None if largest is None else largest.bounds[2] - location.east
-        said |= {"east": location.east, "north": location.north, "crs": location.crs}
-    for name in KINDS:
-        values = getattr(maps, name)
-        said[f"{name}_max"] = None if values is None else float(f"{values.max():.6g}")
-    return said
-
-
-def heading(name: str, said: dict[str, Any]) -> str:
-    """What stands above a picture."""
-    kind, largest = KINDS[name], said[f"{name}_max"]
-    parts = [kind.title]
-    if name == "thickness":
-        unit = "m³" if "area_deposit" in said else "m²"
-        parts = [f"{kind.title}, t = {said['time']:g} s", f"volume {said['volume']:.4g} {unit}"]
-    if largest is not None:
-        parts.append(f"largest {largest:.3g} {kind.unit}")
-    if name == "thickness" and said["extent"] is not None:
-        parts.append(f"extent x = {said['extent']:.4g} m")
-    return "; ".join(parts)
 
 
 def command(
@@ -159,13 +121,11 @@ def command(
 
     flow = read_trajectory(trajectory)
     make_folder(out)
-    location = georeference(flow.scene)
     maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
-    if flow.scene.dimension == 2:
-        write_profile(flow, maps, out)
-    else:
-        write_maps(flow, maps, out, location)
-    print(f"{heading('thickness', summary(flow, maps, location))}, written to {out}")
+    said = write(flow, maps, out, georeference(flow.scene))
+    extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
+    deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
+    print(f"t = {said['time']:g} s: {deposit}, written to {out}")
 
 
 if __name__ == "__main__":

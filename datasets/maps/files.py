@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,7 +122,14 @@ def write_outlines(
 
 
 def draw_map(
-    path: Path, maps: PlanMaps, values: Floats, georeference: Georeference, *, label: str, colours: str, title: str
+    path: Path,
+    maps: PlanMaps,
+    values: Floats,
+    outlines: Mapping[str, MultiPolygon],
+    georeference: Georeference,
+    *,
+    label: str,
+    colours: str,
 ) -> None:
     """One map in 3D, shape [X, Z], where it is covered; over the ground, with the outlines of deposit and release.
 
@@ -139,22 +146,20 @@ def draw_map(
         axis.contour(x, z, maps.ground.T, levels=CONTOURS, colors="grey", linewidths=0.6)
     image = axis.pcolormesh(x, z, np.ma.masked_where(~covered, values).T, cmap=colours, vmin=0.0, shading="nearest")
     figure.colorbar(image, label=label)
-    for name, thickness, style in (("release", maps.start, "--"), ("deposit", maps.thickness, "-")):
-        polygons = () if thickness is None else outline(thickness, maps.cell, georeference, maps.threshold).geoms
-        for index, polygon in enumerate(polygons):
-            label = f"{name}, over {maps.threshold:.3g} m" if index == 0 else ""
-            axis.plot(*polygon.exterior.xy, color="black", linestyle=style, linewidth=1.0, label=label)
+    for name, style in (("release", "--"), ("deposit", "-")):
+        for index, polygon in enumerate(outlines[name].geoms if name in outlines else ()):
+            legend = f"{name}, over {maps.threshold:.3g} m" if index == 0 else ""
+            axis.plot(*polygon.exterior.xy, color="black", linestyle=style, linewidth=1.0, label=legend)
     if axis.lines:
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
     local = georeference.crs is None
     axis.set(xlabel="x [m]" if local else "easting [m]", ylabel="z [m]" if local else "northing [m]")
-    axis.set_title(title, fontsize="small")
     axis.ticklabel_format(useOffset=False, style="plain")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)
 
 
-def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
+def draw_profile(path: Path, maps: PlanMaps) -> None:
     """In 2D: the deposit on the ground, the largest depth and the start, and below the largest velocity over x."""
     from matplotlib.figure import Figure
 
@@ -166,11 +171,10 @@ def draw_profile(path: Path, maps: PlanMaps, titles: Sequence[str]) -> None:
     for name, thickness, style in (("largest depth", maps.depth, "-"), ("start", maps.start, "--")):
         if thickness is not None:
             top.plot(x, np.where(thickness > 0.0, maps.ground + thickness, np.nan), style, label=name)
-    top.set(ylabel="elevation [m]", title=titles[0])
+    top.set(ylabel="elevation [m]")
     top.legend(frameon=False)
     if maps.velocity is not None:
         below.plot(x, np.where(maps.depth > maps.threshold, maps.velocity, np.nan))
-        below.set(title=titles[1])
-    below.set(xlabel="x [m]", ylabel="velocity [m/s]")
+    below.set(xlabel="x [m]", ylabel="largest velocity [m/s]")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)

@@ -13,7 +13,7 @@ from shapely.geometry import shape
 
 from datasets.command_line import run
 from datasets.library import read_scene
-from datasets.maps.__main__ import command, write_maps
+from datasets.maps.__main__ import command, write
 from datasets.maps.files import Georeference, outline
 from datasets.maps.plan import maps_of
 from datasets.material import Material
@@ -69,7 +69,7 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
 
 def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     maps = maps_of(flow, 0.05, threshold=0.02)
-    write_maps(flow, maps, tmp_path, ALPS)
+    write(flow, maps, tmp_path, ALPS)
     names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "png")}
     assert {path.name for path in tmp_path.iterdir()} == names | {"outline.geojson", "maps.json"}
     said = json.loads((tmp_path / "maps.json").read_text())

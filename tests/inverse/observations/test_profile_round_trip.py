@@ -36,7 +36,7 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
         scene=scene,
     )
     maps = maps_of(flow, spacing)
-    write_profile(flow, maps, tmp_path)
+    write_profile(maps, tmp_path)
     settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
     profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
     np.testing.assert_allclose(profile.at(maps.grid.axes[0]), maps.thickness, rtol=1e-8, atol=1e-9)
