@@ -33,7 +33,7 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
         kept = lifted(_clamped(above(kept, ground, batch), size), ground, batch)
     if conditions.baffles is None:
         return kept
-    boxes = Boxes.of_conditions(conditions).grown(SKIN)
+    boxes = Boxes.of_conditions(conditions, SKIN)
     near = close_to(boxes, before, kept, 0.0, batch)
     if len(near) == 0:
         return kept

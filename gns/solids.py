@@ -5,7 +5,6 @@ differentiable in the corners and turns of the baffles and the elevations of the
 any number of baffles costs next to nothing, because only the particles near one are processed.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,14 +39,14 @@ class Boxes:
     """Likewise."""
 
     @staticmethod
-    def of_conditions(conditions: Conditions) -> "Boxes":
-        """The baffles of each sample, n = B."""
+    def of_conditions(conditions: Conditions, margin: float = 0.0) -> "Boxes":
+        """The baffles of each sample, n = B; margin: by which they are larger on every side [m]."""
         assert conditions.baffles is not None
         lower, upper = conditions.baffles.unbind(dim=2)
         turn = conditions.baffle_turn
         return Boxes(
             middle=0.5 * (lower + upper),
-            half=0.5 * (upper - lower),
+            half=0.5 * (upper - lower) + margin,
             cosine=None if turn is None else turn.cos(),
             sine=None if turn is None else turn.sin(),
         )
@@ -66,16 +65,9 @@ class Boxes:
         row = torch.arange(len(box), device=box.device)
         return self.each(lambda part: part[row, box].unsqueeze(1))
 
-    def grown(self, by: float) -> "Boxes":
-        """Boxes larger by `by` [m] on every side."""
-        return dataclasses.replace(self, half=self.half + by)
-
     def own(self, points: Tensor) -> Tensor:
         """Points [n, D] in the axes of their boxes [m], shape [n, K, D]."""
-        return self.own_vectors(points.unsqueeze(1) - self.middle)
-
-    def own_vectors(self, vectors: Tensor) -> Tensor:
-        """Vectors [n, K, D] in the axes of their boxes."""
+        vectors = points.unsqueeze(1) - self.middle
         return vectors if self.cosine is None or self.sine is None else rotated(vectors, self.cosine, -self.sine)
 
     def world_vectors(self, vectors: Tensor) -> Tensor:

@@ -111,11 +111,6 @@ class Conditions(Tensors):
     units: Units = field(default_factory=Units)
     """What one unit of the model is in these samples."""
 
-    @property
-    def samples(self) -> int:
-        """Number of samples, B."""
-        return len(self.size)
-
     def of_particles(self, values: Tensor) -> Tensor:
         """Values of the samples [B, ...], for each particle [N or 1, ...]."""
         return values if self.batch is None else values.index_select(0, self.batch)

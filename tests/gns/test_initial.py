@@ -36,7 +36,7 @@ SCENE = Scene(
 def test_the_conditions_are_those_of_the_scene() -> None:
     initial = initial_state(SCENE, SETTINGS)
     conditions, particles = initial.conditions, initial_particles(SCENE)
-    assert (conditions.samples, conditions.batch, conditions.ground, conditions.units) == (1, None, None, Units())
+    assert (conditions.batch, conditions.ground, conditions.units) == (None, None, Units())
     torch.testing.assert_close(conditions.size, torch.tensor([[0.6, 0.4]]))
     torch.testing.assert_close(conditions.gravity, 9.81 * torch.tensor([[0.5, -(0.75**0.5)]]))
     constants = conditions.floor_friction, conditions.wall_friction, conditions.damping

@@ -56,13 +56,9 @@ def test_it_sums_to_the_volume_of_turned_boxes(dimension: int) -> None:
     stencil = whole_room(dimension, cell, samples=2)
     free = occupancy(stencil, conditions(1, baffles + 100.0)).view(2, -1)
     volume = (baffles[:, :, 1] - baffles[:, :, 0]).prod(2).sum(1)
-    for angles in (None, 0.0 * turn, turn, turn + 0.5 * math.pi, turn + 2.0):
+    for angles in (None, 0.0 * turn, turn, turn + 2.0):
         share = occupancy(stencil, conditions(1, baffles, turn=angles)).view(2, -1)
         torch.testing.assert_close((share - free).sum(1) * cell**dimension, volume)
-    single = occupancy(stencil, conditions(1, baffles.float(), turn=turn.float())).view(2, -1)
-    torch.testing.assert_close(
-        single.double(), occupancy(stencil, conditions(1, baffles, turn=turn)).view(2, -1), atol=2e-5, rtol=0.0
-    )
 
 
 @dimensions
