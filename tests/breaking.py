@@ -85,17 +85,15 @@ def wait_for_work(process: "subprocess.Popen[str]", out: Path) -> float:
     return time.monotonic()
 
 
-def wait_for_orphans(session: int) -> tuple[int, float]:
-    """How many processes of a session are left after ORPHANS seconds, which are ended; when the last one ended [s]."""
+def orphans(session: int) -> list[int]:
+    """Processes of a session that are left after ORPHANS seconds; they are ended."""
     began = time.monotonic()
-    while (elapsed := time.monotonic() - began) < ORPHANS:
-        if not members(session):
-            return 0, elapsed
+    while members(session) and time.monotonic() - began < ORPHANS:
         time.sleep(0.01)
-    orphans = members(session)
-    for number in orphans:
+    found = members(session)
+    for number in found:
         os.kill(number, signal.SIGKILL)
-    return len(orphans), ORPHANS
+    return found
 
 
 def members(session: int) -> list[int]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests import breaking
-from tests.breaking import Digest, start, unfinished, wait_for_orphans, wait_for_work
+from tests.breaking import Digest, orphans, start, unfinished, wait_for_work
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="expects Linux")]
 MOMENTS = 6
@@ -113,7 +113,7 @@ def test_a_command_that_is_killed_goes_on(command: Command, kill: signal.Signals
     time.sleep(max(0.0, (moment + 0.5) / MOMENTS * command.seconds - (time.monotonic() - began)))
     process.send_signal(kill)
     _, error = process.communicate(timeout=breaking.LIMIT)
-    assert wait_for_orphans(process.pid)[0] == 0
+    assert orphans(process.pid) == []
     if kill == signal.SIGTERM and process.returncode not in (0, 1):
         assert process.returncode == 143
         assert error.splitlines()[-1].startswith("talus: interrupted")

@@ -1,17 +1,15 @@
 """The batch scripts of the page on SLURM, with a stand-in for `srun` that runs its command here."""
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.breaking import BLOCKS, dataset_files, wait_for_orphans
+from tests.breaking import BLOCKS, dataset_files, orphans
 from tests.commands import DOCS, ROOT
 
 FOLDER = DOCS / "how-to" / "slurm"
@@ -39,7 +37,7 @@ def submitted(tmp_path: Path, *command: str) -> Iterator["subprocess.Popen[str]"
         cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
     ) as process:  # fmt: skip
         yield process
-    assert wait_for_orphans(process.pid)[0] == 0
+    assert orphans(process.pid) == []
     assert not list(tmp_path.glob("scheduler-*.json"))
 
 
@@ -51,19 +49,6 @@ def test_a_dataset_by_all_cores_of_a_job(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, *generate, "--out", "here"], cwd=tmp_path, env=environment, check=True)
     assert dataset_files(tmp_path / "there") == dataset_files(tmp_path / "here")
-
-
-def test_the_end_of_its_time_keeps_what_is_finished(tmp_path: Path) -> None:
-    with submitted(tmp_path, "python", "-m", "mpm.generate", "blocks.toml", "--out", "out") as job:
-        deadline = time.monotonic() + 240.0
-        while not list((tmp_path / "out").rglob("[!.]*.npz")):
-            assert time.monotonic() < deadline
-            assert job.poll() is None
-            time.sleep(0.05)
-        job.send_signal(signal.SIGTERM)
-        _, error = job.communicate(timeout=240.0)
-    assert job.returncode == 143
-    assert "talus: interrupted; what was finished is kept" in error
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.sbatch")), ids=lambda path: path.stem)

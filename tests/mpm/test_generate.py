@@ -24,7 +24,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
-from tests.breaking import members, unfinished, wait_for_orphans
+from tests.breaking import members, orphans, unfinished
 
 ROOT = Path(__file__).parents[2]
 
@@ -273,7 +273,7 @@ def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
     # Python's own process that watches over semaphores may say something after it.
     assert "talus: interrupted; what was finished is kept" in error.splitlines()
     assert "Traceback" not in error
-    assert wait_for_orphans(process.pid)[0] == 0
+    assert orphans(process.pid) == []
     assert unfinished(tmp_path) == []
     scenes = {entry.name: entry.scene for entry in read_definition(str(tmp_path / "blocks.toml")).entries(seed=0)}
     for path in tmp_path.rglob("[!.]*.npz"):
@@ -286,4 +286,4 @@ def test_nothing_lives_on_after_a_kill(tmp_path: Path) -> None:
         assert len(members(process.pid)) > 2
         process.kill()
         process.communicate()
-    assert wait_for_orphans(process.pid)[0] == 0
+    assert orphans(process.pid) == []
