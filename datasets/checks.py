@@ -113,29 +113,20 @@ def check(scene: Scene) -> None:
         check_solid(solid, f"solids[{index}]", dimension)
     for index, mass in enumerate(scene.masses):
         check_start(scene, mass, f"masses[{index}]")
-    check_particles(scene)
+    # Other shapes than boxes say so when they are filled.
+    sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]
+    count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
+    require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
     check_fields(scene)
     from datasets.geometry.placement import check_overlaps
 
     check_overlaps(scene)
 
 
-def check_particles(scene: Scene) -> None:
-    """Raise InputError for boxes of more particles than can be counted; other shapes say so when they are filled."""
-    sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]
-    count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
-    require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
-
-
 def check_start(scene: Scene, mass: Mass, key: str) -> None:
     """Raise InputError for a mass that cannot begin as its velocities, its `k0` and its `release` ask."""
-    dimension, velocity, turn, k0, release = (
-        scene.dimension,
-        mass.velocity,
-        mass.angular_velocity,
-        mass.k0,
-        mass.release,
-    )
+    dimension, velocity, turn = scene.dimension, mass.velocity, mass.angular_velocity
+    k0, release = mass.k0, mass.release
     if velocity is not None:
         ok = len(velocity) == dimension and all(map(usual, velocity))
         require(ok, f"{key}.velocity", f"{dimension} finite components in m/s", list(velocity))

@@ -27,6 +27,6 @@ class WorkFailed(RuntimeError):
     """The input was right, the work did not succeed: exit status 1."""
 
 
-def shortened(text: str) -> str:
-    """The first LONGEST characters of a text."""
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+def shortened(text: str, most: int = LONGEST) -> str:
+    """The first characters of a text."""
+    return text if len(text) <= most else f"{text[:most]}..."

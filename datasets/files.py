@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import InputError, shortened
 from datasets.memory import spoken
 
 PART = ".part-"
@@ -159,7 +159,7 @@ def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
 def line_of(error: BaseException) -> str:
     """What an error says, in one short line."""
     text = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
-    return text if len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE]}..."
+    return shortened(text, LONGEST_LINE)
 
 
 def read_text(path: Path, what: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange
-from datasets.files import LONGEST_LINE, line_of
+from datasets.files import line_of
 from datasets.files import read_json as read_json
 from datasets.files import read_toml as read_toml
 
@@ -39,11 +39,11 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     """
     try:
         # JSON mode converts nothing either, but still takes an array for a tuple.
-        try:
-            text = json.dumps(data, default=str)
-        except (ValueError, RecursionError) as error:
-            # Of thousands of digits, or tables in tables.
-            raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
+        text = json.dumps(data, default=str)
+    except (ValueError, RecursionError) as error:
+        # Of thousands of digits, or tables in tables.
+        raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
+    try:
         record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
         return record
     except ValidationError as error:
@@ -51,7 +51,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
         # Where a key takes one of several types, pydantic names the type that it tried last.
-        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))[:LONGEST_LINE]
+        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.
@@ -67,7 +67,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         if first["type"] == "missing":
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
-        raise InputError(f"expected {expected}, got {shortened(first['input'])}", key=path) from None
+        raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
 
 
 def changed(record: Record) -> dict[str, Any]:
@@ -83,12 +83,6 @@ def fraction(text: str) -> float:
         return float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
     except ValueError:
         return math.nan
-
-
-def shortened(value: Any) -> str:
-    """`value` as Python writes it, of a long one the beginning."""
-    text = repr(value)
-    return text if len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE]}..."
 
 
 def dotted(location: tuple[int | str, ...]) -> str:

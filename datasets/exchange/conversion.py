@@ -4,7 +4,6 @@ Their files know no scene: all trajectories of theirs get the one that the user 
 material.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -18,7 +17,7 @@ from tqdm import tqdm
 from datasets.definitions.definition import Entry, Split
 from datasets.errors import InputError
 from datasets.exchange import geoelements
-from datasets.exchange.geoelements import Cloud, cloud_of
+from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
 from datasets.measures import front, runout, toe
 from datasets.records import Record, from_mapping
@@ -64,7 +63,7 @@ def export(dataset: Path, out: Path) -> None:
         path = out / f"{split.value}.npz"
         if paths and not path.exists():
             bar = tqdm(paths, desc=split.value, unit="trajectory", dynamic_ncols=True)
-            geoelements.write(path, (cloud_of(Trajectory.load(each), each.stem) for each in bar))
+            geoelements.write(path, ((each.stem, Trajectory.load(each)) for each in bar))
     write_json(out / "metadata.json", described)
 
 
@@ -132,14 +131,12 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         begin(out, record)
         files = {name: out / split.value / f"{index:05d}.npz" for index, name in enumerate(names)}
         missing = {name for name, file in files.items() if not file.exists()}
-        bar = tqdm(desc=split.value, total=len(missing), unit="trajectory", dynamic_ncols=True)
-        with bar:
-            for cloud in geoelements.read(path, missing) if missing else ():
-                try:
-                    trajectory_of(cloud, scene, foreign, up).save(files[cloud.name])
-                except InputError as error:
-                    raise InputError(error.message, where=str(path), key=cloud.name) from None
-                bar.update()
+        flows = geoelements.read(path, missing) if missing else iter(())
+        for name, sand in tqdm(flows, desc=split.value, total=len(missing), unit="trajectory", dynamic_ncols=True):
+            try:
+                trajectory_of(sand, scene, foreign, up).save(files[name])
+            except InputError as error:
+                raise InputError(error.message, where=str(path), key=name) from None
         entries += [Entry(split=split, name=file.stem, scene=stored_scene(file)) for file in files.values()]
     if not entries:
         raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
@@ -151,9 +148,9 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     write_json(out / "metadata.json", {**ours, "exchange": record})
 
 
-def trajectory_of(cloud: Cloud, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of the sand of a cloud, in `scene`. Raises InputError where the scene's box is another one."""
-    positions, bounds = cloud.positions, np.array(foreign.bounds)
+def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
+    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one."""
+    (positions, friction), bounds = sand, np.array(foreign.bounds)
     if up == "z":
         if positions.shape[2] != 3:
             raise InputError("expected a set in 3D for --up z")
@@ -161,16 +158,16 @@ def trajectory_of(cloud: Cloud, scene: Scene, foreign: ForeignMetadata, up: str)
     size = bounds[:, 1] - bounds[:, 0]
     if len(size) != scene.dimension or not np.allclose(size, scene.domain.size, rtol=CLOSE):
         raise InputError(f"expected a scene in the box of the set, {size.tolist()} m, got {list(scene.domain.size)} m")
-    sand = np.ascontiguousarray((positions - bounds[:, 0])[:, ~cloud.stationary], dtype=np.float32)
-    tangent = math.tan(math.radians(scene.material.friction_deg))
-    friction = np.full(sand.shape[1], tangent) if cloud.friction is None else cloud.friction[~cloud.stationary]
+    positions = np.ascontiguousarray(positions - bounds[:, 0], dtype=np.float32)
+    if friction is None:
+        friction = np.full(positions.shape[1], scene.material.friction)
     return Trajectory(
-        positions=sand,
-        time=np.arange(len(sand), dtype=np.float64) * foreign.dt,
-        velocity0=((sand[1] - sand[0]) / foreign.dt).astype(np.float32),
+        positions=positions,
+        time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
+        velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
-        scene=replace(scene, duration=(len(sand) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary={"runout": runout(sand[-1]), "front": front(sand[-1]), "toe": list(toe(sand[-1]))},
+        scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
+        summary={"runout": runout(positions[-1]), "front": front(positions[-1]), "toe": list(toe(positions[-1]))},
     )
 
 

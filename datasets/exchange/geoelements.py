@@ -11,7 +11,6 @@ import pickle
 import pickletools
 import zipfile
 from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,8 @@ FARTHEST = 1.0e6
 """Positions [m] beyond this mean a broken file; single precision would tell them no better than to 6 cm."""
 STEEPEST = 1.0e3
 """A tan(phi) beyond this is none."""
+Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
+"""Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of every member: the same trajectories give the same bytes."""
 
@@ -41,32 +42,6 @@ class ParticleType(IntEnum):
 
     STATIONARY = 3
     SAND = 6
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cloud:
-    """One trajectory as they store it."""
-
-    name: str
-    positions: NDArray[np.floating]
-    """Positions [m], shape [T, N, D]."""
-    stationary: NDArray[np.bool_]
-    """Which particles are obstacles, shape [N]; the others are sand."""
-    friction: NDArray[np.float32] | None
-    """tan(phi) of each particle [-], shape [N], 0 for obstacles; None where the file does not say."""
-
-
-def cloud_of(trajectory: Trajectory, name: str) -> Cloud:
-    """Sand and, after it, the lattices of particles that stand for the baffles, at the spacing of the sand's."""
-    scene, sand = trajectory.scene, np.asarray(trajectory.positions)
-    lattices = [obstacle_particles(baffle, scene.particle_spacing) for baffle in scene.baffles]
-    obstacles = np.concatenate([np.empty((0, scene.dimension)), *lattices]).astype(np.float32)
-    return Cloud(
-        name=name,
-        positions=np.concatenate([sand, np.broadcast_to(obstacles, (len(sand), *obstacles.shape))], axis=1),
-        stationary=np.repeat([False, True], [sand.shape[1], len(obstacles)]),
-        friction=np.concatenate([trajectory.friction, np.zeros(len(obstacles), np.float32)]),
-    )
 
 
 def obstacle_particles(baffle: Baffle, spacing: float) -> NDArray[np.float64]:
@@ -81,17 +56,22 @@ def obstacle_particles(baffle: Baffle, spacing: float) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def write(path: Path, clouds: Iterable[Cloud]) -> None:
-    """Write a split, one trajectory in memory at a time."""
+def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
+    """Write a split, one trajectory in memory at a time.
+
+    Sand and, after it, the lattices of particles that stand for the baffles, at the spacing of the sand's.
+    """
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
-        for cloud in clouds:
-            types = np.where(cloud.stationary, ParticleType.STATIONARY, ParticleType.SAND).astype(np.int64)
-            items = [each for each in (cloud.positions, types, cloud.friction) if each is not None]
-            objects = np.empty(len(items), dtype=object)
-            for index, item in enumerate(items):
-                # A byte order of its own is what their tensors cannot take.
-                objects[index] = np.ascontiguousarray(item, item.dtype.newbyteorder("="))
-            with archive.open(zipfile.ZipInfo(f"{cloud.name}.npy", EARLIEST), "w", force_zip64=True) as stream:
+        for name, flow in flows:
+            scene, sand = flow.scene, np.asarray(flow.positions)
+            lattices = [obstacle_particles(baffle, scene.particle_spacing) for baffle in scene.baffles]
+            obstacles = np.concatenate([np.empty((0, scene.dimension)), *lattices]).astype(np.float32)
+            objects = np.empty(3, dtype=object)
+            objects[0] = np.concatenate([sand, np.broadcast_to(obstacles, (len(sand), *obstacles.shape))], axis=1)
+            counts = sand.shape[1], len(obstacles)
+            objects[1] = np.repeat(np.array([ParticleType.SAND, ParticleType.STATIONARY], np.int64), counts)
+            objects[2] = np.concatenate([flow.friction, np.zeros(len(obstacles), np.float32)])
+            with archive.open(zipfile.ZipInfo(f"{name}.npy", EARLIEST), "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, objects, allow_pickle=True)
 
 
@@ -105,10 +85,10 @@ def names(path: Path) -> list[str]:
             return [f"{index:05d}" for index in range(count)]
 
 
-def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
-    """The trajectories of a split whose names are `requested`, one in memory at a time unless they are one array.
+def read(path: Path, requested: Container[str]) -> Iterator[tuple[str, Sand]]:
+    """The sand of the trajectories of a split whose names are `requested`; never executes a pickle.
 
-    Never executes a pickle. Raises InputError, which names the file and the trajectory.
+    One is in memory at a time unless they are one array. Raises InputError, which names the file and the trajectory.
     """
     with open_npz(path, "a whole NPZ") as archive:
         whole = read_member(archive, ALL, WHAT, unpickled) if ALL in keys(archive) else None
@@ -118,12 +98,12 @@ def read(path: Path, requested: Container[str]) -> Iterator[Cloud]:
             parts = read_member(archive, name, WHAT, unpickled) if whole is None else whole[index]
             with reading(path, WHAT, name):
                 positions, types, material = (*parts, None)[:3]
-                cloud = checked(name, positions, types, material)
-            yield cloud
+                sand = checked(positions, types, material)
+            yield name, sand
 
 
-def checked(name: str, positions: Any, types: Any, material: Any) -> Cloud:
-    """A cloud from what a file holds.
+def checked(positions: Any, types: Any, material: Any) -> Sand:
+    """The sand in what a file holds of a trajectory.
 
     Raises InputError for anything else than positions [T, N, D], one type per particle or for all, and at most one
     material property, tan(phi), per particle, per particle of sand (their generator leaves the obstacles out), or for
@@ -149,19 +129,18 @@ def checked(name: str, positions: Any, types: Any, material: Any) -> Cloud:
     require(types.shape in ((), (count,)), f"one type for all particles or for each of {count}", types.shape)
     found = sorted(set(types.ravel().tolist()))
     require(set(found) <= set(ParticleType), f"particle types of {sorted(map(int, ParticleType))}", found)
-    still = np.broadcast_to(types == ParticleType.STATIONARY, (count,))
-    require(not still.all(), "sand that moves", "obstacles alone")
+    sand = np.broadcast_to(types == ParticleType.SAND, (count,))
+    require(bool(sand.any()), "sand that moves", "obstacles alone")
     if material is None:
-        return Cloud(name=name, positions=positions, stationary=still, friction=None)
+        return positions[:, sand], None
     values = numbers(material, "material properties", "iuf")
     require(bool((abs(values) < STEEPEST).all()), "a material property that is a tan(phi)", "other numbers")
     if values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
-    friction = np.zeros(count, np.float32)
+    moving = int(sand.sum())
     expected = f"one material property, tan(phi), for all particles or for each of {count}"
-    require(values.shape in ((), (count,), (int((~still).sum()),)), expected, values.shape)
-    friction[~still] = values[~still] if values.shape == still.shape else values
-    return Cloud(name=name, positions=positions, stationary=still, friction=friction)
+    require(values.shape in ((), (count,), (moving,)), expected, values.shape)
+    return positions[:, sand], np.broadcast_to(values[sand] if values.shape == sand.shape else values, moving)
 
 
 def unpickled(content: bytes) -> Any:

@@ -96,7 +96,7 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path, trajectory: Trajectory
         case "trajectory" | "long trajectory":
             trajectory.save(path)
         case "object arrays":
-            geoelements.write(path, [geoelements.cloud_of(toy(2), "flow")])
+            geoelements.write(path, [("flow", toy(2))])
         case "table":
             write_csv(path)
         case _:

@@ -13,7 +13,6 @@ from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.exchange import geoelements
 from datasets.exchange.__main__ import command
-from datasets.exchange.geoelements import cloud_of
 from datasets.files import write_json
 from datasets.trajectory import Trajectory
 from tests.datasets.test_arrays import OBJECTS, npy, with_member
@@ -121,8 +120,9 @@ def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def foreign(folder: Path, *, material: float | None = 0.7) -> Path:
     """A set as geoelements' own generator makes it: one array of all trajectories, a box away from the origin."""
-    cloud = cloud_of(toy(2), "")
-    positions, types = cloud.positions + 0.1, np.where(cloud.stationary, 3, 6)
+    sand = toy(2).positions + 0.1
+    positions = np.concatenate([sand, np.full((FRAMES, 3, 2), 0.2)], axis=1)
+    types = np.repeat([6, 3], [sand.shape[1], 3])
     data = np.empty(2, dtype=object)
     for index, each in enumerate([(positions, types, material), (positions[:, types == 6], 6, material)]):
         data[index] = each if material is not None else each[:2]
@@ -214,8 +214,9 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
     data = np.empty(2, dtype=object)
     data[0], data[1] = POSITIONS, TYPES
     content = npy(OBJECTS.replace("(1,)", "(2,)"), pickle.dumps(data, 2)).replace(b"numpy._core.", b"numpy.core.")
-    (cloud,) = geoelements.read(with_member(tmp_path / "train.npz", content), {"data"})
-    np.testing.assert_array_equal(cloud.positions, POSITIONS)
+    ((_, (positions, friction)),) = geoelements.read(with_member(tmp_path / "train.npz", content), {"data"})
+    np.testing.assert_array_equal(positions, POSITIONS[:, TYPES == 6])
+    assert friction is None
 
 
 @pytest.mark.parametrize(
