@@ -43,8 +43,9 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     except (ValueError, RecursionError) as error:
         # Of thousands of digits, or tables in tables.
         raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
+    adapter = _adapter(kind)  # type: ignore[arg-type]  # Types are hashable.
     try:
-        record: T = _adapter(kind).validate_json(text)  # type: ignore[arg-type]  # Types are hashable.
+        record: T = adapter.validate_json(text)
         return record
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
@@ -58,7 +59,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             key = cause.key.removeprefix(path.split(".")[-1] + ".") if path else cause.key
             raise OutOfRange(cause.message, key=".".join(part for part in (path, key) if part)) from None
         if first["type"] == "unexpected_keyword_argument":
-            schema = _adapter(kind).json_schema()
+            schema = adapter.json_schema()
             parts = [schema, *schema.get("$defs", {}).values()]
             known = [name for part in parts for name in part.get("properties", {})]
             near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
@@ -72,7 +73,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
 
 def changed(record: Record) -> dict[str, Any]:
     """The keys of a record, and of those in it, that are not at their defaults, as `from_mapping` takes them."""
-    table: dict[str, Any] = _adapter(type(record)).dump_python(record, exclude_defaults=True, warnings=False)
+    kind: Any = type(record)
+    table: dict[str, Any] = _adapter(kind).dump_python(record, exclude_defaults=True, warnings=False)
     return table
 
 

@@ -141,11 +141,11 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     if not entries:
         raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
     first = [out / each.split.value / f"{each.name}.npz" for each in entries if each.split is entries[0].split]
-    flows = map(Trajectory.load, tqdm(first, desc="statistics", unit="trajectory", dynamic_ncols=True))
-    statistics = reduce(add, (motion_statistics(flow.positions, flow.frame_dt) for flow in flows))
+    ours = map(Trajectory.load, tqdm(first, desc="statistics", unit="trajectory", dynamic_ncols=True))
+    statistics = reduce(add, (motion_statistics(flow.positions, flow.frame_dt) for flow in ours))
     radius = foreign.default_connectivity_radius
-    ours = metadata("geoelements", entries, connectivity_radius=radius, seed=None, statistics=statistics)
-    write_json(out / "metadata.json", {**ours, "exchange": record})
+    content = metadata("geoelements", entries, connectivity_radius=radius, seed=None, statistics=statistics)
+    write_json(out / "metadata.json", {**content, "exchange": record})
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:

@@ -25,63 +25,40 @@ MOVING_SPEED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moments:
-    """Count, mean and sum of squared deviations of a sample; two of them add up to those of the joint sample."""
+class MotionStatistics:
+    """Moments of v_t [m per frame] and of a_t [m per frame^2]; those of two parts add up to those of both."""
 
-    count: int
+    count: NDArray[np.int64]
+    """Samples of v_t and of a_t, shape [2, 1]."""
     mean: NDArray[np.float64]
-    """Mean per axis, shape [D]."""
+    """Mean per axis, shape [2, D]."""
     squares: NDArray[np.float64]
-    """Sum of squared deviations from the mean per axis, shape [D]."""
+    """Sum of squared deviations from the mean per axis, shape [2, D]."""
 
     @staticmethod
-    def from_samples(samples: NDArray[np.float64]) -> "Moments":
-        """The moments of `samples`, shape [S, D]; S may be 0."""
-        if len(samples) == 0:
-            return Moments(count=0, mean=np.zeros(samples.shape[1]), squares=np.zeros(samples.shape[1]))
-        mean = samples.mean(axis=0)
-        return Moments(count=len(samples), mean=mean, squares=((samples - mean) ** 2).sum(axis=0))
+    def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":
+        """The moments of v_t and of a_t, shape [S, D] each; S may be 0."""
+        mean = [each.mean(axis=0) if len(each) else np.zeros(each.shape[1]) for each in samples]
+        return MotionStatistics(
+            count=np.array([[len(each)] for each in samples]),
+            mean=np.array(mean),
+            squares=np.array([((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]),
+        )
 
-    def __add__(self, other: "Moments") -> "Moments":
+    def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
         """Pairwise update of Chan, Golub and LeVeque (1983): nothing cancels, whatever the sizes of the parts."""
         count = self.count + other.count
-        if count == 0:
-            return self
-        shift = other.mean - self.mean
-        return Moments(
+        shift, either = other.mean - self.mean, np.maximum(count, 1)
+        return MotionStatistics(
             count=count,
-            mean=self.mean + shift * (other.count / count),
-            squares=self.squares + other.squares + shift**2 * (self.count * other.count / count),
+            mean=self.mean + shift * (other.count / either),
+            squares=self.squares + other.squares + shift**2 * (self.count * other.count / either),
         )
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """Standard deviation per axis (of the population), shape [D]."""
-        return np.asarray(np.sqrt(self.squares / max(self.count, 1)))
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionStatistics:
-    """Moments of the frame differences of one or more trajectories."""
-
-    velocity: Moments
-    """Of v_t [m per frame]."""
-    acceleration: Moments
-    """Of a_t [m per frame^2]."""
-
-    def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
-        return MotionStatistics(
-            velocity=self.velocity + other.velocity, acceleration=self.acceleration + other.acceleration
-        )
-
-    def metadata(self) -> dict[str, list[float]]:
-        """The keys of geoelements `vel_mean`, `vel_std`, `acc_mean`, `acc_std`, one number per axis."""
-        return {
-            "vel_mean": self.velocity.mean.tolist(),
-            "vel_std": self.velocity.std.tolist(),
-            "acc_mean": self.acceleration.mean.tolist(),
-            "acc_std": self.acceleration.std.tolist(),
-        }
+        """Standard deviation per axis (of the population), shape [2, D]."""
+        return np.asarray(np.sqrt(self.squares / np.maximum(self.count, 1)))
 
 
 def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> MotionStatistics:
@@ -90,10 +67,7 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
     velocity = np.diff(positions.astype(np.float64), axis=0)
     acceleration = np.diff(velocity, axis=0)
     moving = np.linalg.norm(velocity, axis=-1) > MOVING_SPEED * frame_dt
-    return MotionStatistics(
-        velocity=Moments.from_samples(velocity[moving]),
-        acceleration=Moments.from_samples(acceleration[moving[:-1] | moving[1:]]),
-    )
+    return MotionStatistics.from_samples(velocity[moving], acceleration[moving[:-1] | moving[1:]])
 
 
 def metadata(
@@ -120,7 +94,10 @@ def metadata(
         "default_connectivity_radius": connectivity_radius,
         "dim": scene.dimension,
         "dt": scene.frame_dt,
-        **statistics.metadata(),
+        "vel_mean": statistics.mean[0].tolist(),
+        "vel_std": statistics.std[0].tolist(),
+        "acc_mean": statistics.mean[1].tolist(),
+        "acc_std": statistics.std[1].tolist(),
         # Ours.
         "definition": name,
         "seed": seed,
@@ -129,8 +106,8 @@ def metadata(
         "statistics": {
             "split": entries[0].split.value,
             "moving_speed": MOVING_SPEED,
-            "velocities": statistics.velocity.count,
-            "accelerations": statistics.acceleration.count,
+            "velocities": int(statistics.count[0, 0]),
+            "accelerations": int(statistics.count[1, 0]),
         },
         "cell": extremes([each.domain.cell for each in scenes]),
         "particles_per_axis": shared("particles_per_axis"),
