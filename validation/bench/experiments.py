@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from validation.experiments.experiment import (
     read_experiments,
 )
 from validation.experiments.quantities import quantity
-from validation.report.page import Page, percent, signed
+from validation.report.page import Page, percent, rms, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure, pane
 from validation.runs import Run, RunStore
 
@@ -206,11 +206,6 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def rms(values: Iterable[float]) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(list(values)))))
-
-
 def page(findings: Findings, *, quick: bool = False) -> Page:
     """The page."""
     text = Page(
@@ -294,7 +289,7 @@ def conclusion(findings: Findings) -> list[str]:
     mean, moved = float(np.mean(far)), max(abs(each.fine / each.coarse - 1.0) for each in fronts)
     lines = [
         f"At angles of friction measured by themselves, nothing fitted, {agreed} of {len(scores)} lengths are within"
-        f" {CLOSE:g} times their spread; rms {rms(each.error for each in scores):.1f} spreads, at most"
+        f" {CLOSE:g} times their spread; rms {rms([each.error for each in scores]):.1f} spreads, at most"
         f" {largest.error:+.1f} ({largest.label}).",
         f"Fronts come {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
         f" {signed(max(far))}; from coarse to fine cells they move by {percent(moved)} at most.",
@@ -309,8 +304,8 @@ def conclusion(findings: Findings) -> list[str]:
     if findings.others:
         cases = {(each.experiment, each.case.name) for each in findings.others}
         same = [each for each in scores if (each.experiment, each.case.name) in cases]
-        first = rms((each.coarse - each.measured.value) / each.measured.spread for each in same)
-        other = rms(each.error for each in findings.others)
+        first = rms([(each.coarse - each.measured.value) / each.measured.spread for each in same])
+        other = rms([each.error for each in findings.others])
         names = [" or ".join(sorted({each.angle.name for each in some})) for some in (same, findings.others)]
         lines.append(
             f"Where two angles were measured, the {names[0]} angle leaves {first:.1f} spreads rms, the {names[1]} angle"

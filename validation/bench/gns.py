@@ -30,10 +30,9 @@ from validation.bench.held_out import (
     held_out,
     mean,
     out_of_range,
-    rms,
     worst,
 )
-from validation.report.page import GNS, MPM, Page, Row, signed
+from validation.report.page import GNS, MPM, Page, Row, rms, signed
 from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 from validation.runs import Run, RunStore
 

@@ -156,11 +156,6 @@ def mean(values: Sequence[float]) -> float:
     return float(np.mean(np.abs(values))) if values else math.nan
 
 
-def rms(values: Sequence[float]) -> float:
-    """Root mean square; nan of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values else math.nan
-
-
 def worst(values: Sequence[float]) -> float:
     """The value of the largest amount, with its sign; nan of none."""
     return max(values, key=abs) if values else math.nan

@@ -17,7 +17,7 @@ from datasets.records import Record, from_mapping, read_json, read_toml
 from gns import library
 from inverse.found import Verdict
 from inverse.problem import Problem, read_problem
-from validation.report.page import GNS, MPM, Page, Row
+from validation.report.page import GNS, MPM, Page, Row, between
 
 RESULT, KEY = "result.json", "made-of.txt"
 """In the folder of a problem: what the loop wrote, and a digest of what it was made of."""
@@ -248,21 +248,15 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     if fields:
         values = sum(each["values"] for each in fields)
         held = sum(each["values"] * each["truth_in_band"]["all"] for each in fields) / values
+        identified = between([each["identified"] for each in fields], ".0%")
         sentences.append(
             f"Of {values} values of {len(fields)} fields {held:.0%} lie within their 95 % bands; the observation "
-            f"identifies {min(each['identified'] for each in fields):.0%} to "
-            f"{max(each['identified'] for each in fields):.0%} of a field."
+            f"identifies {identified} of a field."
         )
     runs = [len(each.result["mpm_runs"]) for each in outcomes]
     seconds = [each.result["seconds"]["total"] for each in outcomes]
-    sentences.append(f"A problem takes {extent(runs)} MPM runs and {extent(seconds)} s.")
+    sentences.append(f"A problem takes {between(runs, '.0f')} MPM runs and {between(seconds, '.0f')} s.")
     return sentences
-
-
-def extent(values: Sequence[float]) -> str:
-    """The smallest to the largest of `values`."""
-    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
-    return low if low == high else f"{low} to {high}"
 
 
 def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:

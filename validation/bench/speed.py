@@ -1,7 +1,7 @@
 """`python -m validation.bench speed`: rates of the MPM, price of a gradient by the adjoint, a step of the network."""
 
 import statistics
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
-from validation.report.page import GNS, MPM, Page, Row
+from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure, pane
 
 CUBE = 0.375
@@ -259,12 +259,6 @@ def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping
     steps = between([float(each["µs per node"]) for each in networks], ".0f")
     found.append(f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.")
     return found
-
-
-def between(values: Collection[float], form: str) -> str:
-    """From the smallest to the largest of some numbers."""
-    low, high = format(min(values), form), format(max(values), form)
-    return low if low == high else f"{low} to {high}"
 
 
 def best_rates(rates: Rates, dimension: int) -> dict[int, float]:

@@ -4,7 +4,7 @@ import math
 import os
 import platform
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -54,6 +54,17 @@ def percent(fraction: float) -> str:
 def signed(fraction: float) -> str:
     """0.0213 as +2.1 %; nan as -."""
     return "-" if math.isnan(fraction) else f"{100.0 * fraction:+.1f} %"
+
+
+def between(values: Collection[float], form: str) -> str:
+    """From the smallest to the largest of some numbers."""
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f"{low} to {high}"
+
+
+def rms(values: Collection[float]) -> float:
+    """Root mean square; nan of none."""
+    return math.sqrt(sum(value**2 for value in values) / len(values)) if values else math.nan
 
 
 class Page:

@@ -112,12 +112,6 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
     assert len(list(tmp_path.glob("*.png"))) == 2
 
 
-def test_wrong_flags_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for flags in (["--unknowns", "7"], ["--problems", "nothing"]):
-        assert main(["efficiency", "--out", str(tmp_path), *flags]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_gradients_of_a_short_flow_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(searches, "PAPER", {})

@@ -1,13 +1,18 @@
-"""Every experiment that ships is complete and can be run; a wrong one is refused by name."""
+"""Experiments that ship can be run, wrong ones are refused by name; a page of a made-up one follows its numbers."""
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
+from datasets.scene import Scene
+from validation.bench.experiments import compute, crossing, page
 from validation.experiments.experiment import (
     Angle,
     Assumption,
@@ -23,6 +28,90 @@ from validation.experiments.experiment import (
 
 SHIPPED = read_experiments()
 PLAUSIBLE_DEG = 25.0
+EXPERIMENT = """
+title = "A wedge"
+what = "Its front falls by 10 mm a degree."
+source = "this test"
+licence = "MIT"
+floor = "material"
+cells = [0.02, 0.01]
+
+[[angles]]
+name = "avalanche"
+lower_deg = 24.5
+upper_deg = 25.5
+status = "read"
+source = "this test"
+
+[[angles]]
+name = "repose"
+lower_deg = 20.0
+upper_deg = 20.0
+status = "worked out"
+source = "this test"
+
+[[cases]]
+name = "wedge"
+scene = "wedge.toml"
+
+[[cases.measured]]
+quantity = "front"
+value = 0.52
+spread = 0.005
+spread_from = "this test"
+status = "read"
+source = "this test"
+explanation = "The wedge is imaginary."
+
+[[assumptions]]
+what = "everything"
+choice = "nothing"
+reason = "a test"
+"""
+
+SCENE = """
+duration = 0.1
+frame_dt = 0.01
+
+[domain]
+size = [1.0, 0.2]
+cell = 0.02
+
+[material]
+friction_deg = 30.0
+
+[[masses]]
+lower = [0.0, 0.0]
+size = [0.2, 0.1]
+"""
+
+PARTICLES = 2001
+
+
+def front_of(friction_deg: float) -> float:
+    """Front of the wedge [m]: 0.5 m at 25 degrees, 10 mm less a degree."""
+    return 0.5 - 0.01 * (friction_deg - 25.0)
+
+
+def deposits(scenes: Sequence[Scene]) -> list[NDArray[np.float32]]:
+    """Wedges whose 99.5 % quantile of x is `front_of` their angle; on cells of 20 mm 2 % less."""
+    found = []
+    for scene in scenes:
+        factor = 0.98 if scene.domain.cell > 0.015 else 1.0
+        # Evenly spaced from 0: the quantile at a share q is at q times the largest.
+        x = np.linspace(0.0, factor * front_of(scene.material.friction_deg) / 0.995, PARTICLES)
+        found.append(np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1).astype(np.float32))
+    return found
+
+
+@pytest.fixture
+def shelf(tmp_path: Path) -> Path:
+    """A folder with the one experiment `wedge`."""
+    folder = tmp_path / "shelf" / "wedge"
+    folder.mkdir(parents=True)
+    (folder / "experiment.toml").write_text(EXPERIMENT)
+    (folder / "wedge.toml").write_text(SCENE)
+    return tmp_path / "shelf"
 
 
 @pytest.mark.parametrize("shipped", SHIPPED, ids=lambda each: each.name)
@@ -85,3 +174,47 @@ def test_the_page_on_formats_names_every_key() -> None:
         assert status in section.replace("\n", " ")
     for quantity in Quantity:
         assert f"`{quantity}`" in section
+
+
+def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
+    findings = compute(read_experiments(shelf), deposits)
+    (score,) = findings.scores
+    assert score.angle.name == "avalanche"
+    assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-6)
+    assert score.error == pytest.approx(-4.0, abs=1e-3)
+    assert not score.agrees
+    (other,) = findings.others
+    assert other.error == pytest.approx((0.98 * 0.55 - 0.52) / 0.005, abs=1e-3)
+    (found,) = findings.inferred
+    # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; 5 mm are half a degree.
+    assert found.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)
+    assert found.half_width_deg == pytest.approx(0.005 / 0.0098, rel=1e-3)
+    assert found.coarse_deg == pytest.approx(25.0 - (0.52 / 0.98 - 0.5) / 0.01, abs=1e-3)
+    assert found.difference_deg == pytest.approx(-2.04, abs=0.01)
+    assert not found.agrees
+
+
+@pytest.mark.parametrize("target", [0.36, 0.45, 0.6])
+def test_the_angle_of_a_front_lies_between_runs(target: float) -> None:
+    fronts = {angle: 12.5 / angle for angle in (20.0, 24.0, 28.0, 32.0, 36.0)}
+    angle, slope = crossing(fronts, target)
+    assert angle == pytest.approx(12.5 / target, abs=0.3)
+    assert slope == pytest.approx(-(target**2) / 12.5, rel=0.2)
+
+
+def test_a_front_that_no_angle_gives_has_a_slope_alone() -> None:
+    fronts = {20.0: 0.6, 28.0: 0.5, 36.0: 0.45}
+    assert math.isnan(crossing(fronts, 0.7)[0])
+    assert crossing(fronts, 0.7)[1] == pytest.approx(-0.0125)
+    assert crossing(fronts, 0.3)[1] == pytest.approx(-0.00625)
+    # Runs close to each other: the slope is that of the whole.
+    assert crossing({20.0: 0.6, 20.5: 0.599, 28.0: 0.5}, 0.5995)[1] == pytest.approx(-0.0125)
+
+
+def test_the_page_follows_the_numbers(shelf: Path) -> None:
+    text = page(compute(read_experiments(shelf), deposits))
+    assert "0 of 1 lengths are within 2 times their spread; rms 4.0 spreads, at most -4.0 (wedge" in text.conclusion
+    assert "Fronts come 3.8 % too short" in text.conclusion
+    assert "-2.0° from the measured one" in text.conclusion
+    assert "the avalanche angle leaves 6.0 spreads rms, the repose angle 3.8, on" in text.conclusion
+    assert "- wedge, wedge, front: The wedge is imaginary." in str(text)

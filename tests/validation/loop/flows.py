@@ -20,11 +20,7 @@ from inverse.parameters import Vector
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
 from inverse.result import Result
-from inverse.settings import (
-    LoopSettings,
-    ObservationSettings,
-    TargetSettings,
-)
+from inverse.settings import ObservationSettings, TargetSettings
 from inverse.target import Target, read_target
 from mpm import ALL, Recording
 from validation.loop.solve import run
@@ -162,19 +158,6 @@ class FakeSurrogate:
         return np.stack([x, 0.1 * np.ones(len(x))], axis=1)
 
 
-@dataclass(kw_only=True)
-class WrongWedge(FakeSurrogate):
-    """The wedge with another slope and another length."""
-
-    indices: NDArray[np.int64] = field(default_factory=lambda: np.arange(PARTICLES))
-    steepness: float
-    """Its slope over the true one."""
-
-    def x(self, parameters: Tensor) -> Tensor:
-        middle = length(30.0)
-        return (1.1 * middle + self.steepness * (length(parameters[0]) - middle)) * torch.from_numpy(SHAPE)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A problem with all that it takes to solve it."""
@@ -198,15 +181,10 @@ def wedge(
     kind: str = "front",
     mpm: FakeMpm | None = None,
     scatter: float = 0.0,
-    steepness: float | None = None,
     seed: int = 7,
-    loop: LoopSettings | None = None,
     **measured: Any,
 ) -> Case:
-    """The friction angle of a wedge, by `mpm` or one with `scatter` [m]; measured: of the observation.
-
-    steepness: of the surrogate's slope over the true one; there is no surrogate where absent.
-    """
+    """The friction angle of a wedge, by `mpm` or one with `scatter` [m]; measured: of the observation."""
     scene = Scene(
         domain=Domain(size=(1.2, 0.4), cell=0.01),
         material=Material(friction_deg=33.3),
@@ -221,15 +199,11 @@ def wedge(
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
         observations=(ObservationSettings(kind=kind, **measured),),
         target=TargetSettings() if known else twin,
-        loop=loop or LoopSettings(),
     )
     mpm = mpm or FakeMpm(scatter=scatter)
     read = read_target(problem, mpm.run)
     mpm.scenes.clear()
-    surrogate = None
-    if steepness is not None:
-        surrogate = WrongWedge(observation=read.observation, steepness=steepness)  # type: ignore[arg-type]
-    return Case(problem=problem, target=read, mpm=mpm, surrogate=surrogate)
+    return Case(problem=problem, target=read, mpm=mpm)
 
 
 def true_velocities(count: int) -> Vector:

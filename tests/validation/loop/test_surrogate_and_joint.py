@@ -179,10 +179,10 @@ def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
 
 
 def test_a_surrogate_is_asked_where_it_costs_less_than_it_saves(tmp_path: Path) -> None:
-    case = wedge(tmp_path, steepness=0.5)
+    case = wedge(tmp_path)
 
     def load(*asked: object) -> tuple[Any, str]:
-        return case.surrogate, ""
+        return Kink(observation=case.target.observation, indices=np.arange(600)), ""
 
     auto = task(case, tmp_path, Surrogate.AUTO)
     found, reason = choose(auto, 100.0, model=None, load=load)
