@@ -44,12 +44,6 @@ class ForeignMetadata(Record):
     default_connectivity_radius: float
     """Radius of their neighbour search [m]."""
 
-    def __post_init__(self) -> None:
-        if len(self.bounds) not in (2, 3) or not all(low < high for low, high in self.bounds):
-            raise InputError(f"expected two ends for 2 or 3 axes, got {self.bounds}", key="bounds")
-        if self.dt <= 0.0:
-            raise InputError(f"expected a positive time in s, got {self.dt}", key="dt")
-
 
 def export(dataset: Path, out: Path) -> None:
     """Write the dataset folder `dataset` to `out` in their layout; what an earlier, interrupted call wrote is kept.

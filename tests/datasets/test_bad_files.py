@@ -82,7 +82,6 @@ KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "object arrays": ("train.npz", lambda path: list(geoelements.read(path, geoelements.names(path)))),
     "table": ("dem.csv", lambda path: read_columns(path, ("x", "z", "y"))),
     "mesh": ("ball.stl", mesh_scene),
-    "mesh in text": ("ball.obj", mesh_scene),
 }
 
 

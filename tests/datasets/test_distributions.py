@@ -48,14 +48,10 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
     angles = np.array([scene.material.friction_deg for scene in scenes])
     assert 20.0 <= angles.min() < 21.5
     assert 38.5 < angles.max() <= 40.0
-    logs = np.log([scene.material.cohesion for scene in scenes])
-    assert np.median(logs) == pytest.approx(np.log(300.0), abs=0.6)
     for scene in scenes:
         assert scene.material.tension_cutoff == pytest.approx(0.5 * scene.material.cohesion)
         assert len({mass.size[1] for mass in scene.masses}) == 1
         assert all(0.0999 < mass.size[1] < 0.3001 for mass in scene.masses)
-        lengths = np.array([[mass.lower[0], mass.size[0]] for mass in scene.masses]) / 0.02
-        np.testing.assert_allclose(lengths, lengths.round(), atol=1e-9)
         boxes = (*scene.masses, *scene.baffles)
         assert not overlaps(boxes).any()
         for baffle in scene.baffles:

@@ -156,7 +156,6 @@ def test_a_set_that_geoelements_generated(
         ((*TO, "--up", "z", "--out", "o"), "with --from alone"),
         ((*FROM, "--out", "o"), "expected --scene"),
         ((*FROM, "--scene", "column-tall-42", "--out", "o"), "metadata.json"),
-        ((*TO, "--out", "o"), "metadata.json"),
     ],
 )
 def test_mistakes(

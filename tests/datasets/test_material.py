@@ -1,6 +1,5 @@
 """Materials: what may be combined, and the constants that follow."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -31,17 +30,6 @@ def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
     steep = Material(friction_deg=89.9, cohesion=1.0e3)
     assert steep.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(89.9)))
     assert steep.tension_limit < 3.0
-
-
-def test_the_default_cutoff_grows_with_depth() -> None:
-    depth = np.array([0.0, 2.0, 8.0])
-    for friction_deg in (0.0, 30.0):
-        soil = Material(friction_deg=friction_deg, cohesion=1.0e3, strength_gradient=500.0)
-        np.testing.assert_array_equal(soil.tension_limit_at(depth), TENSION_SHARE * soil.cohesion_at(depth))
-    given = dataclasses.replace(soil, tension_cutoff=2.0)
-    np.testing.assert_array_equal(given.tension_limit_at(depth), 2.0)
-    loose = Material(friction_deg=30.0, strength_gradient=500.0)
-    assert (loose.tension_limit, loose.tension_limit_at(2.0)) == (0.0, 3.0)
 
 
 def test_the_default_cutoff_stays_after_softening_below_the_residual_apex() -> None:

@@ -48,15 +48,6 @@ def test_profile_conserves_volume() -> None:
     assert trapezoid(height_profile(points, 2e-5, stations), stations) == pytest.approx(1000 * 2e-5)
 
 
-def test_profile_is_continuous() -> None:
-    # A point carries at most volume / spacing^2 of slope (twice that at a wall), also across a station.
-    stations = np.linspace(0.0, 1.0, 11)
-    x = np.linspace(0.0, 1.0, 2001)
-    profiles = np.array([height_profile(np.array([[each, 0.0]]), 1.0, stations) for each in x])
-    steepest = np.abs(np.diff(profiles, axis=0)).max() / (x[1] - x[0])
-    assert steepest == pytest.approx(2.0 / 0.1**2, rel=1e-6)
-
-
 def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
     deposit = block(0.4, 0.1)
     one = np.ones(len(deposit))

@@ -109,13 +109,13 @@ def stretch() -> Sample:
 
 def same(one: Sample, other: Sample) -> bool:
     """Whether two samples are equal but for round-off."""
-
-    def arrays(sample: Sample) -> list[object]:
-        fields = [getattr(sample, field.name) for field in dataclasses.fields(Sample) if field.name != "surroundings"]
-        around = sample.surroundings
-        return fields + [getattr(around, field.name) for field in dataclasses.fields(Surroundings)]
-
-    return all(np.allclose(a, b, rtol=0.0, atol=1e-6) for a, b in zip(arrays(one), arrays(other), strict=True))
+    pairs = [
+        (getattr(a, field.name), getattr(b, field.name))
+        for a, b in ((one, other), (one.surroundings, other.surroundings))
+        for field in dataclasses.fields(a)
+        if field.name != "surroundings"
+    ]
+    return all(np.allclose(a, b, rtol=0.0, atol=1e-6) for a, b in pairs)
 
 
 @pytest.mark.parametrize("axis", [0, 2, None])
