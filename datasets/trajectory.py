@@ -26,7 +26,6 @@ FIELDS = {
     "velocities": np.float32,
     "stress": np.float32,
     "pressure": np.float32,
-    "density": np.float32,
     "plastic_strain": np.float32,
     "solid_impulse": np.float64,
 }
@@ -71,8 +70,6 @@ class Trajectory:
     """Cauchy stress [Pa], tension positive, shape [T, N, S]: xx, yy, zz, xy and, in 3D, yz, zx; S is 4 or 6."""
     pressure: Floats | None = None
     """Mean compressive stress -tr(sigma)/3 [Pa], compression positive, shape [T, N]."""
-    density: Floats | None = None
-    """Density of the deposit around each particle [kg/m^3], shape [T, N]."""
     plastic_strain: Floats | None = None
     """Accumulated equivalent deviatoric plastic strain [-], shape [T, N]."""
     solid_impulse: NDArray[np.float64] | None = None
@@ -165,7 +162,6 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = F
         "velocities": positions.shape,
         "stress": (frames, particles, 4 if dimension == 2 else 6),
         "pressure": (frames, particles),
-        "density": (frames, particles),
         "plastic_strain": (frames, particles),
         "solid_impulse": (frames, len(solid_names(scene)), dimension),
     }

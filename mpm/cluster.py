@@ -9,7 +9,6 @@ broken off by an error of the network. A scene that blows up does so everywhere 
 """
 
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
@@ -36,9 +35,7 @@ CONNECT = 10.0
 RETRIES = 2
 """How often a task that an error broke off is tried again."""
 PATIENCE = 3600.0
-"""Seconds without any worker after which work fails: a batch system may start new ones meanwhile."""
-POLL = 2.0
-"""Seconds after which one looks whether there are workers."""
+"""Seconds in which the first worker must come: a batch system starts them one by one."""
 QUEUED = 2
 """Tasks for each Dask worker: the next one is there when it has finished one."""
 
@@ -52,11 +49,9 @@ class Workers:
     executor: Executor
     width: Callable[[], int]
     """How many tasks to hand out at a time."""
-    check: Callable[[], object] = lambda: None
-    """Raises WorkFailed where nobody is left to work."""
 
     def completed(self, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]) -> Iterator[tuple[int, Future[T]]]:
-        """`work(*task)` of each task with its number, whichever has ended first. Raises WorkFailed as `check`.
+        """`work(*task)` of each task with its number, whichever has ended first.
 
         No more are handed out than the processes can take: what an executor has queued it cannot give back on Ctrl-C.
         """
@@ -66,12 +61,8 @@ class Workers:
                 running[self.executor.submit(work, *task)] = number
             if not running:
                 return
-            ended = wait(running, timeout=POLL, return_when=FIRST_COMPLETED).done
-            if not ended:
-                self.check()
-            for future in ended:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
                 if future.cancelled():
-                    self.check()
                     raise WorkFailed("the scheduler has gone; what was finished is kept")
                 yield running.pop(future), future
 
@@ -150,35 +141,16 @@ def connected(address: str) -> Iterator[Workers]:
         raise InputError(
             f"expected the address of a Dask scheduler, {error}", where=address, key="--scheduler"
         ) from None
-    seen, waiting = time.monotonic(), False
-
-    def count() -> int:
-        """How many workers there are now. Raises WorkFailed where there was none for PATIENCE seconds."""
-        nonlocal seen, waiting
-        try:
-            workers = len(client.nthreads())
-        except (OSError, ValueError):
-            raise WorkFailed(f"{address}: the scheduler has gone; what was finished is kept") from None
-        if workers:
-            seen, waiting = time.monotonic(), False
-            return workers
-        if not waiting:
-            waiting = True
-            print(f"talus: {address}: no worker; waiting for one", file=sys.stderr)
-        if time.monotonic() - seen > PATIENCE:
-            raise WorkFailed(f"{address}: no worker for {PATIENCE:g} s; what was finished is kept")
-        return 0
-
     with client:
-        # Those of a batch job come one by one.
-        while not count():
-            time.sleep(POLL)
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise WorkFailed(f"{address}: no worker for {PATIENCE:g} s") from None
         # Taichi holds one simulation per process.
         if (threads := set(client.nthreads().values())) != {1}:
             expected = "expected workers of one thread each (dask worker --nthreads 1)"
             raise InputError(f"{expected}, got {sorted(threads)}", where=address, key="--scheduler")
         yield Workers(
             executor=client.get_executor(pure=False, retries=RETRIES),
-            width=lambda: QUEUED * max(count(), 1),
-            check=count,
+            width=lambda: QUEUED * max(len(client.nthreads()), 1),
         )

@@ -76,7 +76,7 @@ def advance_worker(worker, first, last, arrays: ti.template()):
         kappa = relaxation_factor(scene, dt, arrays)
         for _ in range(substeps):
             clear(worker, strides, arrays)
-            particles_to_grid(worker, scene, dt, strides, arrays)
+            particles_to_grid(worker, scene, strides, arrays)
             synchronise(arrays)
             update_grid(worker, scene, dt, kappa, strides, arrays)
             synchronise(arrays)
@@ -115,7 +115,7 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
             dt = arrays.step_control[scene, StepControl.DT]
             if dt > 0.0:
                 at, strides = arrays.workers[scene, Worker.NODE], node_strides(scene, arrays)
-                block_to_grid(at, scene, block, block * arrays.features.scratch, dt, strides, arrays)
+                block_to_grid(at, scene, block, block * arrays.features.scratch, strides, arrays)
         for q in range(last * arrays.offsets.shape[0]):
             update_node(q % last, q // last, arrays)
         for block in range(arrays.owner.shape[0]):

@@ -60,7 +60,7 @@ def command(
     last_frame
         Keep the last frame only.
     fields
-        Record velocity, stress, pressure, density and plastic strain of every particle too, and forces on the walls.
+        Record velocity, stress, pressure and plastic strain of every particle too, and forces on the walls.
     until_rest
         End when the deposit has come to rest; the frames that are left repeat the last one.
     vtk

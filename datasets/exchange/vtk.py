@@ -30,7 +30,6 @@ UNITS = {
     "displacement": "m",
     "stress": "Pa",
     "pressure": "Pa",
-    "density": "kg/m^3",
     "plastic_strain": "1",
     "material": "1",
     "friction_deg": "deg",
@@ -103,7 +102,7 @@ class Meshes:
     def fields(self, frame: int) -> dict[str, NDArray[Any]]:
         """All that is known of the particles at `frame`, shape [N] or [N, D] each."""
         trajectory = self.trajectory
-        recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "density", "plastic_strain")}
+        recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "plastic_strain")}
         velocity = self.velocity(frame)
         return {
             **({} if velocity is None else {"velocity": velocity}),

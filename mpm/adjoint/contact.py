@@ -162,11 +162,8 @@ def slip_reverse(
     before = scratch + layout.before
     for k in ti.static(range(size)):
         arrays.scratch[before + size + k] = sheared.values[k]
-        v = arrays.scratch[scratch + layout.sums + k]
-        if ti.static(features.relaxed):
-            kept = relaxation_factor(scene, dt, arrays) * arrays.state[block * features.block + features.velocity + k]
-            v = kept + arrays.scratch[scratch + layout.sums + features.change + k]
-        arrays.scratch[before + k] = v
+        kept = relaxation_factor(scene, dt, arrays) * arrays.state[block * features.block + features.velocity + k]
+        arrays.scratch[before + k] = kept + arrays.scratch[scratch + layout.sums + features.change + k]
     mass = ti.static(int(Contact.IMPULSE))
     volume = property_of(scene, block, Property.VOLUME, arrays)
     density = property_of(scene, block, Property.DENSITY, arrays)

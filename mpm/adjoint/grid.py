@@ -70,10 +70,8 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     v = ti.Vector([node[axis] * per_mass for axis in ti.static(range(dimension))])
     gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
     a = ti.Vector([gravity[axis] + zero for axis in ti.static(range(dimension))])
-    force = ti.Vector([zero for _ in ti.static(range(dimension))])
-    if ti.static(features.forces):
-        force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(dimension))])
-        a = a + force
+    force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(dimension))])
+    a = a + force
     damped = a
     size, alpha, sign, slow = zero, zero, 0.0 * a, zero
     if ti.static(features.damped):
@@ -84,13 +82,10 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
             square = v[axis] * v[axis] + slow
             sign[axis] = v[axis] / ti.sqrt(square)
         damped = a - alpha * size * sign
-    new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))])
-    v_bar, kappa_bar = 0.0 * v, zero
-    if ti.static(features.relaxed):
-        change_bar = ti.Vector([bar[features.change + axis] for axis in ti.static(range(dimension))])
-        new_bar = new_bar + change_bar
-        v_bar = (0.0 - kappa) * change_bar
-        kappa_bar = 0.0 - v.dot(change_bar)
+    change_bar = ti.Vector([bar[features.change + axis] for axis in ti.static(range(dimension))])
+    new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
+    v_bar = (0.0 - kappa) * change_bar
+    kappa_bar = 0.0 - v.dot(change_bar)
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
     v_star = v + dt * damped
     if ti.static(features.barriers):
@@ -129,9 +124,8 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass
-        if ti.static(features.forces):
-            result[features.force + axis] = a_bar[axis] * per_mass
-            result[dimension] -= force[axis] * a_bar[axis] * per_mass
+        result[features.force + axis] = a_bar[axis] * per_mass
+        result[dimension] -= force[axis] * a_bar[axis] * per_mass
     return result, ti.Vector([a_bar[0], gravity_y_bar, floor_bar, wall_bar, damping_bar, kappa_bar])
 
 
@@ -163,5 +157,4 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
 @ti.func
 def add_kappa_bar(worker, dt, kappa, bar, arrays: ti.template()):
     """Add the bar of kappa = exp(-dt rate) to that of the rate of relaxation."""
-    if ti.static(arrays.features.relaxed):
-        arrays.sums[worker, ti.static(int(Setting.RELAXATION_RATE))] -= ti.cast(dt * kappa, ti.f64) * bar
+    arrays.sums[worker, ti.static(int(Setting.RELAXATION_RATE))] -= ti.cast(dt * kappa, ti.f64) * bar

@@ -106,7 +106,7 @@ def replay(worker, first, last, arrays: ti.template()):
             keep_state(worker, scene, step, arrays)
             arrays.step_times[scene, step] = dt
             clear(worker, strides, arrays)
-            particles_to_grid(worker, scene, dt, strides, arrays)
+            particles_to_grid(worker, scene, strides, arrays)
             synchronise(arrays)
             update_grid(worker, scene, dt, kappa, strides, arrays)
             synchronise(arrays)
@@ -130,7 +130,7 @@ def reverse(worker, arrays: ti.template()):
         kappa = relaxation_factor(scene, dt, arrays)
         restore_state(worker, scene, step, arrays)
         clear(worker, strides, arrays)
-        particles_to_grid(worker, scene, dt, strides, arrays)
+        particles_to_grid(worker, scene, strides, arrays)
         synchronise(arrays)
         keep_nodes(worker, strides, arrays)
         update_grid(worker, scene, dt, kappa, strides, arrays)

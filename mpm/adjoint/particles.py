@@ -3,7 +3,7 @@
     x <- x + dt u_p,   v <- kappa v + change_p,   C <- C_p,   sigma <- stress step of (sigma, dt C_p)
 
 From the last of these to the first: bars of the stress and C by `mpm.adjoint.stress`; a coordinate that a wall of the
-box has put back has none; u_p' = dt x'; change_p' = v' and then v' = kappa v', or u_p' += v' where tau = 0. The bars
+box has put back has none; u_p' = dt x'; change_p' = v' and then v' = kappa v'. The bars
 go to the nodes, through the grid, and come back to x, v, C, sigma and the properties of the particles.
 """
 
@@ -73,25 +73,18 @@ def update_block_reverse(
         value = dt * x_bar
         if ti.static(features.contact):
             value = value + arrays.scratch[scratch + layout.foot + i]
-        if ti.static(features.relaxed):
-            arrays.scratch[values + features.change + i] = v_bar
-            kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
-            arrays.adjoints[own + features.velocity + i] = kappa * v_bar
-        else:
-            if ti.static(features.forces):
-                arrays.scratch[values + features.force + i] = 0.0 * v_bar
-            value = value + v_bar
-            arrays.adjoints[own + features.velocity + i] = 0.0 * v_bar
+        arrays.scratch[values + features.change + i] = v_bar
+        kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
+        arrays.adjoints[own + features.velocity + i] = kappa * v_bar
         for j in ti.static(range(size)):
             slope = 4.0 * per_dx * slope_bar[i * size + j]
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + i] = slope
-            if ti.static(features.forces):
-                slope = 4.0 * per_dx * change_bar[i * size + j]
-                arrays.scratch[values + (1 + j) * features.node + features.force + i] = slope
-                if ti.static(features.volume_correction):
-                    at = values + features.force + i
-                    arrays.scratch[at] = arrays.scratch[at] - slope * f[j]
+            slope = 4.0 * per_dx * change_bar[i * size + j]
+            arrays.scratch[values + (1 + j) * features.node + features.force + i] = slope
+            if ti.static(features.volume_correction):
+                at = values + features.force + i
+                arrays.scratch[at] = arrays.scratch[at] - slope * f[j]
         arrays.scratch[values + i] = value
     if ti.static(features.volume_correction):
         value = arrays.scratch[scratch + features.density]
@@ -109,7 +102,7 @@ def update_block_reverse(
             moved = moved - square * mass_bar * arrays.scratch[scratch + layout.sums + size]
         for i in ti.static(range(size)):
             moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
-            if ti.static(features.volume_correction and features.relaxed):
+            if ti.static(features.volume_correction):
                 moved = (
                     moved
                     - square * change_bar[i * size + j] * arrays.scratch[scratch + layout.sums + features.change + i]
@@ -117,17 +110,16 @@ def update_block_reverse(
             if ti.static(features.volume_correction):
                 arrays.adjoints[own + features.affine + i * size + j] = affine_bar[i * size + j]
         arrays.adjoints[own + j] = moved
-    if ti.static(features.relaxed):
-        add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
+    add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
 
-def given_of(velocity, affine, stress, volume, density, pushed, dx, dt, features):
+def given_of(velocity, affine, stress, volume, density, pushed, dx, features):
     """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
     mass, here = volume * density, [0.0 for _ in velocity]
     momentum, slopes, pull, forces = contributions(
-        velocity, affine, stress, mass, volume, pushed, here, dx, 1.0 / dx, dt, features
+        velocity, affine, stress, mass, volume, pushed, here, dx, 1.0 / dx, features
     )
-    return (momentum, mass, pull, slopes, forces) if features.forces else (momentum, mass, slopes)
+    return momentum, mass, pull, slopes, forces
 
 
 @ti.func
@@ -139,7 +131,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
-    prepare_contributions(scene, block, scratch, dt, arrays)
+    prepare_contributions(scene, block, scratch, arrays)
     prepare_weights(scene, block, scratch, arrays)
     gather_reverse(grid, block, scratch, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
@@ -151,12 +143,12 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * size * int(features.contact)))]
     numbers = ti.static((velocity, affine, stress, volume, density, pushed))
-    given = ti.static([Pullback(given_of, numbers, (dx, dt, features))])[0]
+    given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
     places = ti.static(
         [
             (1 + k % size) * features.node + k // size + number
-            for number in (0, features.force)[: 1 + int(features.forces)]
+            for number in (0, features.force)
             for k in range(size * size)
         ]
     )
@@ -169,8 +161,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         for i in ti.static(range(size)):
             number = ti.static(features.used + i * size + k)
             moved = moved - per_dx * given.values[number] * bars[i]
-            if ti.static(features.forces):
-                moved = moved - per_dx * given.values[number + size * size] * bars[features.force + i]
+            moved = moved - per_dx * given.values[number + size * size] * bars[features.force + i]
         arrays.adjoints[own + k] = moved
     if ti.static(not features.volume_correction):
         for k in ti.static(range(size * size)):

@@ -252,7 +252,7 @@ def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
     size = ti.static(features.dimension)
     own, first = block * layout.width, no_overflow(block * features.block)
     bar = [arrays.adjoints[own + features.affine + k] for k in ti.static(range(size * size))]
-    if ti.static(features.volume_correction and features.relaxed):
+    if ti.static(features.volume_correction):
         at = [scratch + layout.sums + (1 + k % size) * features.node + k // size for k in ti.static(range(size * size))]
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]

@@ -24,8 +24,6 @@ class Features(Record):
 
     dimension: int
     precision: Precision
-    relaxed: bool = True
-    """Velocity that the grid cannot represent decays in a relaxation time (AFLIP); else it is lost each step (APIC)."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
@@ -94,14 +92,9 @@ class Features(Record):
         return self.contact or self.walls_recorded
 
     @property
-    def forces(self) -> bool:
-        """Nodes hold forces apart from momentum: local damping and AFLIP both need them."""
-        return self.damped or self.relaxed
-
-    @property
     def node(self) -> int:
-        """Numbers in a node: a short vector, a power of two long."""
-        return 8 if self.forces else 4
+        """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
+        return 8
 
     def __getattr__(self, name: str) -> int:
         """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""
@@ -113,7 +106,7 @@ class Features(Record):
 
 def parts(features: Features) -> list[dict[str, int]]:
     """How long the parts are of what the kernels read, in their order; one that a kernel does without has length 0."""
-    size, contact, relaxed = features.dimension, int(features.contact), int(features.relaxed)
+    size, contact = features.dimension, int(features.contact)
     return [
         {  # Vectors of a block of particles; `present` is 1, and 0 in lanes that only mirror a scene's last particle.
             "position": size,
@@ -137,19 +130,19 @@ def parts(features: Features) -> list[dict[str, int]]:
             "face_solid": 1,  # its number
             "face_columns": 0,
         },
-        {  # Numbers of a node: momentum, mass and, where they stay apart, force; the others stay zero.
+        {  # Numbers of a node; the others stay zero.
             "momentum": size,
             "mass": 1,
-            "force": size if features.forces else 0,
+            "force": size,
             "used": 0,
         },
-        # Where `relaxed`, the change of a node's velocity stands in place of its force, which is done with.
+        # The change of a node's velocity stands in place of its force, which is done with.
         {"momentum_and_mass": size + 1, "change": 0},
         {  # Scratch vectors of a worker.
             "weights": 3 * size,  # of the three nodes along each axis,
             "levers": 3 * size,  # and these times their distances
             "values": features.node * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
-            "lowest": size * (1 + 2 * relaxed),  # each particle's lowest node, the grid's velocity at it and its change
+            "lowest": 3 * size,  # each particle's lowest node, the grid's velocity at it and its change
             "density": 1 + size if features.volume_correction else 0,  # the grid's mass at each particle, its slopes
             "origin": size * contact,  # the positions before a step
             "push": 2 * size * contact,  # the contact's force per volume and its arm
@@ -185,7 +178,6 @@ def features_of(
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
-        relaxed=any(scene.relaxation > 0.0 for scene in scenes),
         damped=any(scene.damping > 0.0 for scene in scenes),
         cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),

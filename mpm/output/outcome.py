@@ -15,7 +15,7 @@ from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Worker
 from mpm.output.recorder import RUNAWAY
-from mpm.output.smoothing import density, smoothed
+from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
 
 
@@ -53,8 +53,6 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
         fields[name] = smoothed(fields[name], positions, particles.volume, scene)
     if {"stress", "pressure"} <= asked:
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
-    if "density" in asked:
-        fields["density"] = density(positions, particles.density * particles.volume, scene)
     if "velocity" in asked:
         fields["velocities"] = fields.pop("velocity")
     return fields

@@ -26,9 +26,9 @@ from datasets.material import Material
 from datasets.records import Record
 from datasets.scene import Scene
 
-FieldName = Literal["velocity", "stress", "pressure", "density", "plastic_strain"]
+FieldName = Literal["velocity", "stress", "pressure", "plastic_strain"]
 
-FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "density", "plastic_strain")
+FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "plastic_strain")
 """All that can be recorded of a particle besides its position."""
 REST = 1.0e-3
 """Kinetic energy of a deposit at rest, as a fraction of the largest so far."""

@@ -1,4 +1,4 @@
-"""Fields of particles through the grid: stress and pressure without their noise, and the density of a deposit.
+"""Fields of particles through the grid: stress and pressure without their noise.
 
 The stress that particles carry scatters from one to its neighbours by as much as it is, because a quadratic spline does
 not tell every arrangement of particles apart: what a cell's particles carry in sum moves the nodes, how they share it
@@ -10,17 +10,6 @@ volume,
 
 which keeps constant fields as they are, and the volume integral of any: sum_p V_p a_p' = sum_i (sum_p w_ip V_p) a_i =
 sum_p V_p a_p. It is applied PASSES times.
-
-Density compares the mass at a node with the space that the material takes up around it:
-
-    m_i   = sum_p w_ip m_p,   V_i = sum_c w_ic V_c
-    rho_p = sum_i w_ip m_i / sum_i w_ip V_i
-
-The sum over c is over those little boxes, as large as a particle's share of a cell, that the deposit fills: that hold
-a particle, or lie in a gap no wider than two boxes between such ones (a morphological closing), inside the walls; of
-one that a solid cuts the part outside. So a box beyond a wall or above the surface is missing from V_i as its particles
-are from m_i, and both the floor and the surface have the density of the inside. What jitter leaves of scatter goes
-through the grid once more, as above.
 """
 
 import math
@@ -28,17 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 
-from datasets.geometry.nearest import nearest
-from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
 from mpm.arrays.layout import PADDING
 
 PASSES = 2
 """How often stress and pressure go through the grid."""
-MIN_FREE_SHARE = 0.5
-"""Least share that counts as free of a box with a particle in it: its mass is there."""
 
 Floats = NDArray[np.floating]
 
@@ -100,44 +85,3 @@ def smoothed(
             field = to_particles @ ((to_nodes @ (own[:, None] * field)) * inverse[:, None])
         found[frame] = field.reshape(values.shape[1:])
     return found
-
-
-def density(positions: Floats, mass: Floats, scene: Scene) -> NDArray[np.float32]:
-    """Density around each particle [kg/m^3] in frames, shape [T, N].
-
-    positions: [m], shape [T, N, D]; mass: of each particle [kg, per metre of width in 2D], shape [N].
-    """
-    found = np.empty(positions.shape[:2], np.float32)
-    for frame, points in enumerate(positions):
-        boxes, volumes = filled(points, scene)
-        to_particles = weights(points, scene)
-        at_nodes = to_particles.T @ mass.astype(np.float64)
-        space = weights(boxes, scene).T @ volumes
-        found[frame] = (to_particles @ at_nodes) / (to_particles @ space)
-    return smoothed(found, positions, mass, scene, passes=1)
-
-
-def filled(positions: Floats, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres [m], shape [M, D], and volumes [m^D], shape [M], of the little boxes that particles at `positions` fill.
-
-    Of a box that a solid cuts at the distance d of its centre the share 1 / 2 + d / edge is free, and of one that holds
-    a particle at least HELD.
-    """
-    edge, size = scene.particle_spacing, np.array(scene.domain.size)
-    counts = np.round(size / edge).astype(int)
-    at = np.clip((positions.astype(np.float64) / edge).astype(int), 0, counts - 1)
-    # Where the particles are, and a border that the closing needs.
-    low, high = np.maximum(at.min(axis=0) - 2, 0), np.minimum(at.max(axis=0) + 3, counts)
-    full = np.zeros(high - low, bool)
-    full[tuple((at - low).T)] = True
-    around = np.ones((3,) * scene.dimension, bool)
-    # Beyond a wall all is solid: the boxes along it are not eroded.
-    occupied = full.copy()
-    full = ndimage.binary_erosion(ndimage.binary_dilation(full, around), around, border_value=True)
-    centres = (np.argwhere(full) + low + 0.5) * edge
-    volumes = np.full(len(centres), edge**scene.dimension)
-    surface = surface_of(scene)
-    if surface is not None:
-        distance = nearest(surface, centres).distance
-        volumes *= np.clip(0.5 + distance / edge, np.where(occupied[full], MIN_FREE_SHARE, 0.0), 1.0)
-    return centres, volumes

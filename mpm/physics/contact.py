@@ -160,10 +160,7 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
     """The grid's velocity at the particles of a block, their C and stress, a list of vectors each."""
     features = arrays.features
     first, moved = block * features.block, scratch + features.lowest + features.dimension
-    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
-    if ti.static(features.relaxed):
-        for i in ti.static(range(features.dimension)):
-            velocity[i] = arrays.scratch[moved + i]
+    velocity = [arrays.scratch[moved + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     return velocity, affine, stress

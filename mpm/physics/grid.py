@@ -157,12 +157,11 @@ def velocity_before(node, arrays: ti.template()):
 
 @ti.func
 def with_velocity(node, new, old, kappa, arrays: ti.template()):
-    """A node with its new velocity in place of its momentum and, where relaxed, its change new - kept old."""
+    """A node with its new velocity in place of its momentum and its change new - kept old."""
     features = arrays.features
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
-        if ti.static(features.relaxed):
-            node[features.change + axis] = new[axis] - kappa * old[axis]
+        node[features.change + axis] = new[axis] - kappa * old[axis]
     return node
 
 
@@ -179,9 +178,8 @@ def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
     mass = node[features.dimension]
     gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
     a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
-    if ti.static(features.forces):
-        per_mass = 1.0 / mass
-        a = a + ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
+    per_mass = 1.0 / mass
+    a = a + ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
     if ti.static(features.damped):
         drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
         slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL]

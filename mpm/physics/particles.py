@@ -74,11 +74,9 @@ def step_particles(worker, scene, block, scratch, dt, kappa, arrays: ti.template
     x = no_overflow(block * features.block)
     v, remainder = x + features.velocity, x + features.remainder
     for k in ti.static(range(features.dimension)):
-        speed = arrays.state[v + k]
-        if ti.static(features.relaxed):
-            at = scratch + features.lowest + features.dimension + k
-            speed = arrays.scratch[at]
-            arrays.state[v + k] = kappa * arrays.state[v + k] + arrays.scratch[at + features.dimension]
+        at = scratch + features.lowest + features.dimension + k
+        speed = arrays.scratch[at]
+        arrays.state[v + k] = kappa * arrays.state[v + k] + arrays.scratch[at + features.dimension]
         if ti.static(features.outflow):
             speed = arrays.state[x + features.present] * speed
         if ti.static(features.compensated):

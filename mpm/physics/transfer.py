@@ -13,8 +13,7 @@ dx the cell (Hu et al. 2018; APIC: Jiang et al. 2015; AFLIP: Fei et al. 2021, eq
 
 What the grid cannot represent of a particle's velocity decays with the relaxation time tau, a time of the scene and not
 of the step. APIC is tau = 0: it loses that part in every step, so that a shorter step or a stiffer sand, which needs
-shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i; where
-tau = 0 and no local damping asks for it, dt f_i is added to the momentum at once and a node is half as long.
+shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i.
 
 While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the energy
 of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction
@@ -96,18 +95,18 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
 
 
 @ti.func
-def particles_to_grid(worker, scene, dt, strides: ti.template(), arrays: ti.template()):
+def particles_to_grid(worker, scene, strides: ti.template(), arrays: ti.template()):
     """Add mass, momentum and force of every particle of `worker` to its nodes."""
     scratch = arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        block_to_grid(arrays.workers[worker, Worker.NODE], scene, block, scratch, dt, strides, arrays)
+        block_to_grid(arrays.workers[worker, Worker.NODE], scene, block, scratch, strides, arrays)
 
 
 @ti.func
-def block_to_grid(grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
+def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Add mass, momentum and force of the particles of a block to the nodes from `grid` on."""
     features, lanes = arrays.features, arrays.features.lanes
-    prepare_contributions(scene, block, scratch, dt, arrays)
+    prepare_contributions(scene, block, scratch, arrays)
     stride_x, stride_y = strides[0], strides[1]
     for lane in range(particles_in(scene, block, arrays)):
         n = lowest_node(arrays, scratch, lane, grid, strides)
@@ -138,7 +137,7 @@ def block_to_grid(grid, scene, block, scratch, dt, strides: ti.template(), array
 
 
 @ti.func
-def prepare_contributions(scene, block, scratch, dt, arrays: ti.template()):
+def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
     first = no_overflow(block * features.block)
@@ -164,17 +163,15 @@ def prepare_contributions(scene, block, scratch, dt, arrays: ti.template()):
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     momentum, slopes, pull, forces = contributions(
-        velocity, affine, stress, mass, volume, pushed, f, dx, per_dx, dt, features
+        velocity, affine, stress, mass, volume, pushed, f, dx, per_dx, features
     )
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
-        if ti.static(features.forces):
-            arrays.scratch[values + features.force + i] = pull[i]
+        arrays.scratch[values + features.force + i] = pull[i]
         for j in ti.static(range(features.dimension)):
             at = values + (1 + j) * features.node + i
             arrays.scratch[at] = slopes[i * features.dimension + j]
-            if ti.static(features.forces):
-                arrays.scratch[at + features.force] = forces[i * features.dimension + j]
+            arrays.scratch[at + features.force] = forces[i * features.dimension + j]
     arrays.scratch[values + features.dimension] = mass
 
 
@@ -189,12 +186,11 @@ def contributions(
     f: ti.template(),
     dx,
     per_dx,
-    dt,
     features: ti.template(),
 ):
     """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
 
-    and where nodes hold forces apart from momentum, the force and its slopes. pushed: `surface_force` of solids.
+    and the force and its slopes. pushed: `surface_force` of solids.
     """
     # Lengths on the grid are in cells: times dx.
     force_scale = -4.0 * volume * per_dx
@@ -204,21 +200,14 @@ def contributions(
     forces = [force_scale * stress[0] for _ in ti.static(range(features.dimension**2))]
     for i in ti.static(range(features.dimension)):
         if ti.static(features.contact):
-            push = volume * pushed[i]
-            if ti.static(features.forces):
-                pull[i] = push
-            else:
-                momentum[i] = momentum[i] + dt * push
+            pull[i] = volume * pushed[i]
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
             carried = stress[ti.static(component(i, j, features.dimension))]
             if ti.static(features.contact):
                 carried = carried + pushed[i] * pushed[features.dimension + j]
             forces[at] = force_scale * carried
-            if ti.static(features.forces):
-                pull[i] = pull[i] - forces[at] * f[j]
-            else:
-                slopes[at] = slopes[at] + dt * forces[at]
+            pull[i] = pull[i] - forces[at] * f[j]
             momentum[i] = momentum[i] - slopes[at] * f[j]
     return momentum, slopes, pull, forces
 
@@ -268,7 +257,7 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
                 v = v + wx[a] * u
                 x_slope = x_slope + lx[a] * u
                 y_slope = y_slope + wx[a] * s
-            store_velocity(v, scratch, first, lane, arrays)
+            store_velocity(v, scratch, lane, arrays)
             if ti.static(features.volume_correction):
                 store_grid_mass(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
             store_affine((x_slope, y_slope), kappa, first, lane, arrays)
@@ -289,7 +278,7 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
                 x_slope = x_slope + lx[a] * u
                 y_slope = y_slope + wx[a] * s
                 z_slope = z_slope + wx[a] * t
-            store_velocity(v, scratch, first, lane, arrays)
+            store_velocity(v, scratch, lane, arrays)
             if ti.static(features.volume_correction):
                 store_grid_mass(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
             store_affine((x_slope, y_slope, z_slope), kappa, first, lane, arrays)
@@ -303,16 +292,13 @@ def three_vectors(arrays: ti.template(), at):
 
 
 @ti.func
-def store_velocity(v, scratch, first, lane, arrays: ti.template()):
-    """Leave the grid's velocity at a particle, and its change where relaxed, for the block's next step."""
+def store_velocity(v, scratch, lane, arrays: ti.template()):
+    """Leave the grid's velocity at a particle, and its change, for the block's next step."""
     features, lanes = arrays.features, arrays.features.lanes
     for i in ti.static(range(features.dimension)):
-        if ti.static(features.relaxed):
-            at = no_overflow(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
-            arrays.scratch_lanes[at] = v[i]
-            arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
-        else:
-            arrays.lanes[no_overflow(first * lanes + lane) + (features.velocity + i) * lanes] = v[i]
+        at = no_overflow(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
+        arrays.scratch_lanes[at] = v[i]
+        arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
 
 
 @ti.func
@@ -325,7 +311,7 @@ def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template(
     size = ti.static(features.dimension)
     particle = no_overflow(first * lanes + lane)
     affine = particle + features.affine * lanes
-    if ti.static(features.volume_correction and features.relaxed):
+    if ti.static(features.volume_correction):
         before_squared, now_squared = 0.0 * kappa, 0.0 * kappa
         for i in ti.static(range(size)):
             for j in ti.static(range(size)):

@@ -71,7 +71,6 @@ def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> No
         "velocities": (3, 5, 2),
         "stress": (3, 5, 4),
         "pressure": (3, 5),
-        "density": (3, 5),
         "plastic_strain": (3, 5),
         "solid_impulse": (3, 0, 2),
     }

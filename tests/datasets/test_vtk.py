@@ -208,7 +208,7 @@ def test_every_file_and_array_is_on_the_page(tmp_path: Path, flow: Trajectory) -
     page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## VTK series (folder)\n")[1].split("\n## ")[0]
     named = set(re.findall(r"`([\w.-]+)`", section))
-    recorded = {"stress": np.zeros((5, 4, 6), np.float32), "density": np.zeros((5, 4), np.float32)}
+    recorded = {"stress": np.zeros((5, 4, 6), np.float32), "pressure": np.zeros((5, 4), np.float32)}
     write_vtk(dataclasses.replace(grounded(flow), **recorded), tmp_path)
     files = {re.sub(r"-\d+", "-NNNN", file.name) for file in tmp_path.iterdir()}
     parts = read(tmp_path)[0.0]

@@ -62,18 +62,3 @@ def lcp_return(material: Material, trial: Vector) -> tuple[Vector, Vector]:
             low = np.minimum(low, np.where(passes, state, np.inf))
             high = np.maximum(high, np.where(passes, state, -np.inf))
     return best, np.where(np.isfinite(low[:, 0]), (high - low).max(axis=1), np.inf)
-
-
-def lipschitz(material: Material) -> float:
-    """The largest stretch of any linear piece of the return: of ||I - D m (n D m)^-1 n|| over the sets of surfaces that
-    can be active together where s1 >= s2 >= s3. The return is continuous, so no two results are further apart than this
-    times their trial stresses: the straight line between these is cut by the pieces."""
-    normals, flows, _ = surfaces(material)
-    stiff = elasticity(material)
-    plane12, plane13, plane23, cut1, cut2 = 0, 1, 3, 6, 7
-    largest = 1.0
-    for active in ([plane13], [plane13, plane23], [plane13, plane12], [cut1], [cut1, cut2], [plane13, cut1]):
-        matrix = normals[active] @ stiff @ flows[active].T
-        piece = np.eye(3) - stiff @ flows[active].T @ np.linalg.solve(matrix, normals[active])
-        largest = max(largest, float(np.linalg.norm(piece, 2)))
-    return largest

@@ -71,16 +71,6 @@ def test_a_layer_rests_in_three_dimensions() -> None:
     assert_at_rest(simulate(layer(0.6, dimension=3, duration=0.6)), 5.6 * CELL, since=20)
 
 
-@pytest.mark.double
-def test_a_bed_with_k0_rests_on_a_solid_from_the_first_frame_on() -> None:
-    """Geostatic stress in equilibrium with the contact itself: nothing moves."""
-    scene = layer(0.4)
-    scene = dataclasses.replace(scene, masses=(dataclasses.replace(scene.masses[0], k0=0.5),), duration=0.2)
-    flow = simulate(scene, precision="f64")
-    speed = np.linalg.norm(np.diff(flow.positions.astype(float), axis=0), axis=2).max() / scene.frame_dt
-    assert speed < 2.0e-3
-
-
 def block(angle_deg: float, offset: float) -> Scene:
     """An elastic block on a plate in a tilted box, Coulomb coefficient 0.5, from its static state."""
     cell = 0.01

@@ -1,6 +1,5 @@
 """`python -m mpm.generate`: the same files whatever the jobs, resumable, and nothing of another dataset overwritten."""
 
-import errno
 import json
 import os
 import signal
@@ -24,7 +23,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
-from tests.breaking import members, orphans, unfinished
+from tests.breaking import orphans, unfinished
 
 ROOT = Path(__file__).parents[2]
 
@@ -190,30 +189,6 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
     assert not (tmp_path / "metadata.json").exists()
 
 
-@pytest.mark.usefixtures("at_once")
-def test_a_full_disk_ends_it_and_what_is_finished_stays(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from mpm import generate as module
-
-    simulate_one = module.simulate_one
-
-    def full(scene: Scene, path: Path, storage: Storage | None) -> None:
-        if path.stem == "tiny-0002":
-            raise OSError(errno.ENOSPC, "No space left on device", str(path))
-        simulate_one(scene, path, storage)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "simulate_one", full)
-        with pytest.raises(OSError, match="No space left") as caught:
-            generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-    assert caught.value.filename == str(tmp_path / FILES[0])
-    # The fourth was not begun.
-    assert sorted(path.name for path in tmp_path.rglob("*.npz")) == ["tiny-0000.npz", "tiny-0001.npz"]
-    generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-    assert contents(tmp_path) == contents(dataset)
-
-
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -236,12 +211,11 @@ def test_wrong_input_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-@contextmanager
-def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    """`mpm.generate` of a definition in TOML, in a session of its own, once it has left its first trajectory."""
-    (folder / "blocks.toml").write_text(BLOCKS)
+def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
+    """In a session of its own, where a terminal sends Ctrl-C to all, once it has left its first trajectory."""
+    (tmp_path / "blocks.toml").write_text(BLOCKS)
     process = subprocess.Popen(
-        [sys.executable, "-m", "mpm.generate", str(folder / "blocks.toml"), "--out", str(folder), "--jobs", "2"],
+        [sys.executable, "-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "2"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -251,25 +225,12 @@ def generating(folder: Path) -> Iterator["subprocess.Popen[str]"]:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 240.0
-    while not list(folder.rglob("[!.]*.npz")):
+    while not list(tmp_path.rglob("[!.]*.npz")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    yield process
-
-
-@pytest.mark.parametrize(
-    ("number", "whole"),
-    [(signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)],
-    ids=["Ctrl-C", "SIGTERM to the first"],
-)
-def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
-    tmp_path: Path, number: signal.Signals, whole: bool
-) -> None:
-    with generating(tmp_path) as process:
-        # A terminal and a batch system send it to all.
-        (os.killpg if whole else os.kill)(process.pid, number)
-        _, error = process.communicate(timeout=240.0)
-    assert process.returncode == 128 + number
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=240.0)
+    assert process.returncode == 128 + signal.SIGINT
     # Python's own process that watches over semaphores may say something after it.
     assert "talus: interrupted; what was finished is kept" in error.splitlines()
     assert "Traceback" not in error
@@ -278,12 +239,3 @@ def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(
     scenes = {entry.name: entry.scene for entry in read_definition(str(tmp_path / "blocks.toml")).entries(seed=0)}
     for path in tmp_path.rglob("[!.]*.npz"):
         assert Trajectory.load(path).scene == scenes[path.stem]
-
-
-@pytest.mark.slow
-def test_nothing_lives_on_after_a_kill(tmp_path: Path) -> None:
-    with generating(tmp_path) as process:
-        assert len(members(process.pid)) > 2
-        process.kill()
-        process.communicate()
-    assert orphans(process.pid) == []

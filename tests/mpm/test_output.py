@@ -8,11 +8,11 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass
 from mpm import Recording, simulate
 from mpm.output.request import FIELDS, window_frames
-from mpm.output.smoothing import density, smoothed, weights
-from tests.mpm.scenes import SAND, box, room
+from mpm.output.smoothing import smoothed, weights
+from tests.mpm.scenes import SAND, box
 
 REST = Recording(frames=3, fields=frozenset({"velocity", "pressure"}), until_rest=True)
 EVERYTHING = Recording(fields=frozenset(FIELDS), wall_forces=True)
@@ -50,7 +50,7 @@ def test_fewer_frames_are_those_of_the_whole_run() -> None:
     for frames, kept in ((7, [*range(0, 60, 7), 60]), ("last", [60])):
         few = simulate(scene, record=dataclasses.replace(EVERYTHING, frames=frames))  # type: ignore[arg-type]
         np.testing.assert_array_equal(few.time, whole.time[kept])
-        for key in ("positions", "velocities", "stress", "pressure", "density", "plastic_strain", "solid_impulse"):
+        for key in ("positions", "velocities", "stress", "pressure", "plastic_strain", "solid_impulse"):
             np.testing.assert_array_equal(getattr(few, key), getattr(whole, key)[kept])
         for key in ("energy", "wall_impulse", "front", "steps"):
             assert few.summary[key] == whole.summary[key]
@@ -67,20 +67,6 @@ def test_the_stress_in_a_settled_bed_is_the_weight_above() -> None:
     # On the floor the mean over a neighbourhood is that of what lies above it.
     assert abs(off[y < 0.02].mean()) < 0.04
     np.testing.assert_allclose(flow.pressure, -flow.stress[:, :, :3].mean(axis=2), rtol=1e-4, atol=1.0)
-
-
-@pytest.mark.parametrize(
-    "scene", [box(jitter=0.0), room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.24, 0.8)), jitter=0.0)]
-)
-def test_the_density_of_a_lattice_is_exact_up_to_its_faces(scene: Scene) -> None:
-    particles = initial_particles(scene)
-    mass = np.full(len(particles.positions), 1600.0 * scene.particle_volume)
-    np.testing.assert_allclose(density(particles.positions[None], mass, scene), 1600.0, rtol=1e-6)
-    # The same sand, twice as far apart in x with every other column of boxes empty, is half as dense.
-    parted = particles.positions * np.where(np.arange(scene.dimension) == 0, 2.0, 1.0)
-    wide = dataclasses.replace(scene, domain=Domain(size=(1.6, *scene.domain.size[1:]), cell=scene.domain.cell))
-    inside = (parted[:, 0] > 0.1) & (parted[:, 0] < 0.3)
-    np.testing.assert_allclose(density(parted[None], mass, wide)[0, inside], 800.0, rtol=0.01)
 
 
 def test_smoothing_keeps_constants_and_integrals() -> None:

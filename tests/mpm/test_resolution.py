@@ -8,19 +8,15 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
-from mpm import simulate
-from mpm.arrays.batch import Batch
 from mpm.resolution import (
     Measured,
     Resolution,
     characteristic_length,
     connected_masses,
     fitted_cell,
-    particle_steps,
     read_measured,
     read_tolerance,
     resolved,
-    with_resolution,
 )
 
 
@@ -98,16 +94,6 @@ def test_a_side_from_wall_to_wall_does_not_count() -> None:
     assert characteristic_length(slice_) == pytest.approx(0.2)
     bed = scene(((0.0, 0.0), (1.0, 0.3)))
     assert characteristic_length(bed) == pytest.approx(0.3)
-
-
-def test_particle_steps_are_those_of_a_run() -> None:
-    short = dataclasses.replace(
-        with_resolution(COLUMN, Resolution(cells=5.0, particles_per_axis=3, step_fraction=0.4, precision="f32")),
-        duration=0.05,
-    )
-    summary = simulate(short, threads=1).summary
-    assert particle_steps(short) == summary["particles"] * summary["steps"]
-    assert len(Batch([short], precision="f32").particles[0].positions) == summary["particles"]
 
 
 @pytest.mark.parametrize(

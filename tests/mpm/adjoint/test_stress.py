@@ -78,27 +78,6 @@ def test_the_reverse_is_that_of_central_differences(dimension: int, strong: bool
     assert np.median(np.array(apart)) < 1.0e-8
 
 
-@pytest.mark.parametrize(("dimension", "strong"), KINDS)
-def test_every_piece_of_the_return_was_there(dimension: int, strong: bool) -> None:
-    """The test above is one of elastic and plastic elements, of edges and, in both ways, of the tension limit."""
-    random = np.random.default_rng(1)
-    features = Features(dimension=dimension, precision="f64", dilates=strong, cohesive=strong)
-    stress = random_stresses(features.stresses, 2000, random)
-    inputs = inputs_of(stress, random, dilates=strong, cohesive=strong, size=0.05)
-    xx, yy, zz, xy, *others = stepped(features, inputs)
-    yz, zx = others or (0.0 * xy, 0.0 * xy)
-    values = np.linalg.eigvalsh(np.moveaxis(np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]), 2, 0))[:, ::-1]
-    limit = inputs[len(inputs) - CONSTANTS + 3]
-    at_limit = np.isclose(values, limit[:, None], rtol=0.0, atol=1e-9).sum(axis=1)
-    numbers = set(at_limit.tolist())
-    assert numbers >= ({0, 1, 2, 3} if strong else {0, 3})
-    scale = np.abs(values).max(axis=1) + 1.0
-    upper = np.isclose(values[:, 0], values[:, 1], rtol=0.0, atol=1e-7 * scale) & (at_limit == 0)
-    lower = np.isclose(values[:, 1], values[:, 2], rtol=0.0, atol=1e-7 * scale) & (at_limit == 0)
-    assert upper.sum() > 10
-    assert lower.sum() > 10
-
-
 def same_axes(width: int, values: tuple[float, float, float], count: int, random: np.random.Generator) -> Array:
     """Stresses with these principal values [Pa] in random axes; in 2D the last is out of plane."""
     if width == 4:
