@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from mpm.arrays.batch import Array, Batch
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Offset, Setting, StepControl
+from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.arrays.table import VIEWS
 from mpm.kernel import Phase
 
@@ -36,7 +36,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
     def call_kernel(phase: Phase, first: int = 0, last: int = 0) -> None:
         kernel(*device.values(), first, last, phase)
 
-    largest = int(np.diff([*batch.first_nodes, len(batch.grid)]).max())
+    largest = int(np.diff([*batch.workers[:, Worker.NODE], len(batch.grid)]).max())
     ended = np.zeros(len(batch.scenes), bool)
     for frame in range(batch.computed + 1, max(scene.frames for scene in batch.scenes)):
         if stop():

@@ -60,6 +60,17 @@ def synchronise(arrays: ti.template()):
 
 
 @ti.func
+def step(worker, scene, dt, kappa, strides, arrays: ti.template()):
+    """Bring a worker's part of a scene forward by a step."""
+    clear(worker, strides, arrays)
+    particles_to_grid(worker, scene, strides, arrays)
+    synchronise(arrays)
+    update_grid(worker, scene, dt, kappa, strides, arrays)
+    synchronise(arrays)
+    update_particles(worker, scene, dt, kappa, strides, arrays)
+
+
+@ti.func
 def advance_worker(worker, first, last, arrays: ti.template()):
     """Compute the frames [first, last) of a worker's part of its scene; record them if it is the scene's first."""
     scene = arrays.workers[worker, Worker.SCENE]
@@ -75,12 +86,7 @@ def advance_worker(worker, first, last, arrays: ti.template()):
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _ in range(substeps):
-            clear(worker, strides, arrays)
-            particles_to_grid(worker, scene, strides, arrays)
-            synchronise(arrays)
-            update_grid(worker, scene, dt, kappa, strides, arrays)
-            synchronise(arrays)
-            update_particles(worker, scene, dt, kappa, strides, arrays)
+            step(worker, scene, dt, kappa, strides, arrays)
         synchronise(arrays)
         if worker == 0 or not ti.static(arrays.features.shared):
             arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps

@@ -74,23 +74,23 @@ class Resolved:
     """A scene at the resolution that a tolerance requires, and what to expect of it."""
 
     scene: Scene
-    precision: Precision
-    expected: float
-    """Root mean square error of the scenes that were measured at this resolution, over the extent [-]."""
-    promised: float
-    """What at least COVERAGE of scenes stay within, over the extent [-]."""
-    cells: float
-    """Cells across the characteristic length [-]."""
+    measured: Measured
+    """Of the resolution."""
     cost: float
     """Particle-steps over those of the scene as it was given [-]."""
 
+    @property
+    def cells(self) -> float:
+        """Cells across the characteristic length [-]."""
+        return characteristic_length(self.scene) / self.scene.domain.cell
+
     def __str__(self) -> str:
-        scene = self.scene
+        scene, what = self.scene, self.measured
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
-            f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, {self.precision}: "
-            f"an error within {100 * self.promised:.2g} % in nine of ten scenes like those measured "
-            f"({100 * self.expected:.2g} % rms), "
+            f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, "
+            f"{what.resolution.precision}: an error within {100 * what.promised:.2g} % "
+            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms), "
             f"{self.cost:.3g} times the scene's own particle-steps"
         )
 
@@ -127,14 +127,7 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
         )
     cheapest = min(suitable, key=lambda each: each.particle_steps)
     finer = with_resolution(scene, cheapest.resolution)
-    return Resolved(
-        scene=finer,
-        precision=cheapest.resolution.precision,
-        expected=cheapest.expected,
-        promised=cheapest.promised,
-        cells=characteristic_length(scene) / finer.domain.cell,
-        cost=particle_steps(finer) / particle_steps(scene),
-    )
+    return Resolved(scene=finer, measured=cheapest, cost=particle_steps(finer) / particle_steps(scene))
 
 
 def tightest(each: Measured, known: Sequence[Measured]) -> float:

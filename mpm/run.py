@@ -77,7 +77,7 @@ def command(
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))
-        given, precise = what.scene, precision or what.precision
+        given, precise = what.scene, precision or what.measured.resolution.precision
         print(what)
     if last_frame and every is not None:
         raise InputError("expected one of --every and --last-frame, got both", key="--every")
@@ -110,7 +110,7 @@ def command(
             if appended:
                 options["file"].put(**interrupted.so_far.arrays())
             interrupted.checkpoint.save(file)
-            end_time = given.frame_dt * interrupted.checkpoint.run.frame
+            end_time = given.frame_dt * interrupted.checkpoint.frame
             print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
             return stop.status
         except InputError as error:

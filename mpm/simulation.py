@@ -101,7 +101,7 @@ def simulate(
     warn_if_unlikely(scene)
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
-    precision = options.get("precision") or (resume.run.precision if resume else "f32")
+    precision = options.get("precision") or (resume.precision if resume else "f32")
     record = options.get("record") or (resume.recording if resume else ALL)
     workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
@@ -116,7 +116,7 @@ def simulate(
         resume.restore(batch)
     with progress_bar(scene.frames - 1, batch.computed, options) as bar:
         wall_s, compile_s = run_batch(batch, arch, bar, stop)
-    wall_s += 0.0 if resume is None else resume.run.wall_s
+    wall_s += 0.0 if resume is None else resume.wall_s
     if batch.computed < scene.frames - 1 and not batch.ended(batch.computed + 1).any():
         kept = [frame for frame in batch.kept(0) if frame <= batch.computed]
         so_far = Trajectory(

@@ -1,4 +1,4 @@
-"""Bars of a block of particles (`mpm.adjoint.layout`): added to, and read and written in single lanes."""
+"""Bars of a block of particles (`mpm.adjoint.layout`)."""
 
 import taichi as ti
 
@@ -22,17 +22,3 @@ def add_property_bar(block, column: ti.template(), value, arrays: ti.template())
 def contact_bar(block, column: ti.template(), arrays: ti.template()):
     """Index of the bar of the vector `column` of those that describe the contact of a block."""
     return block * arrays.layout.width + arrays.layout.contacts + column
-
-
-@ti.func
-def lane_numbers(numbers: ti.template(), first, arrays: ti.template()):
-    """D numbers of a lane from `first` on, one per vector of its block."""
-    features = arrays.features
-    return ti.Vector([numbers[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def put_lane_numbers(numbers: ti.template(), first, value, arrays: ti.template()):
-    """Put D numbers where `lane_numbers` reads them."""
-    for k in ti.static(range(arrays.features.dimension)):
-        numbers[first + k * arrays.features.lanes] = value[k]

@@ -12,9 +12,9 @@ side. A particle that is put back beyond the end of the face that it crossed, ov
 
 import taichi as ti
 
-from mpm.adjoint.access import lane_numbers, put_lane_numbers
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.pullback import Pullback
+from mpm.arrays.access import lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.solids.face_lookup import foot_on_segment, foot_on_triangle, solid_of

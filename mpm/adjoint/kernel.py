@@ -23,9 +23,10 @@ from mpm.arrays.access import maximum, minimum, node_strides
 from mpm.arrays.layout import Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, kernel_of
 from mpm.kernel import ITERATIONS, synchronise
+from mpm.kernel import step as advance
 from mpm.output.recorder import steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid
-from mpm.physics.particles import set_box, update_particles
+from mpm.physics.particles import set_box
 from mpm.physics.transfer import particles_to_grid
 
 
@@ -105,12 +106,7 @@ def replay(worker, first, last, arrays: ti.template()):
         for _step in range(substeps):
             keep_state(worker, scene, step, arrays)
             arrays.step_times[scene, step] = dt
-            clear(worker, strides, arrays)
-            particles_to_grid(worker, scene, strides, arrays)
-            synchronise(arrays)
-            update_grid(worker, scene, dt, kappa, strides, arrays)
-            synchronise(arrays)
-            update_particles(worker, scene, dt, kappa, strides, arrays)
+            advance(worker, scene, dt, kappa, strides, arrays)
             step += 1
         synchronise(arrays)
     keep_state(worker, scene, step, arrays)

@@ -42,24 +42,24 @@ def magnitude(a):
 @ti.func
 def lane_minimum(a, arrays: ti.template()):
     """The smallest lane."""
-    if ti.static(arrays.features.lanes == 1):
-        return a
-    else:
-        value = a[0]
-        for lane in ti.static(range(1, arrays.features.lanes)):
-            value = ti.min(value, a[lane])
-        return value
+    return over_lanes(ti.min, a, arrays)
 
 
 @ti.func
 def lane_maximum(a, arrays: ti.template()):
     """The largest lane."""
+    return over_lanes(ti.max, a, arrays)
+
+
+@ti.func
+def over_lanes(operation: ti.template(), a, arrays: ti.template()):
+    """What an operation of two numbers makes of all lanes, from the first on."""
     if ti.static(arrays.features.lanes == 1):
         return a
     else:
         value = a[0]
         for lane in ti.static(range(1, arrays.features.lanes)):
-            value = ti.max(value, a[lane])
+            value = operation(value, a[lane])
         return value
 
 
@@ -73,6 +73,20 @@ def lane_sum(a, arrays: ti.template()):
         for lane in ti.static(range(1, arrays.features.lanes)):
             value += ti.cast(a[lane], ti.f64)
         return value
+
+
+@ti.func
+def lane_numbers(numbers: ti.template(), first, arrays: ti.template()):
+    """D numbers of a lane from `first` on, one per vector of its block."""
+    features = arrays.features
+    return ti.Vector([numbers[first + k * features.lanes] for k in ti.static(range(features.dimension))])
+
+
+@ti.func
+def put_lane_numbers(numbers: ti.template(), first, value, arrays: ti.template()):
+    """Put D numbers where `lane_numbers` reads them."""
+    for k in ti.static(range(arrays.features.dimension)):
+        numbers[first + k * arrays.features.lanes] = value[k]
 
 
 @ti.func

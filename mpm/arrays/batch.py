@@ -96,7 +96,9 @@ class Batch:
             offset[Offset.OPEN] = sum(1 << DOMAIN_SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
             offset[Offset.WINDOW] = min(window_frames(scene, own.materials), INDEX_LIMIT)
-            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + wall_slots(scene, record)
+            # The impulses of the box are those of its sides and of the barriers.
+            walls = 2 * scene.dimension + 1 if record.wall_forces else 0
+            solids = offset[Offset.SOLIDS] = offset[Offset.OBSTACLES] + walls
             offset[Offset.SUBSTEPS] = substeps_per_frame(scene, own.materials)
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
@@ -274,11 +276,6 @@ class Batch:
         """The arrays by name, in the order of the kernel's parameters; memory with two views comes twice."""
         return arguments(STEP | RECORD | DEVICE, vars(self), self.features.lanes)
 
-    @property
-    def first_nodes(self) -> Array:
-        """Where the grid of each worker begins, shape [workers]."""
-        return self.workers[:, Worker.NODE]
-
     def state_of(self, index: int) -> Array:
         """Blocks of one scene, shape [blocks, vectors, lanes]; a view."""
         first = self.offsets[index, Offset.BLOCK]
@@ -339,11 +336,6 @@ class Batch:
 def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
     """The particles of each scene at the start."""
     return [initial_particles(scene) for scene in scenes]
-
-
-def wall_slots(scene: Scene, record: Recording) -> int:
-    """Recorded impulses of the box: its sides and the barriers, or none."""
-    return 2 * scene.dimension + 1 if record.wall_forces else 0
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:

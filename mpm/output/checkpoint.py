@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datasets.arrays import read_arrays, write_npz
 from datasets.errors import InputError
 from datasets.files import json_object
-from datasets.records import Record, from_mapping
+from datasets.records import from_mapping
 from datasets.scene import Scene
 from mpm.arrays.layout import Offset, Precision
 from mpm.output.request import Recording
@@ -20,27 +20,8 @@ from mpm.output.request import Recording
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch
 
-TEXTS = ("scene", "recording", "run")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress(Record):
-    """How far a run came."""
-
-    frame: int
-    """The last frame that was computed."""
-    steps: int
-    """Steps so far."""
-    clamped: int
-    """How often a particle was put back into the box."""
-    wall_s: float
-    """What all parts of the run have taken so far [s]."""
-    precision: Precision
-    """Of the solver."""
-
-    def __post_init__(self) -> None:
-        if min(self.frame, self.steps, self.clamped, self.wall_s) < 0:
-            raise InputError("expected numbers of at least 0", key="run")
+RUN = ("precision", "frame", "steps", "clamped", "wall_s")
+"""How far a run came, one text beside the scene and what is recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,31 +30,36 @@ class Checkpoint:
 
     scene: Scene
     recording: Recording
-    run: Progress
+    precision: Precision
+    frame: int
+    """The last frame that was computed."""
+    steps: int
+    """Steps so far."""
+    clamped: int
+    """How often a particle was put back into the box."""
+    wall_s: float
+    """What all parts of the run have taken so far [s]."""
     arrays: dict[str, NDArray[Any]]
     """What `arrays_of` lists."""
 
     @staticmethod
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
         """The state of a batch of one scene; views of its arrays."""
-        run = Progress(
+        return Checkpoint(
+            scene=batch.scenes[0],
+            recording=batch.recording,
+            precision=batch.features.precision,
             frame=batch.computed,
             steps=int(batch.offsets[0, Offset.STEPS]),
             clamped=int(batch.clamped.sum()),
             wall_s=wall_s,
-            precision=batch.features.precision,
-        )
-        return Checkpoint(
-            scene=batch.scenes[0],
-            recording=batch.recording,
-            run=run,
-            arrays=arrays_of(batch, run.frame),
+            arrays=arrays_of(batch, batch.computed),
         )
 
     def difference(self, scene: Scene, recording: Recording, precision: Precision) -> str:
         """The key in which a run differs from one that can go on from here; empty where it does not."""
         key = difference(self.scene, scene) or difference(self.recording, recording)
-        return key or ("" if self.run.precision == precision else "precision")
+        return key or ("" if self.precision == precision else "precision")
 
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.
@@ -82,7 +68,7 @@ class Checkpoint:
         """
         if key := self.difference(batch.scenes[0], batch.recording, batch.features.precision):
             raise InputError("expected the run of the checkpoint; it differs", key=key)
-        for key, part in arrays_of(batch, self.run.frame).items():
+        for key, part in arrays_of(batch, self.frame).items():
             if key not in self.arrays:
                 raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
             array = self.arrays[key]
@@ -92,20 +78,17 @@ class Checkpoint:
             part[...] = array
         if batch.file is not None:
             # Where the first frame is kept, it is in the file already.
-            kept = sum(number <= self.run.frame for number in batch.kept(0))
+            kept = sum(number <= self.frame for number in batch.kept(0))
             for number in range(batch.recording.every > 0, kept):
                 batch.file.append(positions=self.arrays["positions"][number][None])
-        batch.offsets[0, Offset.STEPS], batch.clamped[0] = self.run.steps, self.run.clamped
-        batch.computed = self.run.frame
+        batch.offsets[0, Offset.STEPS], batch.clamped[0] = self.steps, self.clamped
+        batch.computed = self.frame
 
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays and JSON strings."""
         recording = dataclasses.asdict(self.recording) | {"fields": sorted(self.recording.fields)}
-        texts = {
-            "scene": self.scene.to_json(),
-            "recording": json.dumps(recording),
-            "run": json.dumps(dataclasses.asdict(self.run)),
-        }
+        run = {name: getattr(self, name) for name in RUN}
+        texts = {"scene": self.scene.to_json(), "recording": json.dumps(recording), "run": json.dumps(run)}
         write_npz(path, {key: np.array(text) for key, text in texts.items()} | self.arrays)
 
     @staticmethod
@@ -113,14 +96,15 @@ class Checkpoint:
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
         arrays: dict[str, Any] = read_arrays(path, what="a checkpoint")
         try:
-            for key in TEXTS:
-                if key not in arrays:
-                    raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
+            texts = {key: str(arrays.pop(key)) if key in arrays else "{}" for key in ("scene", "recording", "run")}
+            run = json_object(texts["run"])
+            if set(run) != set(RUN):
+                raise InputError("expected a checkpoint of this version of Talus", key="run")
             return Checkpoint(
-                scene=Scene.from_json(str(arrays["scene"])),
-                recording=from_mapping(Recording, json_object(str(arrays["recording"]))),
-                run=from_mapping(Progress, json_object(str(arrays["run"]))),
-                arrays={key: array for key, array in arrays.items() if key not in TEXTS},
+                scene=Scene.from_json(texts["scene"]),
+                recording=from_mapping(Recording, json_object(texts["recording"])),
+                arrays=arrays,
+                **run,
             )
         except InputError as error:
             raise error.at(str(path)) from None

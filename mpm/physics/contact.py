@@ -32,7 +32,7 @@ which could not keep it in balance; it is held like a node behind a wall of the 
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_minimum, maximum, minimum
+from mpm.arrays.access import add, lane_maximum, lane_minimum, lane_numbers, maximum, minimum, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
@@ -287,13 +287,14 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     dimension = ti.static(features.dimension)
     first = block * features.block * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
-    x, v = lane_vector(first, arrays), lane_vector(first + features.velocity * lanes, arrays)
+    x, v = (
+        lane_numbers(arrays.lanes, first, arrays),
+        lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays),
+    )
     velocity, solid, moved = v, -1, False
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:
-        start = ti.Vector(
-            [arrays.scratch_lanes[(scratch + features.origin + k) * lanes + lane] for k in ti.static(range(dimension))]
-        )
+        start = lane_numbers(arrays.scratch_lanes, (scratch + features.origin) * lanes + lane, arrays)
         start_cell = cell_of(start, scene, arrays)
         for rotation in range(MAX_CROSSINGS):
             face = first_crossed(start, x, start_cell, cell, arrays)
@@ -329,33 +330,18 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
         arrays.lanes[contact + Contact.FACE * lanes] = face
         # The shear traction turns with the surface, and ends where the particle leaves it.
-        shear = lane_vector(contact + (Contact.NORMAL + dimension) * lanes, arrays)
+        shear = lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, arrays)
         shear = shear - shear.dot(normal) * normal
         if delta == 0.0:
             shear = 0.0 * shear
-        put_lane_vector(contact + Contact.NORMAL * lanes, normal, arrays)
-        put_lane_vector(contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
+        put_lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, normal, arrays)
+        put_lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
     if moved:
-        put_lane_vector(first, x, arrays)
-        put_lane_vector(first + features.velocity * lanes, v, arrays)
+        put_lane_numbers(arrays.lanes, first, x, arrays)
+        put_lane_numbers(arrays.lanes, first + features.velocity * lanes, v, arrays)
         if solid >= 0:
             mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
             for k in ti.static(range(dimension)):
                 add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
-
-
-@ti.func
-def lane_vector(first, arrays: ti.template()):
-    """The D numbers of a lane that begin at `first`, one per vector of its block."""
-    features = arrays.features
-    return ti.Vector([arrays.lanes[first + k * features.lanes] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def put_lane_vector(first, value, arrays: ti.template()):
-    """Put D numbers where `lane_vector` reads them."""
-    features = arrays.features
-    for k in ti.static(range(features.dimension)):
-        arrays.lanes[first + k * features.lanes] = value[k]

@@ -71,7 +71,7 @@ def test_a_resumed_run_is_the_unbroken_one(
     broken_off(FLOW, 1, precision=precision, record=record, threads=threads).save(tmp_path / "checkpoint.npz")
     # What is recorded and the precision are the checkpoint's.
     second = broken_off(FLOW, 1, resume=Checkpoint.load(tmp_path / "checkpoint.npz"), threads=threads)
-    assert second.run.frame == 2 * (3 if record is RECORD else FRAMES_PER_CALL)
+    assert second.frame == 2 * (3 if record is RECORD else FRAMES_PER_CALL)
     same(simulate(FLOW, resume=second, threads=threads), whole)
 
 
