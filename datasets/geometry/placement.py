@@ -88,8 +88,8 @@ def shape_of(body: Mass | Solid) -> Solid:
     """A box, a polygon or a mesh as a solid."""
     if isinstance(body, Solid):
         return body
-    box = {"lower": body.lower, "size": body.size} if body.kind == "box" else {}
-    return Solid(kind=body.kind, vertices=body.vertices, triangles=body.triangles, **box)
+    lower, size = (body.lower, body.size) if body.kind == "box" else (None, None)
+    return Solid(kind=body.kind, lower=lower, size=size, vertices=body.vertices, triangles=body.triangles)
 
 
 @lru_cache(maxsize=256)

@@ -16,7 +16,7 @@ from datasets.files import read_columns, read_toml
 from datasets.library import SCENES, scene_from
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
-from tests.datasets.geometry.test_nearest import sphere
+from tests.datasets.geometry.solids import sphere
 from tests.datasets.toys import toy
 
 SEEDS = range(4)
@@ -67,7 +67,7 @@ def mesh_scene(path: Path) -> None:
 
 
 def write_mesh(path: Path) -> None:
-    vertices, triangles = sphere(np.full(3, 0.5), 0.3, 1)
+    vertices, triangles = sphere((0.5, 0.5, 0.5), 0.3, 8)
     meshio.Mesh(vertices, [("triangle", triangles)]).write(path)
 
 

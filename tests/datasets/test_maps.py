@@ -1,9 +1,8 @@
-"""Maps as files: read back by rasterio and as GeoJSON, on the right side up; the command in 2D and 3D."""
+"""Maps in plan against exact shapes, what moves, what lies beneath; as files on the right side up; the command."""
 
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +14,9 @@ from datasets.command_line import run
 from datasets.library import read_scene
 from datasets.maps.__main__ import command, write
 from datasets.maps.files import Georeference, outline
-from datasets.maps.plan import maps_of
+from datasets.maps.plan import Floats, maps_of
 from datasets.material import Material
+from datasets.measures import height_profile
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
@@ -24,33 +24,100 @@ from datasets.trajectory import Trajectory
 ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
 
 
-@pytest.fixture
-def flow() -> Trajectory:
-    """A block at small x and large z that slides along x, past a baffle, on a terrain that falls along x."""
-    scene = Scene(
-        domain=Domain(size=(1.0, 0.6, 0.5), cell=0.05),
+def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
+    """Boxes of sand (lower corner, size) in a box."""
+    return Scene(
+        domain=Domain(size=size, cell=cell),
         material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.1, 0.3, 0.35), size=(0.2, 0.1, 0.1)),),
-        baffles=(Baffle(lower=(0.7, 0.0, 0.05), size=(0.1, 0.3, 0.1)),),
-        solids=(Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.25, 0.2), (0.1, 0.05))),),
-        duration=0.4,
-        frame_dt=0.1,
+        masses=tuple(Mass(lower=lower, size=extent) for lower, extent in boxes),
         jitter=0.0,
     )
-    start = initial_particles(scene)
-    shift = np.arange(5)[:, None, None] * np.array([0.1, -0.02, 0.0])
+
+
+def flow_of(scene: Scene, *frames: Floats, speed: float = 0.0) -> Trajectory:
+    """A trajectory of given positions, shape [N, D] each, 0.1 s apart; by default those at the start."""
+    positions = np.array(frames or [initial_particles(scene).positions], np.float32)
+    velocity0 = np.zeros_like(positions[0])
+    velocity0[:, 0] = speed
     return Trajectory(
-        positions=(start.positions + shift).astype(np.float32),
-        time=np.arange(5) * 0.1,
-        velocity0=np.tile(np.float32([1.0, -0.2, 0.0]), (len(start.positions), 1)),
-        friction=start.friction,
+        positions=positions,
+        time=np.arange(len(positions)) * 0.1,
+        velocity0=velocity0,
+        friction=np.full(len(velocity0), 0.5, np.float32),
         scene=scene,
     )
 
 
-def band(path: Path) -> tuple[np.ndarray, Any]:
-    with rasterio.open(path) as raster:
-        return raster.read(1), raster.profile
+def sliding(scene: Scene) -> Trajectory:
+    """All of a scene slides along x, by 0.1 m in each of four frames."""
+    start = initial_particles(scene).positions
+    step = np.eye(scene.dimension)[0] * 0.1
+    return flow_of(scene, *(start + number * step for number in range(5)), speed=1.0)
+
+
+@pytest.mark.parametrize("cell", [0.026, 0.17])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_volume_is_that_of_the_particles(dimension: int, cell: float) -> None:
+    """Wherever they are, in corners and on walls too, in masses of different particles."""
+    size = (1.0, 0.5, 0.6)[:dimension]
+    boxes = (
+        ((0.0, 0.0, 0.0)[:dimension], (0.21, 0.13, 0.3)[:dimension]),
+        ((0.5, 0.0, 0.1)[:dimension], (0.3, 0.1, 0.2)[:dimension]),
+    )
+    scene = scene_of(size, *boxes)
+    start = initial_particles(scene)
+    coordinates = np.random.default_rng(1).random(start.positions.shape) * size
+    coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(dimension, -1).T[[0, -1] * 4]
+    maps = maps_of(flow_of(scene, start.positions, coordinates), cell)
+    assert (maps.thickness * maps.areas).sum() == pytest.approx(start.volume.sum(), rel=1e-12)
+    assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
+    assert maps.start is not None
+    np.testing.assert_allclose(maps.depth, np.maximum(maps.start, maps.thickness), rtol=1e-12)
+    if dimension == 2:
+        # The one definition of a profile.
+        profile = height_profile(np.float32(coordinates), start.volume, maps.grid.axes[0])
+        np.testing.assert_allclose(maps.thickness, profile, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cell", [0.025, 0.1])
+def test_an_even_layer_is_even_to_the_walls(cell: float) -> None:
+    maps = maps_of(flow_of(scene_of((0.5, 0.2, 0.3), ((0.0, 0.0, 0.0), (0.5, 0.05, 0.3)))), cell)
+    np.testing.assert_allclose(maps.thickness, 0.05, rtol=1e-5)
+
+
+def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None:
+    scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
+    start = initial_particles(scene).positions
+    lower = start[:, 1] < 0.05
+    # The upper half slides at 2 m/s, the lower one at 1 m/s; then all stops.
+    speeds = np.where(lower, 1.0, 2.0)[:, None] * [1.0, 0.0, 0.0]
+    velocities = np.array([speeds, speeds, np.zeros_like(speeds)], np.float32)
+    flow = dataclasses.replace(flow_of(scene, start, start, start), velocities=velocities)
+    maps = maps_of(flow, 0.05)
+    assert maps.velocity is not None
+    inside = maps.thickness > 0.099
+    assert inside.sum() == 4
+    np.testing.assert_allclose(maps.velocity[inside], 1.5, rtol=1e-6)
+    np.testing.assert_array_equal(maps.velocity[maps.depth <= maps.threshold], 0.0)
+    assert maps.threshold == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_ground_of_terrain_and_baffles(dimension: int) -> None:
+    terrain = (
+        Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)))
+        if dimension == 2
+        else Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.3, 0.3), (0.1, 0.1)))
+    )
+    scene = dataclasses.replace(
+        scene_of((1.0, 0.8, 0.5)[:dimension], ((0.2, 0.5, 0.1)[:dimension], (0.2, 0.1, 0.2)[:dimension])),
+        solids=(terrain,),
+        baffles=(Baffle(lower=(0.6, 0.0, 0.0)[:dimension], size=(0.11, 0.4, 0.2)[:dimension]),),
+    )
+    maps = maps_of(flow_of(scene), 0.05)
+    x, *z = np.meshgrid(*maps.grid.axes, indexing="ij")
+    on = (x > 0.59) & (x < 0.71) & (z[0] < 0.2 if z else True)
+    np.testing.assert_allclose(maps.ground, np.where(on, 0.4, 0.3 - 0.2 * x), atol=1e-6)
 
 
 def test_an_outline_is_a_disc_with_a_hole() -> None:
@@ -67,7 +134,9 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
     assert (polygon.centroid.x, polygon.centroid.y) == pytest.approx((1000.5, 2000.4), abs=1e-3)
 
 
-def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
+def test_the_files_of_a_flow(tmp_path: Path) -> None:
+    """A block at small x and large z that slides to x = 0.7."""
+    flow = sliding(scene_of((1.0, 0.6, 0.5), ((0.1, 0.3, 0.35), (0.2, 0.1, 0.1))))
     maps = maps_of(flow, 0.05, threshold=0.02)
     write(flow, maps, tmp_path, ALPS)
     names = {f"{name}.{kind}" for name in ("thickness", "depth", "velocity") for kind in ("tif", "png")}
@@ -75,23 +144,17 @@ def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     said = json.loads((tmp_path / "maps.json").read_text())
     assert said["volume"] == pytest.approx(0.2 * 0.1 * 0.1, rel=1e-9)
     assert (said["east"], said["north"], said["crs"]) == (500_000.0, 5_200_000.0, "EPSG:25832")
-    assert (said["time"], said["cell"], said["threshold"], said["left"]) == (0.4, 0.05, 0.02, 0.0)
-    # The block of 0.2 by 0.1 m, its edge spread over two spacings; it slid by 0.4 m to 0.7 m.
-    assert said["area_release"] == pytest.approx(0.2 * 0.1, rel=0.7)
+    assert (said["time"], said["cell"], said["threshold"], said["left"]) == (pytest.approx(0.4), 0.05, 0.02, 0.0)
     assert said["area_deposit"] == pytest.approx(said["area_release"], rel=0.05)
     assert said["area_covered"] > 2.5 * said["area_deposit"]
     assert said["extent"] == pytest.approx(0.7, abs=0.05)
-    assert said["thickness_max"] == pytest.approx(0.1, rel=0.25)
-    assert said["velocity_max"] == pytest.approx(np.hypot(1.0, 0.2), rel=1e-3)
-    velocity, _ = band(tmp_path / "velocity.tif")
-    depth, _ = band(tmp_path / "depth.tif")
-    np.testing.assert_allclose(velocity[depth > 0.03], np.hypot(1.0, 0.2), rtol=1e-3)
-    thickness, profile = band(tmp_path / "thickness.tif")
+    assert (said["thickness_max"], said["velocity_max"]) == (pytest.approx(0.1, rel=0.25), pytest.approx(1.0, rel=1e-3))
+    with rasterio.open(tmp_path / "thickness.tif") as raster:
+        thickness, transform = raster.read(1), raster.transform
+        assert (raster.crs.to_epsg(), raster.units[0]) == (25832, "m")
     np.testing.assert_allclose(thickness[::-1].T, maps.thickness, rtol=1e-6, atol=1e-9)
-    assert (profile["transform"].c, profile["transform"].f) == (500_000.0, 5_200_000.5)
-    assert (profile["transform"].a, profile["transform"].e) == (0.05, -0.05)
-    assert profile["crs"].to_epsg() == 25832
-    # What lies at large z lies in the north, in the first rows; at the end the block is between x = 0.5 and 0.7.
+    assert (transform.c, transform.f, transform.a, transform.e) == (500_000.0, 5_200_000.5, 0.05, -0.05)
+    # What lies at large z lies in the north, in the first rows.
     rows, columns = np.nonzero(thickness > 0.05)
     assert rows.max() < 4
     assert (columns.min(), columns.max()) == pytest.approx((10, 13), abs=1)
@@ -99,7 +162,7 @@ def test_the_files_of_a_flow(tmp_path: Path, flow: Trajectory) -> None:
     assert [feature["properties"]["name"] for feature in outlines] == ["deposit", "covered", "release"]
 
 
-def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
     """A slope that falls to the east, surveyed in UTM; the box begins 10 m east and 5 m north of its corner."""
     elevation = np.tile(20.0 - 0.5 * (np.arange(60) + 0.5), (40, 1))
     profile = {
@@ -120,75 +183,38 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path, capsys: p
         "[[masses]]\nlower = [2.0, 18.0, 22.0]\nsize = [4.0, 2.0, 6.0]\n"
     )
     scene = read_scene(str(tmp_path / "slope.toml"))
-    start = initial_particles(scene)
-    flow = Trajectory(
-        positions=start.positions[None].astype(np.float32),
-        time=np.zeros(1),
-        velocity0=start.velocities.astype(np.float32),
-        friction=start.friction,
-        scene=scene,
-    )
+    flow = flow_of(scene)
     flow.save(tmp_path / "trajectory.npz")
     assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
     with rasterio.open(tmp_path / "thickness.tif") as raster:
         assert raster.crs.to_epsg() == 25832
         assert raster.bounds == pytest.approx((690_010.0, 5_300_005.0, 690_030.0, 5_300_035.0))
-        ((west, south, east, north),) = [shape(each["geometry"]).bounds for each in deposits(tmp_path)]
-    assert (west, east) == pytest.approx((690_012.0, 690_016.0), abs=1.0)
-    assert (south, north) == pytest.approx((5_300_027.0, 5_300_033.0), abs=1.0)
+    deposit, *_ = json.loads((tmp_path / "outline.geojson").read_text())["features"]
+    corners = (690_012.0, 5_300_027.0, 690_016.0, 5_300_033.0)
+    assert shape(deposit["geometry"]).bounds == pytest.approx(corners, abs=1.0)
     maps = maps_of(flow, 1.0)
     # Half a metre of fall for every metre; the raster's own values at the middles of its cells.
     np.testing.assert_allclose(maps.ground, np.tile(elevation[0, 10:30], (30, 1)).T, atol=1e-9)
 
 
-def deposits(folder: Path) -> list[Any]:
-    features = json.loads((folder / "outline.geojson").read_text())["features"]
-    return [feature for feature in features if feature["properties"]["name"] == "deposit"]
-
-
-def test_a_profile(tmp_path: Path, flow: Trajectory) -> None:
-    scene = dataclasses.replace(
-        flow.scene,
-        domain=Domain(size=(1.0, 0.6), cell=0.05),
-        masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.1), velocity=(1.0, 0.0)),),
-        baffles=(),
-        solids=(),
-    )
-    start = initial_particles(scene)
-    flow = dataclasses.replace(
-        flow,
-        positions=(start.positions + np.arange(5)[:, None, None] * [0.1, 0.0]).astype(np.float32),
-        velocity0=start.velocities.astype(np.float32),
-        friction=start.friction,
-        scene=scene,
-    )
-    flow.save(tmp_path / "trajectory.npz")
-    assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
+def test_the_command_in_2d(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sliding(scene_of((1.0, 0.6), ((0.1, 0.0), (0.2, 0.1)))).save(tmp_path / "trajectory.npz")
+    given = [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]
+    assert run(command, "maps", given) == 0
     rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
     assert rows.dtype.names == ("x", "height", "surface", "ground", "largest_depth", "largest_velocity")
     np.testing.assert_allclose(rows["x"], np.arange(21) * 0.05, atol=1e-9)
-    assert np.trapezoid(rows["height"], rows["x"]) == pytest.approx(0.2 * 0.1, rel=1e-6)
     np.testing.assert_array_equal(rows["surface"], rows["height"])
-    assert rows["largest_depth"].max() == pytest.approx(0.1, rel=1e-4)
     np.testing.assert_allclose(rows["largest_velocity"][rows["largest_depth"] > 0.09], 1.0, rtol=1e-3)
     said = json.loads((tmp_path / "maps.json").read_text())
-    assert said["volume"] == pytest.approx(0.02)
-    assert said["extent"] == pytest.approx(0.7, abs=0.05)
+    assert (said["volume"], said["extent"]) == (pytest.approx(0.02), pytest.approx(0.7, abs=0.05))
     assert imread(tmp_path / "profile.png").shape[0] > 300
-
-
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
-        (["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 0.5 m"),
+    capsys.readouterr()
+    for flags, words in (
+        (["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 1 m"),
         (["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
-    ],
-)
-def test_mistakes_are_one_line(
-    tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str], flags: list[str], said: str
-) -> None:
-    flow.save(tmp_path / "trajectory.npz")
-    assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path / "out"), *flags]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
+    ):
+        assert run(command, "maps", [*given, *flags]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1

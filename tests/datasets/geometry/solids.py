@@ -1,5 +1,10 @@
 """Scenes of solids alone, for the tests of their geometry."""
 
+import manifold3d
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.geometry.surface import Surface, surface_of
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 
@@ -16,3 +21,21 @@ def scene_of(
         solids=solids,
         baffles=baffles,
     )
+
+
+def surface(scene: Scene) -> Surface:
+    """The surface of a scene that has one."""
+    found = surface_of(scene)
+    assert found is not None
+    return found
+
+
+def sphere(centre: tuple[float, ...], radius: float, segments: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices [V, 3] and triangles [T, 3] of a sphere with so many segments around."""
+    mesh = manifold3d.Manifold.sphere(radius, segments).to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]) + centre, np.array(mesh.tri_verts, np.int64)
+
+
+def as_rows(array: NDArray[np.generic]) -> tuple[tuple[float, ...], ...]:
+    """A matrix as a scene holds it."""
+    return tuple(map(tuple, array.tolist()))

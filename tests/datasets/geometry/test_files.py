@@ -11,11 +11,10 @@ from rasterio.transform import Affine
 
 from datasets.errors import InputError
 from datasets.geometry.nearest import nearest
-from datasets.geometry.surface import surface_of
 from datasets.library import read_scene
 from datasets.particles import initial_particles, mass_volumes
 from datasets.scene import Scene
-from tests.datasets.geometry.test_nearest import sphere
+from tests.datasets.geometry.solids import sphere, surface
 
 PLANE = """\
 duration = 0.1
@@ -67,9 +66,7 @@ def write_tiff(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", *
 
 def ground(found: Scene, positions: list[tuple[float, float, float]]) -> np.ndarray:
     """Signed distances from the surface of a scene."""
-    surface = surface_of(found)
-    assert surface is not None
-    return nearest(surface, np.array(positions)).distance
+    return nearest(surface(found), np.array(positions)).distance
 
 
 def test_a_ground_line(tmp_path: Path) -> None:
@@ -106,10 +103,8 @@ def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Pat
         + TERRAIN
         + 'file = "dem.tif"\nfriction = "mu.tif"\n[[masses]]\nkind = "layer"\nthickness = "release.tif"\n',
     )
-    surface = surface_of(found)
-    assert surface is not None
-    seen = nearest(surface, np.array([[1.02, 0.25, 0.51]]))
-    assert surface.friction[seen.face].mean() == pytest.approx(0.3 + 0.05 * 1.02, abs=0.003)
+    seen = nearest(surface(found), np.array([[1.02, 0.25, 0.51]]))
+    assert surface(found).friction[seen.face].mean() == pytest.approx(0.3 + 0.05 * 1.02, abs=0.003)
     # Between the centres of the raster's cells.
     assert mass_volumes(found)[0] == pytest.approx(0.3 * 0.2 * 0.1, rel=1e-6)
     particles = initial_particles(found).positions
@@ -119,7 +114,7 @@ def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Pat
 
 @pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.msh"])
 def test_a_mesh(tmp_path: Path, name: str) -> None:
-    vertices, triangles = sphere(np.zeros(3), 200.0, 3)
+    vertices, triangles = sphere((0.0, 0.0, 0.0), 200.0, 32)
     meshio.Mesh(vertices, [("triangle", triangles)]).write(
         tmp_path / name, **({"file_format": "gmsh22"} if name.endswith("msh") else {})
     )

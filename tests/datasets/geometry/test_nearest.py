@@ -8,18 +8,10 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.geometry.nearest import nearest
-from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Scene, Solid
-from tests.datasets.geometry.solids import scene_of
+from datasets.scene import Solid
+from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
 
 Floats = NDArray[np.float64]
-
-
-def surface(scene: Scene) -> Surface:
-    """The surface of a scene that has one."""
-    found = surface_of(scene)
-    assert found is not None
-    return found
 
 
 def random_positions(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> Floats:
@@ -86,41 +78,14 @@ def test_a_valley_on_a_height_field() -> None:
     consistent(points, found)
 
 
-def sphere(centre: Floats, radius: float, level: int) -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices [V, 3] and triangles [T, 3] of an octahedron whose faces are cut in four `level` times, on a sphere."""
-    vertices = [np.array(v, float) for v in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
-    triangles = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
-    for _ in range(level):
-        middles: dict[tuple[int, int], int] = {}
-        finer = []
-
-        def middle(a: int, b: int, known: dict[tuple[int, int], int] = middles) -> int:
-            key = (min(a, b), max(a, b))
-            if key not in known:
-                middle = vertices[a] + vertices[b]
-                vertices.append(middle / np.linalg.norm(middle))
-                known[key] = len(vertices) - 1
-            return known[key]
-
-        for a, b, c in triangles:
-            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
-            finer += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        triangles = finer
-    return centre + radius * np.array(vertices), np.array(triangles)
-
-
 @pytest.mark.parametrize("flipped", [False, True])
 def test_a_sphere(flipped: bool) -> None:
-    centre = np.array([1.0, 0.5, 0.5])
-    vertices, triangles = sphere(centre, 0.3, 4)
-    solid = Solid(
-        kind="mesh",
-        vertices=tuple(map(tuple, vertices.tolist())),
-        triangles=tuple(map(tuple, (triangles[:, ::-1] if flipped else triangles).tolist())),
-    )
+    vertices, triangles = sphere((1.0, 0.5, 0.5), 0.3, 64)
+    triangles = triangles[:, ::-1] if flipped else triangles
+    solid = Solid(kind="mesh", vertices=as_rows(vertices), triangles=as_rows(triangles))
     points = random_positions(1000, (0.6, 0.1, 0.1), (1.4, 0.9, 0.9))
     found = nearest(surface(scene_of(solid, size=(2.0, 1.0, 1.0))), points)
-    expected = np.linalg.norm(points - centre, axis=1) - 0.3
+    expected = np.linalg.norm(points - [1.0, 0.5, 0.5], axis=1) - 0.3
     # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
     assert np.abs(found.distance - expected).max() < 0.004
     consistent(points, found)

@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 
 from datasets.geometry.nearest import inside, nearest
-from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Baffle, Scene, Solid
-from tests.datasets.geometry.solids import scene_of
+from datasets.scene import Baffle, Solid
+from tests.datasets.geometry.solids import scene_of, surface
 
 SPACE = (2.0, 1.0, 1.0)
-
-
-def surface(scene: Scene) -> Surface:
-    """The surface of a scene that has one."""
-    found = surface_of(scene)
-    assert found is not None
-    return found
 
 
 def boxes(dimension: int) -> tuple[Solid, Solid]:
@@ -100,27 +92,7 @@ def test_friction_is_linear_over_a_height_field_under_a_box() -> None:
 
 
 def test_baffles_come_first_with_their_own_friction_or_the_scenes() -> None:
-    scene = dataclasses.replace(
-        scene_of(
-            Solid(lower=(1.0, 0.0), size=(0.1, 0.2)),
-            baffles=(
-                Baffle(lower=(0.2, 0.0), size=(0.1, 0.2)),
-                Baffle(lower=(0.5, 0.0), size=(0.1, 0.2), friction=0.8),
-            ),
-        ),
-        baffle_friction=0.4,
-    )
-    found = surface(scene)
+    baffles = (Baffle(lower=(0.2, 0.0), size=(0.1, 0.2)), Baffle(lower=(0.5, 0.0), size=(0.1, 0.2), friction=0.8))
+    scene = scene_of(Solid(lower=(1.0, 0.0), size=(0.1, 0.2)), baffles=baffles)
+    found = surface(dataclasses.replace(scene, baffle_friction=0.4))
     assert [set(found.friction[found.solid == number].ravel().tolist()) for number in range(3)] == [{0.4}, {0.8}, {0.0}]
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_it_follows_the_position_of_a_baffle(dimension: int) -> None:
-    point = np.array([[0.45, 0.1, 0.5]])[:, :dimension]
-    for x in (0.5, 0.5 + 1e-7, 0.5 + 1.3e-4):
-        wall = Baffle(lower=(x, 0.0, 0.2)[:dimension], size=(0.1, 0.3, 0.5)[:dimension])
-        other = Baffle(lower=(1.0, 0.0, 0.2)[:dimension], size=(0.1, 0.3, 0.5)[:dimension])
-        alone = nearest(surface(scene_of(size=SPACE[:dimension], baffles=(wall,))), point)
-        both = nearest(surface(scene_of(size=SPACE[:dimension], baffles=(wall, other))), point)
-        assert alone.distance[0] == pytest.approx(x - 0.45, abs=1e-12)
-        assert both.distance[0] == pytest.approx(x - 0.45 - (2e-8 if dimension == 3 else 0.0), abs=1e-12)
