@@ -73,10 +73,14 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     window: [s] over which forces are averaged besides the interval between two frames; 0 for none.
     Raises InputError where no impulse was recorded, or for a window that is negative or longer than twice the run.
     """
-    recorded = impulses(trajectory)
+    scene, time, recorded = trajectory.scene, trajectory.time, dict[str, Floats]()
+    if trajectory.solid_impulse is not None:
+        recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
+    # What the summary holds of the sides of the box has a value at every `frame_dt` of the scene.
+    frames = np.rint(time / scene.frame_dt).astype(int)
+    recorded |= {name: np.array(series)[frames] for name, series in trajectory.summary.get("side_impulse", {}).items()}
     if not recorded:
         raise InputError("expected a trajectory that recorded the momentum solids took, this one did not")
-    time = trajectory.time
     end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
     if end == 0.0:
         raise InputError("expected a trajectory of more than its start")
@@ -93,19 +97,6 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
         impulse = smoothed(impulse, edges, window)
     steps = np.diff(edges)[:, None, None]
     return Forces(names=tuple(recorded), time=ends, force=np.diff(impulse, axis=0) / steps)
-
-
-def impulses(trajectory: Trajectory) -> dict[str, Floats]:
-    """Momentum that each solid took up to each kept frame [N s or N s/m], shape [T, D], by its name; those recorded.
-
-    What the summary holds of the sides of the box, `y-` the floor, has a value at every `frame_dt` of the scene.
-    """
-    scene, recorded = trajectory.scene, dict[str, Floats]()
-    if trajectory.solid_impulse is not None:
-        recorded |= dict(zip(solid_names(scene), np.moveaxis(trajectory.solid_impulse, 1, 0), strict=True))
-    frames = np.rint(trajectory.time / scene.frame_dt).astype(int)
-    sides = trajectory.summary.get("side_impulse", {})
-    return recorded | {name: np.array(series, np.float64)[frames] for name, series in sides.items()}
 
 
 def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:

@@ -78,39 +78,33 @@ def initial_particles(scene: Scene) -> Particles:
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
     require(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
-    materials: list[Material] = []
-    positions, depths, velocities, gradients, indices = [], [], [], [], []
-    for number, mass in enumerate(scene.masses):
-        stream = np.random.default_rng([scene.seed, number])
+    positions, depths, velocities = [], [], []
+    for index, mass in enumerate(scene.masses):
+        stream = np.random.default_rng([scene.seed, index])
         if mass.kind == "box":
             counts = lattice_counts(scene, mass)
             spacing = np.array(mass.size) / counts
             lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
             offset = stream.uniform(-0.5, 0.5, lattice.shape) * scene.jitter
-            positions.append(np.array(mass.lower) + (lattice + 0.5 + offset) * spacing)
-            depths.append(mass.lower[1] + mass.size[1] - positions[-1][:, 1])
+            moved = np.array(mass.lower) + (lattice + 0.5 + offset) * spacing
+            depth = mass.lower[1] + mass.size[1] - moved[:, 1]
         else:
             filled = filling(scene, mass)
-            offset = stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter
-            moved, depth = filled.positions(offset)
-            positions.append(moved)
-            depths.append(depth)
-        arm = positions[-1] - (np.array(mass.lower) + 0.5 * np.array(mass.size))
-        own = mass.velocity or (0.0,) * scene.dimension
-        velocities.append(np.array(own) + arm @ mass.spin.T)
-        gradients.append(np.broadcast_to(mass.spin, (len(offset), *mass.spin.shape)))
-        material = scene.material_of(mass)
-        if material not in materials:
-            materials.append(material)
-        indices.append(np.full(len(offset), materials.index(material), np.int32))
-    counts = mass_counts(scene)
+            moved, depth = filled.positions(stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter)
+        arm = moved - (np.array(mass.lower) + 0.5 * np.array(mass.size))
+        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
+        positions.append(moved)
+        depths.append(depth)
+    materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
+    of_mass = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)
+    number = np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene))
     particles = Particles(
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
-        mass=np.repeat(np.arange(len(counts), dtype=np.int32), counts),
-        velocity_gradients=np.concatenate(gradients),
-        material=np.concatenate(indices),
-        materials=tuple(materials),
+        mass=number,
+        velocity_gradients=np.array([mass.spin for mass in scene.masses])[number],
+        material=of_mass[number],
+        materials=materials,
         volume=initial_volumes(scene),
         depth=np.concatenate(depths),
     )

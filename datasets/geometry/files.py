@@ -32,16 +32,7 @@ Entry = dict[str, Any]
 
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
 """The key that names the file of a kind."""
-MESHES = {
-    ".stl": "stl",
-    ".obj": "obj",
-    ".ply": "ply",
-    ".off": "off",
-    ".msh": "gmsh",
-    ".vtk": "vtk",
-    ".vtu": "vtu",
-    ".nas": "nastran",
-}
+MESHES = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".off": "off", ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu"}
 """Endings of meshes, as which format of meshio: those that hold all they need and name no other file."""
 LARGEST = 2**28
 """Bytes of a mesh."""
@@ -92,7 +83,10 @@ class Reader:
                 if kind == "mesh":
                     found = placed_mesh(path, scale, at)
                 elif len(self.size) == 3:
-                    found = self.height_field(path, at) if kind == "terrain" else self.thickness(path, at)
+                    field = self.located(path, at, ground=kind == "terrain")
+                    found = on_grid(field, "heights" if kind == "terrain" else "thickness")
+                    if kind == "terrain" and self.offset is not None:
+                        found |= {"corner": [-self.offset[0], -self.offset[1]], "crs": field.crs}
                 else:
                     found = table(path, "y" if kind == "terrain" else "thickness", at)
             refuse(entry, tuple(found), key, "no such key beside a file that has it")
@@ -105,21 +99,14 @@ class Reader:
         return entry
 
     def located(self, path: Path, at: list[float] | None = None, *, ground: bool = False) -> Raster:
-        """A raster in the coordinates of the box: its corner `at` a place, else beside the terrain's, else at 0, 0."""
+        """A raster in and around the box: its corner `at` a place, else beside the terrain's, else at 0, 0."""
         field, offset = read_raster(path), self.offset
         if ground or at is not None or offset is None:
             x, z = at or (0.0, 0.0)
             offset = float(x) - field.corner[0], float(z) - field.corner[1]
         if ground:
             self.offset = offset
-        return field.moved(offset)
-
-    def height_field(self, path: Path, at: list[float] | None) -> Entry:
-        """A terrain in 3D: the part of the raster in and around the box."""
-        field = self.located(path, at, ground=True).cropped((self.size[0], self.size[2]), BEYOND * self.cell)
-        field.check_whole()
-        x, z = self.offset or (0.0, 0.0)
-        return on_grid(field, "heights") | {"corner": [-x, -z], "crs": field.crs}
+        return field.placed(offset, (self.size[0], self.size[2]), BEYOND * self.cell)
 
     def friction(self, entry: Entry, path: Path) -> Floats:
         """Friction from a raster at the heights of a terrain."""
@@ -128,19 +115,11 @@ class Reader:
         field = self.located(path)
         for name, coordinates, length in (("x", field.x, self.size[0]), ("z", field.z, self.size[2])):
             check_covers(coordinates, name, length, coordinates[1] - coordinates[0], "", what="friction")
-        field = field.cropped((self.size[0], self.size[2]), BEYOND * self.cell)
-        field.check_whole()
         with reading(path, "friction of a terrain with `origin`, `spacing` and `heights`"):
             shape = np.array(entry["heights"]).shape
             axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
         plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         return interpolated((field.x, field.z), field.values, plan).reshape(shape)
-
-    def thickness(self, path: Path, at: list[float] | None) -> Entry:
-        """The thickness of a layer in 3D."""
-        field = self.located(path, at)
-        field.check_whole()
-        return on_grid(field, "thickness")
 
 
 @contextmanager

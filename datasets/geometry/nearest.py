@@ -4,7 +4,7 @@ The sign is that of the offset along the pseudonormal of the face, edge or corne
 for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,15 +46,12 @@ def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest
     else is said of those at inf is that of a place near by.
     """
     points = np.atleast_2d(np.asarray(points, np.float64))
-    search = Search(surface)
-    portion = PAIRS // 50
-    parts = [search.nearest(points[first : first + portion], within) for first in range(0, len(points), portion)]
-    return Nearest(
-        distance=np.concatenate([part.distance for part in parts] or [np.empty(0)]),
-        foot=np.concatenate([part.foot for part in parts] or [np.empty((0, surface.dimension))]),
-        normal=np.concatenate([part.normal for part in parts] or [np.empty((0, surface.dimension))]),
-        face=np.concatenate([part.face for part in parts] or [np.empty(0, np.int64)]),
-    )
+    search, portion = Search(surface), PAIRS // 50
+    parts = [
+        search.nearest(points[first : first + portion], within) for first in range(0, max(1, len(points)), portion)
+    ]
+    names = [field.name for field in fields(Nearest)]
+    return Nearest(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:
@@ -88,8 +85,18 @@ class Search:
             better = distance[first] < best[point[first]]
             chosen = first[better]
             best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
-        found = sign_and_normal(self.surface, points, face)
-        return replace(found, distance=np.where(nearest_centre <= within, found.distance, np.inf))
+        foot, distance, weights = feet(self.surface.corners[face], points)
+        pseudonormal = normals_at(self.surface, face, weights)
+        offset = points - foot
+        sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
+        apart = distance > ROUNDING * np.abs(self.surface.corners).max()
+        direction = sign[:, None] * offset / np.where(apart, distance, 1.0)[:, None]
+        return Nearest(
+            distance=np.where(nearest_centre <= within, sign * distance, np.inf),
+            foot=foot,
+            normal=np.where(apart[:, None], direction, pseudonormal),
+            face=face,
+        )
 
     def bound(self, points: Floats) -> tuple[Floats, Floats, Integers]:
         """Upper and lower bounds of the distance [m] of each point, and the face of the upper one, all of shape [N]."""
@@ -119,22 +126,6 @@ class Search:
                     kept = off <= (bound[point] + self.radii[members]) * (1.0 + 1.0e-9)
                     found.append((point[kept], members[kept]))
         return found
-
-
-def sign_and_normal(surface: Surface, points: Floats, face: Integers) -> Nearest:
-    """Signed distances of `points` [m], shape [N, D], from the nearest of the surface's faces `face`, shape [N]."""
-    foot, distance, weights = feet(surface.corners[face], points)
-    pseudonormal = normals_at(surface, face, weights)
-    offset = points - foot
-    sign = np.where((offset * pseudonormal).sum(-1) < 0.0, -1.0, 1.0)
-    apart = distance > ROUNDING * np.abs(surface.corners).max()
-    direction = sign[:, None] * offset / np.where(apart, distance, 1.0)[:, None]
-    return Nearest(
-        distance=sign * distance,
-        foot=foot,
-        normal=np.where(apart[:, None], direction, pseudonormal),
-        face=face,
-    )
 
 
 def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:

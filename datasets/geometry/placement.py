@@ -38,8 +38,8 @@ def check_overlaps(scene: Scene) -> None:
         others: list[tuple[Mass | Solid, str]] = [*zip(*solids_of(scene), strict=True)]
         others += [(other, names[number]) for number, other in enumerate(scene.masses[:index])]
         for other, key in others:
-            upright = mass.kind == other.kind == "box" and (isinstance(other, Mass) or other.turned_deg == 0.0)
-            if upright and not key.startswith("solids"):
+            aligned = mass.kind == other.kind == "box" and (isinstance(other, Mass) or other.turned_deg == 0.0)
+            if aligned and not key.startswith("solids"):
                 continue  # compared above
             if overlap(scene, mass, other, key):
                 hint = " (on a slope a body is a layer, or a polygon along it)" if other.kind == "terrain" else ""
@@ -159,20 +159,16 @@ def heights_above_solids(scene: Scene) -> Floats:
 
 
 def underside(scene: Scene, mass: Mass) -> Floats:
-    """Places on the underside of a body [m], shape [N, D]."""
+    """Places on the underside of a body [m], shape [N, D]; of one that is no box those under all of its particles."""
+    if mass.kind != "box":
+        found = filling(scene, mass)
+        return np.asarray(found.lattice - 0.5 * found.spacing * np.eye(scene.dimension)[1])
     low, size = np.array(mass.lower), np.array(mass.size)
-    level = plan_axes(scene.dimension)
-    step = np.maximum(0.5 * scene.domain.cell, size / SAMPLES)[level]
-    if mass.kind == "box":
-        counts = [max(2, round(length / each) + 1) for length, each in zip(size[level], step, strict=True)]
-        axes = [np.linspace(low[a], low[a] + size[a], count) for a, count in zip(level, counts, strict=True)]
-        plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(level))
-        return np.insert(plan, 1, low[1], axis=1)
-    found = filling(scene, mass)
-    places = found.lattice - [0.0, 0.5 * found.spacing[1], 0.0][: scene.dimension]
-    order = np.argsort(places[:, 1], kind="stable")
-    column = np.floor((places[order][:, level] - low[level]) / step).astype(np.int64)
-    return np.asarray(places[order][np.unique(column, axis=0, return_index=True)[1]])
+    step = np.maximum(0.5 * scene.domain.cell, size / SAMPLES)
+    counts = np.maximum(2, np.rint(size / step).astype(int) + 1)
+    axes = [np.linspace(low[a], low[a] + size[a], counts[a]) for a in plan_axes(scene.dimension)]
+    plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return np.insert(plan, 1, low[1], axis=1)
 
 
 def tops_beneath(surface: Surface, places: Floats, slack: float) -> Floats:

@@ -8,7 +8,6 @@ import dataclasses
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,26 +41,24 @@ class Raster:
     crs: str | None = None
     """Coordinate reference system, as an authority's code or in WKT, where it names one."""
 
-    def moved(self, offset: tuple[float, float]) -> "Raster":
-        """The field at other coordinates."""
-        return dataclasses.replace(self, x=self.x + offset[0], z=self.z + offset[1])
+    def placed(self, offset: tuple[float, float], size: tuple[float, float], margin: float) -> "Raster":
+        """What lies in [0, size] and `margin` [m] around it once moved by `offset` [m], two values an axis at least.
 
-    def cropped(self, size: tuple[float, float], margin: float) -> "Raster":
-        """What lies in [0, size] and `margin` [m] around it, at least two values along each axis."""
-        parts = []
-        for coordinates, length in ((self.x, size[0]), (self.z, size[1])):
-            low = max(0, int(np.searchsorted(coordinates, -margin, side="right")) - 1)
-            high = min(len(coordinates), int(np.searchsorted(coordinates, length + margin)) + 1)
-            parts.append(slice(min(low, len(coordinates) - 2), max(high, low + 2)))
-        i, k = parts
-        return dataclasses.replace(self, x=self.x[i], z=self.z[k], values=self.values[i, k])
-
-    def check_whole(self) -> None:
-        """Raise InputError for a field with holes."""
-        holes = np.argwhere(np.isnan(self.values))
+        Raises InputError for holes there.
+        """
+        axes, parts = [], []
+        for coordinates, shift, length in zip((self.x, self.z), offset, size, strict=True):
+            moved = coordinates + shift
+            low = max(0, int(np.searchsorted(moved, -margin, side="right")) - 1)
+            high = min(len(moved), int(np.searchsorted(moved, length + margin)) + 1)
+            parts.append(slice(min(low, len(moved) - 2), max(high, low + 2)))
+            axes.append(moved[parts[-1]])
+        values = self.values[parts[0], parts[1]]
+        holes = np.argwhere(np.isnan(values))
         for i, k in holes[:1]:
-            where = f"{len(holes)} cells without data, the first at x = {self.x[i]:g}, z = {self.z[k]:g}"
+            where = f"{len(holes)} cells without data, the first at x = {axes[0][i]:g}, z = {axes[1][k]:g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")
+        return dataclasses.replace(self, x=axes[0], z=axes[1], values=values)
 
 
 def read_raster(path: Path) -> Raster:
@@ -84,7 +81,11 @@ def read_raster(path: Path) -> Raster:
         raise InputError("expected a raster that lies at finite coordinates")
     if bands != 1:
         raise InputError(f"expected a raster of one band, got {bands}")
-    check_units(crs, unit)
+    if unit is not None and unit.lower() not in METRES:
+        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
+    name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
+    if name.lower() not in METRES:
+        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
     if not georeferenced:
         raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
     if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
@@ -101,12 +102,3 @@ def read_raster(path: Path) -> Raster:
         corner=(float(transform.c), float(transform.f + rows * transform.e)),
         crs=crs.to_string() if crs else None,
     )
-
-
-def check_units(crs: Any, unit: str | None) -> None:
-    """Raise InputError unless a raster's coordinates, where it says what they are, and its values are in metres."""
-    if unit is not None and unit.lower() not in METRES:
-        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
-    name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
-    if name.lower() not in METRES:
-        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")

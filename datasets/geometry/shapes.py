@@ -1,35 +1,26 @@
 """Which keys give a solid or a mass its shape, and what each of them must be."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from datasets.errors import InputError
 from datasets.scene import Mass, Rows, Solid
 
-SOLIDS: dict[tuple[str, int], tuple[str, ...]] = {
-    ("box", 2): ("lower", "size"),
-    ("polygon", 2): ("vertices",),
-    ("terrain", 2): ("points",),
-    ("box", 3): ("lower", "size"),
-    ("terrain", 3): ("origin", "spacing", "heights"),
-    ("mesh", 3): ("vertices", "triangles"),
+KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
+    (Solid, "box", 2): (("lower", "size"), ()),
+    (Solid, "polygon", 2): (("vertices",), ()),
+    (Solid, "terrain", 2): (("points",), ()),
+    (Solid, "box", 3): (("lower", "size"), ()),
+    (Solid, "terrain", 3): (("origin", "spacing", "heights"), ("corner", "crs")),
+    (Solid, "mesh", 3): (("vertices", "triangles"), ()),
+    (Mass, "box", 2): ((), ()),
+    (Mass, "polygon", 2): (("vertices",), ()),
+    (Mass, "layer", 2): (("thickness",), ("outline",)),
+    (Mass, "box", 3): ((), ()),
+    (Mass, "mesh", 3): (("vertices", "triangles"), ()),
+    (Mass, "layer", 3): (("thickness",), ("origin", "spacing", "outline")),
 }
-"""Keys that a kind of solid needs in two and in three dimensions."""
-MASSES: dict[tuple[str, int], tuple[str, ...]] = {
-    ("box", 2): (),
-    ("polygon", 2): ("vertices",),
-    ("layer", 2): ("thickness",),
-    ("box", 3): (),
-    ("mesh", 3): ("vertices", "triangles"),
-    ("layer", 3): ("thickness",),
-}
-"""Keys that a kind of mass needs, beside the box around it, which a scene works out where it is no box itself."""
-OPTIONAL = {
-    ("terrain", 3): ("corner", "crs"),
-    ("layer", 2): ("outline",),
-    ("layer", 3): ("origin", "spacing", "outline"),
-}
-"""Keys that a kind may have."""
+"""Keys that a kind of solid or mass needs, and those that it may have; beside the box around a mass."""
 CONTACTS = ("coulomb", "no-slip")
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
@@ -46,17 +37,24 @@ def usual(number: float) -> bool:
     return abs(number) <= FARTHEST
 
 
-def check_keys(shape: Solid | Mass, table: Mapping[tuple[str, int], tuple[str, ...]], key: str, dimension: int) -> None:
-    """Raise InputError unless a solid or a mass has the keys that its kind needs, and none of another kind."""
-    kinds = [kind for kind, axes in table if axes == dimension]
-    require(shape.kind in kinds, f"{key}.kind", f"{', '.join(kinds)} in {dimension}D", repr(shape.kind))
-    needed, optional = table[shape.kind, dimension], OPTIONAL.get((shape.kind, dimension), ())
-    every = set(itertools.chain(*table.values(), *OPTIONAL.values()))
-    for name in sorted(name for name in every if hasattr(shape, name)):
+def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
+    """Raise InputError unless a solid or a mass has the keys that its kind needs and none of another, with a shape."""
+    known = {each: keys for each, keys in KEYS.items() if isinstance(shape, each[0])}
+    own = {kind: keys for (_, kind, axes), keys in known.items() if axes == dimension}
+    require(shape.kind in own, f"{key}.kind", f"{', '.join(own)} in {dimension}D", repr(shape.kind))
+    needed, optional = own[shape.kind]
+    for name in sorted({name for keys in known.values() for part in keys for name in part}):
         given = getattr(shape, name) is not None
         expected = f"`{'`, `'.join(needed)}`{' or a file' * (shape.kind in ('terrain', 'mesh'))} of a {shape.kind}"
         require(given or name not in needed, f"{key}.{name}", expected, "none")
         require(not given or name in (*needed, *optional), f"{key}.{name}", f"no such key of a {shape.kind}", "one")
+    if shape.vertices is not None:
+        check_rows(shape.vertices, f"{key}.vertices", dimension, least=dimension + 1)
+    count = len(shape.vertices or ())
+    for index, triangle in enumerate(shape.triangles or ()):
+        ok = all(0 <= corner < count for corner in triangle) and len(set(triangle)) == 3
+        expected = f"three different vertices of the {count}, counted from 0"
+        require(ok, f"{key}.triangles[{index}]", expected, list(triangle))
 
 
 def check_vector(vector: Sequence[float], key: str, dimension: int) -> None:
@@ -92,7 +90,7 @@ def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
 
 def check_solid(solid: Solid, key: str, dimension: int) -> None:
     """Raise InputError for a solid that is none in `dimension` dimensions, wherever it lies."""
-    check_keys(solid, SOLIDS, key, dimension)
+    check_shape(solid, key, dimension)
     turned = solid.turned_deg
     require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)
     require(solid.contact in CONTACTS, f"{key}.contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
@@ -104,24 +102,11 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
         require(min(solid.size or ()) > 0.0, f"{key}.size", "positive lengths in m", list(solid.size or ()))
     if solid.points is not None:
         check_ground_line(solid.points, f"{key}.points")
-    if solid.vertices is not None:
-        check_rows(solid.vertices, f"{key}.vertices", dimension, least=dimension + 1)
-    if solid.triangles is not None:
-        check_triangles(solid, key)
     if solid.heights is not None:
         check_grid(solid, solid.heights, key, "heights")
     if solid.corner is not None:
         check_vector(solid.corner, f"{key}.corner", 2)
     check_friction(solid, key)
-
-
-def check_triangles(shape: Solid | Mass, key: str) -> None:
-    """Raise InputError for triangles of vertices that there are not."""
-    count = len(shape.vertices or ())
-    for index, triangle in enumerate(shape.triangles or ()):
-        ok = all(0 <= corner < count for corner in triangle) and len(set(triangle)) == 3
-        expected = f"three different vertices of the {count}, counted from 0"
-        require(ok, f"{key}.triangles[{index}]", expected, list(triangle))
 
 
 def check_friction(solid: Solid, key: str) -> None:
@@ -143,10 +128,6 @@ def check_friction(solid: Solid, key: str) -> None:
 
 def check_mass(mass: Mass, key: str, dimension: int) -> None:
     """Raise InputError for a mass that is no box and whose keys give no shape in `dimension` dimensions."""
-    check_keys(mass, MASSES, key, dimension)
-    if mass.vertices is not None:
-        check_rows(mass.vertices, f"{key}.vertices", dimension, least=dimension + 1)
-    if mass.triangles is not None:
-        check_triangles(mass, key)
+    check_shape(mass, key, dimension)
     if mass.outline is not None:
         check_rows(mass.outline, f"{key}.outline", dimension - 1, least=dimension)
