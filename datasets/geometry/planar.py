@@ -32,13 +32,7 @@ def check_simple(points: Floats, key: str) -> None:
     polygon = Polygon(points)
     if not polygon.is_valid:
         reason = shapely.is_valid_reason(polygon)
-        position = reason[reason.find("[") + 1 : reason.find("]")].replace(" ", ", ") if "[" in reason else ""
-        raise InputError(
-            f"expected a polygon that does not cross itself, it does at ({position})"
-            if position
-            else "expected a polygon",
-            key=key,
-        )
+        raise InputError(f"expected a polygon that does not cross or touch itself, got one with {reason}", key=key)
 
 
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:
@@ -71,29 +65,23 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     # Of several edges in a row on the side only the two outermost ends are continued.
     kept = ~(on_side & np.roll(on_side, 1) & np.roll(on_side, -1))
     points, friction, on_side = points[kept], friction[kept], on_side[kept]
-    new_points, new_friction = [], []
     count = len(points)
-    for index in range(count):
-        following = (index + 1) % count
-        new_points.append(points[index])
-        new_friction.append(friction[index])
-        if not (on_side[index] and on_side[following]):
-            continue
-        moved = []
-        for end, inner in ((index, index - 1), (following, (following + 1) % count)):
-            rise = out * (points[end, axis] - points[inner, axis])
-            shift = (points[end, across] - points[inner, across]) / rise if rise > TOUCHING else 0.0
-            position = points[end].copy()
-            position[axis] = limit + out * beyond
-            position[across] += beyond * float(np.clip(shift, -STEEPEST, STEEPEST))
-            moved.append(position)
-        width = points[following, across] - points[index, across]
-        if (moved[1][across] - moved[0][across]) * np.sign(width) < 0.1 * abs(width):
-            for position, end in zip(moved, (index, following), strict=True):
-                position[across] = points[end, across]
-        new_points += moved
-        new_friction += [friction[index], friction[following]]
-    return replace(body, vertices=np.array(new_points), faces=ring(len(new_points)), friction=np.array(new_friction))
+    first = np.flatnonzero(on_side & np.roll(on_side, -1))
+    last = (first + 1) % count
+    ends, inner = np.stack([first, last]), np.stack([first - 1, (last + 1) % count])
+    along = points[ends] - points[inner]
+    rise = out * along[..., axis]
+    shift = np.divide(along[..., across], rise, out=np.zeros_like(rise), where=rise > TOUCHING)
+    moved = points[ends]
+    moved[..., axis] = limit + out * beyond
+    moved[..., across] += beyond * np.clip(shift, -STEEPEST, STEEPEST)
+    width = points[last, across] - points[first, across]
+    crossed = (moved[1, :, across] - moved[0, :, across]) * np.sign(width) < 0.1 * np.abs(width)
+    moved[:, crossed, across] = points[ends][:, crossed, across]
+    places = np.repeat(first + 1, 2)
+    points = np.insert(points, places, moved.swapaxes(0, 1).reshape(-1, 2), axis=0)
+    friction = np.insert(friction, places, friction[ends].T.ravel())
+    return replace(body, vertices=points, faces=ring(len(points)), friction=friction)
 
 
 def cut(body: Body, axis: int, limit: float, out: float) -> tuple[Floats, Floats]:

@@ -45,21 +45,17 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
     # Around the edge once, then down to a floor far below that fans from one corner.
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     below = len(top) + np.arange(len(rim))
+    after, below_after = np.roll(rim, -1), np.roll(below, -1)
     bottom = top[rim] * [1.0, 0.0, 1.0] + [0.0, deep, 0.0]
-    floor = np.stack([below, np.roll(below, -1), np.full(len(rim), len(top) + len(rim))], axis=1)
+    floor = np.stack([below, below_after, np.full(len(rim), len(top) + len(rim))], axis=1)
     centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
-    skirt = walls(rim, np.roll(rim, -1), below, np.roll(below, -1))
+    skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
     return Body(
         vertices=np.concatenate([top, bottom, centre]),
         faces=np.concatenate([grid_triangles(heights), skirt, floor]),
         friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
         key=key,
     )
-
-
-def walls(a: Integers, b: Integers, c: Integers, d: Integers) -> Integers:
-    """The triangles between edges a-b and their copies c-d beyond, shape [2 E, 3]."""
-    return np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
 
 
 def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
@@ -93,9 +89,10 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
     known = {tuple(edge) for edge in edges.tolist()}
     rim = np.array([(b, a) not in known for a, b in edges.tolist()])
     (a, b), (c, d) = edges[rim].T, ends[rim].T
+    skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
     return Body(
         vertices=np.concatenate([vertices, moved]),
-        faces=np.concatenate([triangles[~on_side], renamed, walls(a, b, c, d)]),
+        faces=np.concatenate([triangles[~on_side], renamed, skirt]),
         friction=np.concatenate([friction, friction[used]]),
         key=body.key,
     )
