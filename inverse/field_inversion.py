@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from datasets import measures
 from inverse.fields import FoundField
 from inverse.found import Answer, MpmRun, Purpose, judge
 from inverse.laplace import Gaussian, Objective
@@ -52,30 +51,21 @@ def of_fields(problem: Problem) -> Result:
     posterior = minimum.posterior
     scene = flow.scene_at(posterior.mean, problem.scatter_seeds[-1] + 1)
     (shown,) = simulate_many([scene])
-    observation, deposit = target.observation.observe(shown), shown.positions[-1]
-    check = MpmRun(
-        purpose=Purpose.CHECK,
-        parameters=flow.values(posterior.mean),
-        trajectory=shown,
-        observation=observation,
-        front=measures.front(deposit),
-        front_error=target.front_error(deposit),
-        misfit=target.misfit(observation),
-        file="check.npz",
-    )
+    values = flow.values(posterior.mean)
+    check = MpmRun(purpose=Purpose.CHECK, parameters=values, trajectory=shown, target=target, file="check.npz")
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
-        parameters=check.parameters,
+        parameters=values,
         half_widths=half_widths(flow, posterior),
         checks=(check,),
-        fit=fit(target, observation[None], scatter, parameters=posterior.informative),
+        fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
     )
     flow.bar.close()
     fields = found_fields(flow, posterior)
-    values = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
+    unknowns = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
     notes = [
-        f"{values} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
+        f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
         "observation tells more than the prior, by the Gaussian approximation about the most probable values."
     ]
     if minimum.promised > LEFT:
@@ -92,8 +82,8 @@ def of_fields(problem: Problem) -> Result:
         verdict=judge(problem, (answer,)),
         answers=(answer,),
         forward="MPM",
-        predicted=observation,
-        deposit=deposit,
+        predicted=check.observation,
+        deposit=shown.positions[-1],
         iterations=[*first.iterates, *second.iterates],
         mpm_runs=(check,),
         fields=tuple(fields),

@@ -3,7 +3,7 @@
 import math
 import resource
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets import measures
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.fields import FoundField
@@ -65,17 +66,25 @@ class MpmRun:
     parameters: Vector
     """Shape [U]."""
     trajectory: Trajectory
-    observation: Values
-    """Exact, shape [M]."""
-    front: float
-    """[m]."""
-    front_error: float
-    """Relative, with its sign; nan where the target has no front."""
-    misfit: float
-    """From the target [unit^2]."""
+    target: Target
     seconds: float = 0.0
     file: str = ""
     """Beside `result.json`."""
+
+    @cached_property
+    def observation(self) -> Values:
+        """Exact, shape [M]."""
+        return self.target.observation.observe(self.trajectory)
+
+    @property
+    def front_error(self) -> float:
+        """Relative, with its sign; nan where the target has no front."""
+        return self.target.front_error(self.trajectory.positions[-1])
+
+    @property
+    def misfit(self) -> float:
+        """From the target [unit^2]."""
+        return self.target.misfit(self.observation)
 
     def as_json(self, problem: Problem) -> dict[str, Any]:
         """As `result.json` has it."""
@@ -83,7 +92,7 @@ class MpmRun:
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
             "observation": plain(self.observation),
-            "front": self.front,
+            "front": measures.front(self.trajectory.positions[-1]),
             "front_error_pct": 100.0 * self.front_error,
             "loss": self.misfit,
             "seconds": self.seconds,
@@ -227,11 +236,10 @@ class Found:
         samples = self.posterior.samples
         _, vectors = np.linalg.eigh(samples.covariance)
         widths = half_widths(samples.points @ vectors, samples.weights, samples.mean @ vectors)
+        upright = (vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in vectors.T)
         return [
-            Combination(
-                weights=self.problem.named(vector * np.sign(vector[np.argmax(np.abs(vector))])), half_width=float(width)
-            )
-            for width, vector in zip(widths, vectors.T, strict=True)
+            Combination(weights=self.problem.named(vector), half_width=float(width))
+            for width, vector in zip(widths, upright, strict=True)
         ]
 
     def as_json(self) -> dict[str, Any]:
@@ -266,20 +274,13 @@ class Found:
             "peak_memory_mib": peak_memory_mib(),
         }
         if fit := first.fit:
-            inside = {"allowed": fit.allowed, "noise": fit.noise, "scatter": fit.scatter, "cells": fit.cells}
-            found["check"] = {"residual": fit.residual, "inside": fit.inside, "ratio": fit.ratio} | inside
-            found["discrepancy"] = fit.factor
+            keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
+            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
         if self.posterior is not None:
             samples = self.posterior.samples
-            found["combinations"] = [
-                {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
-                for each in self.combinations
-            ]
-            found["sampling"] = {
-                "difference": samples.difference,
-                "acceptance": samples.acceptance,
-                "log_evidence": samples.evidence,
-            }
+            found["combinations"] = [asdict(each) | {"identifiable": each.identifiable} for each in self.combinations]
+            sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
+            found["sampling"] = sampling | {"log_evidence": samples.evidence}
         if self.fields:
             found["fields"] = [each.as_json() for each in self.fields]
         return found | self.record

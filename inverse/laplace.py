@@ -20,7 +20,7 @@ prior.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -108,7 +108,7 @@ class Objective:
             residual = self.rows @ self.whitened(numbers - self.target)
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
-            here = Minimum(posterior=Gaussian(white, jacobian), numbers=numbers, promised=promised)
+            here = Minimum(posterior=Gaussian(white, jacobian), promised=promised)
             if min(promised, decrease) < enough or len(self.iterates) - first >= iterations:
                 return here
             step = 1.0
@@ -130,8 +130,6 @@ class Minimum:
     """Where the search ended."""
 
     posterior: Gaussian
-    numbers: Floats = field(repr=False)
-    """F there, shape [M]."""
     promised: float
     """Decrease of J that another step would bring where the numbers are linear."""
 

@@ -28,7 +28,7 @@ SUGGESTED = 3
 def write(found: Found, folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
-    parts += [f"`{command}`", question(found), *parameters_table(found)]
+    parts += [f"`{command}`", question(found)]
     deposits.save(deposits.deposits(found), folder / "deposit.png")
     if len(found.problem.numbers) > 2:
         pictures.draw_unknowns(folder / "unknowns.png", found)
@@ -183,39 +183,31 @@ def sentence(parts: Sequence[str]) -> str:
 
 
 def question(found: Found) -> str:
-    """What was asked, in a sentence."""
-    alike: dict[str, list[str]] = {}
-    for each in found.problem.numbers:
-        low, high = each.bounds
-        alike.setdefault(f"[{low:g}, {high:g}] {each.kind.unit}", []).append(f"`{each.name}`")
-    parts = [f"{', '.join(names)} in {bounds}" for bounds, names in alike.items()]
-    for field in found.fields:
-        settings, unit = field.unknown.settings, field.unknown.unit
-        nodes = " x ".join(map(str, field.unknown.grid.nodes))
-        prior = f"{settings.mean:g} ± {settings.deviation:g} {unit}"
-        parts.append(f"`{field.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m")
+    """What was asked: the numbers in a table with their bounds and what was found, priors of fields, observations."""
+    fields = []
+    for each in found.fields:
+        settings, nodes = each.unknown.settings, " x ".join(map(str, each.unknown.grid.nodes))
+        prior = f"{settings.mean:g} ± {settings.deviation:g} {each.unknown.unit}"
+        fields.append(f"`{each.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m")
     counted = Counter(each.name or each.kind for each in found.problem.observations)
     what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
     if len(found.problem.observations) == 1:
         what = found.target.observation.label
-    return f"Unknown: {'; '.join(parts)}. Observed: {what}."
-
-
-def parameters_table(found: Found) -> list[str]:
-    """The numbers in a table: start, found with its half-width, truth and error where they are known."""
+    observed = " ".join([*(f"Unknown: {each}." for each in fields), f"Observed: {what}."])
     truth, widths, rows = found.target.truth, found.answers[0].half_widths, []
     uncertainty = "may move by" if found.problem.target.minimise else "certain to (95 %)"
     for index, each in enumerate(found.problem.numbers):
-        kind, value = each.kind, float(found.answer[index])
-        row = {"unknown": f"`{each.name}`", "start": kind.text(each.start), "found": f"**{kind.text(value)}**"}
+        text, value, (low, high) = each.kind.text, float(found.answer[index]), each.bounds
+        row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}", "start": text(each.start)}
+        row["found"] = f"**{text(value)}**"
         if widths is not None:
-            row[uncertainty] = f"± {kind.text(float(widths[index]))}"
+            row[uncertainty] = f"± {text(float(widths[index]))}"
         if truth:
-            row |= {"truth": kind.text(truth[each.name]), "error": kind.text(value - truth[each.name])}
+            row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
         if truth and widths is not None:
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
         rows.append(row)
-    return [table(list(rows[0]), [list(row.values()) for row in rows])] if rows else []
+    return observed + (f"\n\n{table(list(rows[0]), [list(row.values()) for row in rows])}" if rows else "")
 
 
 def every_answer(found: Found) -> str:

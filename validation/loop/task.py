@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets import measures
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.forward.interface import Simulate
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Observation, Values
@@ -87,28 +85,21 @@ class Task:
         store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
         flows = store(scenes, record=self.recorded)
         files = [f"{self.folder.name}/{store.file(each, self.recorded).name}" for each in flows]
-        together = zip(locations, flows, files, strict=True)
-        return tuple(self.compare(location, flow, purpose, file) for location, flow, file in together)
+        return tuple(
+            MpmRun(
+                purpose=purpose,
+                parameters=location,
+                trajectory=flow,
+                target=self.target,
+                seconds=float(flow.summary[SHARE]),
+                file=file,
+            )
+            for location, flow, file in zip(locations, flows, files, strict=True)
+        )
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""
         return int(np.random.SeedSequence([self.problem.scene.seed, number]).generate_state(1)[0])
-
-    def compare(self, parameters: Vector, trajectory: Trajectory, purpose: Purpose, file: str) -> MpmRun:
-        """A run at `parameters`, compared with the target."""
-        deposit = trajectory.positions[-1]
-        observation = self.observation.observe(trajectory)
-        return MpmRun(
-            purpose=purpose,
-            parameters=parameters,
-            trajectory=trajectory,
-            observation=observation,
-            front=measures.front(deposit),
-            front_error=self.target.front_error(deposit),
-            misfit=self.target.misfit(observation),
-            seconds=float(trajectory.summary[SHARE]),
-            file=file,
-        )
 
     def generator(self, number: int) -> np.random.Generator:
         """Random numbers of a step, the same after a restart."""
