@@ -41,10 +41,6 @@ class Part:
     threshold: float
     """Logarithm of the likelihood above which parameters lie in it."""
 
-    def half_widths_about(self, point: Row) -> Row:
-        """The same about another point [U], shape [U]."""
-        return half_widths(self.points, self.shares, point)
-
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
     """The parts of the 95 % region that weigh enough, heaviest first."""
@@ -73,24 +69,17 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     found = []
     for each in kept:
         own = label[every] == each
-        weights = samples.weights[own] / shares[kept].sum()
-        found.append(part(samples.points[own], weights, samples.log_likelihood[own], threshold, log_likelihood))
+        inside, weights = samples.points[own], samples.weights[own] / shares[kept].sum()
+        share = weights / weights.sum()
+        mean = share @ inside
+        likely = float(log_likelihood(mean[None])[0]) >= threshold
+        centre = mean if likely else inside[int(np.argmax(samples.log_likelihood[own]))]
+        widths = half_widths(inside, share, centre)
+        weight = float(weights.sum())
+        found.append(
+            Part(point=centre, half_widths=widths, weight=weight, points=inside, shares=share, threshold=threshold)
+        )
     return found
-
-
-def part(points: Matrix, weights: Row, density: Row, threshold: float, log_likelihood: Callable[[Matrix], Row]) -> Part:
-    """The part that these samples make, shapes [S, U], [S] and [S]."""
-    share = weights / weights.sum()
-    mean = share @ points
-    centre = mean if float(log_likelihood(mean[None])[0]) >= threshold else points[int(np.argmax(density))]
-    return Part(
-        point=centre,
-        half_widths=half_widths(points, share, centre),
-        weight=float(weights.sum()),
-        points=points,
-        shares=share,
-        threshold=threshold,
-    )
 
 
 def half_widths(points: Matrix, share: Row, centre: Row) -> Row:

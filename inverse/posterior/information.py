@@ -42,18 +42,14 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
     toe = measures.toe(deposit)
     found = {"the front": measures.front(deposit)}
     found |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
-    width = scene.domain.size[2] if scene.dimension == 3 else 1.0
-    rows = np.linspace(0.0, width, ACROSS + 1) if scene.dimension == 3 else np.array([0.0, 1.0])
-    across = deposit[:, 2] if scene.dimension == 3 else np.full(len(deposit), 0.5)
-    edges = np.linspace(0.0, extent, STATIONS + 1)
-    volumes = particle_volumes(scene, len(deposit))
-    heights = np.histogram2d(deposit[:, 0], across, bins=(edges, rows), weights=volumes)[0]
-    heights /= (edges[1] - edges[0]) * (rows[1] - rows[0])
-    for row, column in np.ndindex(heights.shape):
-        location = f"x = {0.5 * (edges[row] + edges[row + 1]):.3g} m"
-        if scene.dimension == 3:
-            location += f", z = {0.5 * (rows[column] + rows[column + 1]):.3g} m"
-        found[f"the height around {location}"] = float(heights[row, column])
+    edges = [np.linspace(0.0, extent, STATIONS + 1)]
+    edges += [np.linspace(0.0, width, ACROSS + 1) for width in scene.domain.size[2:]]
+    plan, volumes = deposit[:, [0, 2][: len(edges)]], particle_volumes(scene, len(deposit))
+    heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / np.prod([each[1] - each[0] for each in edges])
+    for index in np.ndindex(heights.shape):
+        middles = (0.5 * (each[number] + each[number + 1]) for each, number in zip(edges, index, strict=True))
+        location = ", ".join(f"{axis} = {middle:.3g} m" for axis, middle in zip("xz", middles, strict=False))
+        found[f"the height around {location}"] = float(heights[index])
     return found
 
 

@@ -110,7 +110,7 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
     for part in found:
         own = checks_of(state, part) or [state.runs[int(np.argmin(distances(state, state.runs, part)))]]
         location = own[0].parameters
-        widths = part.half_widths_about(task.unit(location)) * task.bounds.range
+        widths = half_widths(part.points, part.shares, task.unit(location)) * task.bounds.range
         answers.append(
             Answer(
                 parameters=location,
