@@ -185,15 +185,17 @@ def sentence(parts: Sequence[str]) -> str:
 def question(found: Found) -> str:
     """What was asked: the numbers in a table with their bounds and what was found, priors of fields, observations."""
     fields = []
-    for each in found.fields:
-        settings, nodes = each.unknown.settings, " x ".join(map(str, each.unknown.grid.nodes))
-        prior = f"{settings.mean:g} ± {settings.deviation:g} {each.unknown.unit}"
-        fields.append(f"`{each.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m")
+    for field in found.fields:
+        settings, nodes = field.unknown.settings, " x ".join(map(str, field.unknown.grid.nodes))
+        prior = f"{settings.mean:g} ± {settings.deviation:g} {field.unknown.unit}"
+        fields.append(
+            f"Unknown: `{field.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m."
+        )
     counted = Counter(each.name or each.kind for each in found.problem.observations)
     what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
     if len(found.problem.observations) == 1:
         what = found.target.observation.label
-    observed = " ".join([*(f"Unknown: {each}." for each in fields), f"Observed: {what}."])
+    observed = " ".join([*fields, f"Observed: {what}."])
     truth, widths, rows = found.target.truth, found.answers[0].half_widths, []
     uncertainty = "may move by" if found.problem.target.minimise else "certain to (95 %)"
     for index, each in enumerate(found.problem.numbers):

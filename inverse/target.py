@@ -15,10 +15,9 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.joint import Joint, Part
-from inverse.observations.observation import Errors, Matrix, Measurement, Observation, Values
+from inverse.observations.observation import Matrix, Measurement, Observation, Values
 from inverse.observations.table import Context
 from inverse.problem import Problem
-from inverse.settings import noise_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +72,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
         run, truth = simulate(scene), {each.name: each.kind.read(scene) for each in problem.numbers}
     elif problem.target.trajectory is not None:
         run = read_run(problem, measurements)
+    measurements = measurements if run is None else read_each(problem, run)
     target = dataclasses.replace(assembled(problem, measurements, run), truth=truth or None)
     if not problem.target.twin or not target.deviation.any():
         return target
@@ -85,9 +85,12 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
     return dataclasses.replace(target, values=target.values + drawn)
 
 
-def read_each(problem: Problem) -> list[Measurement]:
-    """Every observation of `problem` with its numbers. Raises InputError, which names the key or the file."""
-    context, found = Context(scene=problem.scene, folder=problem.folder, released=problem.released), []
+def read_each(problem: Problem, run: Trajectory | None = None) -> list[Measurement]:
+    """Every observation of `problem` with its numbers, or those of a `run`.
+
+    Raises InputError, which names the key or the file.
+    """
+    context, found = Context(scene=problem.scene, folder=problem.folder, released=problem.released, run=run), []
     for index, settings in enumerate(problem.observations):
         try:
             found.append(KINDS[settings.kind].read(settings, context))
@@ -116,55 +119,47 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
 
 def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajectory | None) -> Target:
     """The target of measurements; run: the flow that was observed, where it is known."""
-    values: list[Values] = []
-    errors: list[Errors] = []
     parts: list[Part] = []
     for settings, each in zip(problem.observations, measurements, strict=True):
-        own, profile = each.values, each.profile
-        if own is None and run is not None:
-            own, profile = each.observation.observe(run), each.observation.profile_of(run)
-        # A design has none, and is to be as small as possible.
-        own = np.zeros(1) if own is None else own
-        share, noise = noise_of(settings.noise)
-        errors.append(each.observation.errors(own, profile, share=share, noise=noise))
-        first, same = sum(len(before) for before in values), [part.observation.kind for part in parts]
-        counted = f" {same.count(settings.kind) + 1}" if settings.kind in same else ""
-        name = settings.name or settings.kind + counted
-        parts.append(Part(name=name, observation=each.observation, numbers=slice(first, first + len(own))))
-        values.append(own)
-    alone, profile = len(parts) == 1, measurements[0].profile
+        same = [part.observation.kind for part in parts].count(settings.kind)
+        name = settings.name or (f"{settings.kind} {same + 1}" if same else settings.kind)
+        first = parts[-1].numbers.stop if parts else 0
+        numbers = slice(first, first + len(each.values))
+        parts.append(Part(name=name, observation=each.observation, numbers=numbers))
+    only = measurements[0]
+    alone, profile = len(parts) == 1, only.profile
     front = math.nan
     if run is not None:
         front = measures.front(run.positions[-1])
     elif alone and not problem.target.minimise:
-        front = parts[0].observation.front(values[0])
+        front = only.observation.front(only.values)
     target = Target(
-        observation=parts[0].observation,
-        values=values[0],
-        deviation=errors[0].deviation,
-        covariance=errors[0].covariance,
+        observation=only.observation,
+        values=only.values,
+        deviation=only.deviation,
+        covariance=only.covariance,
         front=front,
         cell=None if run is None else run.scene.domain.cell,
         deposit=None if run is None else run.positions[-1],
         profile=(profile.x, profile.height) if profile is not None and alone else None,
-        roughness=max(each.roughness for each in errors),
+        roughness=max(each.roughness for each in measurements),
     )
-    return target if alone else joined(target, values, errors, parts)
+    return target if alone else joined(target, measurements, parts)
 
 
-def joined(first: Target, values: Sequence[Values], errors: Sequence[Errors], parts: Sequence[Part]) -> Target:
-    """The target of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
-    noise = np.concatenate([each.deviation for each in errors])
-    prior = np.concatenate([part.observation.prior_scatter(own) for part, own in zip(parts, values, strict=True)])
+def joined(target: Target, measurements: Sequence[Measurement], parts: Sequence[Part]) -> Target:
+    """`target` of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
+    noise = np.concatenate([each.deviation for each in measurements])
+    prior = np.concatenate([each.observation.prior_scatter(each.values) for each in measurements])
     scale = np.hypot(noise, prior)
     for part in parts:
         if not np.all(scale[part.numbers] > 0.0):
             raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
-    blocks = [np.diag(each.deviation**2) if each.covariance is None else each.covariance for each in errors]
+    blocks = [np.diag(each.deviation**2) if each.covariance is None else each.covariance for each in measurements]
     return dataclasses.replace(
-        first,
+        target,
         observation=Joint(parts, scale, prior),
-        values=np.concatenate(values) / scale,
+        values=np.concatenate([each.values for each in measurements]) / scale,
         deviation=noise / scale,
         covariance=block_diag(*blocks) / np.outer(scale, scale),
     )

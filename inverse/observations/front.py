@@ -1,5 +1,7 @@
 """How far the flow got along x: the front, in the end or at given times, and the runout."""
 
+from typing import ClassVar
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ class Front(Observation):
     label = "the front, the x that 99.5 % of the particles are behind"
     sources = ("value", "values", "csv")
     options = ("times", "unit")
-    columns = {"time": "times", "front": "values"}  # noqa: RUF012
+    columns: ClassVar = {"time": "times", "front": "values"}
     scalar = True
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:

@@ -1,6 +1,6 @@
 """Heights of the flow at gauges, in the end or at times of their own."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ class Gauges(Observation):
     label = "the height at gauges"
     sources = ("csv", "values")
     options = ("x", "z", "times", "spacing", "unit", "datum")
-    columns = {"x": "x", "height": "values", "time": "times"}  # noqa: RUF012
+    columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:

@@ -1,6 +1,6 @@
 """Impulse and largest force on a solid. Solids are the baffles, counted from 0, then the others."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from torch import Tensor
@@ -67,7 +67,7 @@ class Impulse(SolidObservation):
     unit = "N s"
     sources = ("value", "csv", "values")
     options = ("solid", "axis", "times")
-    columns = {"time": "times", "impulse": "values"}  # noqa: RUF012
+    columns: ClassVar = {"time": "times", "impulse": "values"}
 
     def of_series(self, impulse: Any, time: Values) -> Any:
         return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)

@@ -19,7 +19,7 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.table import Context, tabulated
-from inverse.settings import ObservationSettings
+from inverse.settings import ObservationSettings, noise_of
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
@@ -44,26 +44,20 @@ class Rollout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
-    """Errors of a measurement."""
-
-    deviation: Values
-    """Standard deviation of each number, shape [M]."""
-    covariance: Matrix | None = None
-    """Where the errors depend on each other, shape [M, M]."""
-    roughness: float = 1.0
-    """By how much a measured profile scatters more than its stated noise, which is counted."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Measurement:
     """An operator and what was measured with it."""
 
     observation: "Observation"
-    values: Values | None
-    """Shape [M]; None where a simulated flow makes them."""
+    values: Values
+    """Shape [M]; 0 of a design, and of a flow that has not been simulated yet."""
+    deviation: Values
+    """Standard deviation of each number, shape [M]."""
+    covariance: Matrix | None = None
+    """Where the errors depend on each other, shape [M, M]."""
     profile: MeasuredProfile | None = None
-    """Where a height profile was measured."""
+    """Where heights of a profile have errors."""
+    roughness: float = 1.0
+    """By how much these scatter more than their stated noise, which is counted."""
 
 
 class Observation:
@@ -108,7 +102,16 @@ class Observation:
         if settings.csv is not None:
             settings = tabulated(settings, context, cls.columns, cls.optional)
         observation = cls(settings, context.scene)
-        return Measurement(observation=observation, values=observation.stated(settings))
+        values = observation.stated(settings)
+        if values is None and context.run is not None:
+            values = observation.observe(context.run)
+        return observation.measured(settings, values)
+
+    def measured(self, settings: ObservationSettings, values: Values | None) -> Measurement:
+        """`values` [M] with errors that are independent of each other."""
+        share, noise = noise_of(settings.noise)
+        values = np.zeros(1) if values is None else values
+        return Measurement(observation=self, values=values, deviation=np.hypot(share * values, noise))
 
     def stated(self, settings: ObservationSettings) -> Values | None:
         """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
@@ -131,10 +134,6 @@ class Observation:
 
     def check_run(self, run: Trajectory) -> None:
         """Raise InputError for an observed run that cannot be compared with runs of the scene."""
-
-    def profile_of(self, run: Trajectory) -> MeasuredProfile | None:
-        """Of a simulated flow the profile whose heights have errors; None where there is none."""
-        return None
 
     @property
     def over_time(self) -> bool:
@@ -188,13 +187,6 @@ class Observation:
     def prior_scatter(self, values: Values) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
-
-    def errors(self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float) -> Errors:
-        """Errors of the measured `values` [M], by default independent of each other.
-
-        share, noise: stated standard deviation as a share of each number [-] and in its unit.
-        """
-        return Errors(deviation=np.hypot(share * values, noise))
 
     def raw(self, values: Values) -> Values:
         """`values` [M] in their own units."""

@@ -47,7 +47,7 @@ class Outline(Observation):
         observation, columns = cls(settings, context.scene), read_columns(context.folder / settings.csv, ("x", "z"))
         vertices = np.stack(list(columns.values()), axis=1) * settings.unit.metres
         require_inside(vertices[:, 0], context.scene.domain.size[0])
-        return Measurement(observation=observation, values=observation.of_line(vertices))
+        return observation.measured(settings, observation.of_line(vertices))
 
     @property
     def count(self) -> int:

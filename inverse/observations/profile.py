@@ -22,11 +22,10 @@ from datasets.errors import InputError
 from datasets.geometry.ground import elevation
 from datasets.particles import particle_volumes, released_volume
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
-from inverse.observations.observation import Errors, Measurement, Observation, Values, at_times
+from inverse.observations.observation import Measurement, Observation, Values, at_times
 from inverse.observations.table import Context
-from inverse.settings import Heights, ObservationSettings
+from inverse.settings import Heights, ObservationSettings, noise_of
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
@@ -62,7 +61,6 @@ class Profile(Observation):
             raise InputError(f"expected a length in (0, {length / 2:g}] m, got {spacing}", key="spacing")
         if self.times is not None and len(self.times) != 1:
             raise InputError(f"expected one time for each profile, got {len(self.times)}", key="times")
-        self.sampled = rows is not None
         self.fine = self.stations = measures.profile_stations(scene, spacing)
         if rows is not None:
             self.stations = to_the_wall(rows, length)
@@ -72,18 +70,24 @@ class Profile(Observation):
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        scene = context.scene
+        scene, run = context.scene, context.run
         made = cls if settings.heights is Heights.EQUIVALENT else SurfaceProfile
-        if settings.csv is None:
-            simulated = cls(settings, scene)
-            # The noise of a simulated profile is that of its heights; one without any is compared as it is.
-            if settings.noise != 0.0 or made is SurfaceProfile:
-                simulated = made(settings, scene, simulated.stations)
-            return Measurement(observation=simulated, values=None)
-        profile = profile_of(settings, context)
-        operator = made(settings, scene, profile.x)
-        values = operator.of_heights(profile.at(operator.stations))
-        return Measurement(observation=operator, values=values, profile=profile)
+        if settings.csv is not None:
+            profile = profile_of(settings, context)
+            operator = made(settings, scene, profile.x)
+            return operator.sampled(settings, operator.of_heights(profile.at(operator.stations)), profile)
+        operator = cls(settings, scene)
+        # The noise of a simulated profile is that of its heights; one without any is compared as it is.
+        if settings.noise == 0.0 and made is not SurfaceProfile:
+            return operator.measured(settings, None if run is None else operator.observe(run))
+        operator = made(settings, scene, operator.stations)
+        if run is None:
+            return operator.measured(settings, None)
+        seen = run.positions[-1]
+        if operator.times is not None:
+            seen = at_times(lambda positions: positions, run.positions, run.time, operator.times)[0]
+        profile = MeasuredProfile(x=operator.stations, height=operator.heights(seen))
+        return operator.sampled(settings, operator.observe(run), profile)
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
@@ -128,22 +132,13 @@ class Profile(Observation):
     def front(self, values: Values) -> float:
         return float(values[-1])
 
-    def profile_of(self, run: Trajectory) -> MeasuredProfile | None:
-        if not self.sampled:
-            return None
-        seen = run.positions[-1]
-        if self.times is not None:
-            seen = at_times(lambda positions: positions, run.positions, run.time, self.times)[0]
-        return MeasuredProfile(x=self.stations, height=self.heights(seen))
+    def sampled(self, settings: ObservationSettings, values: Values, profile: MeasuredProfile) -> Measurement:
+        """`values` [M] by independent errors of the heights; the numbers that they make are not independent.
 
-    def errors(self, values: Values, profile: MeasuredProfile | None, *, share: float, noise: float) -> Errors:
-        """By independent errors of the heights; the numbers that they make are not independent.
-
-        Stated are a `share` of each height and, of all alike, `noise` [m]; the error of representation comes on top.
-        Rows that scatter more than that have more noise than was stated.
+        Stated are a share of each height or a standard deviation of all alike; the error of representation comes on
+        top. Rows that scatter more than that have more noise than was stated.
         """
-        if profile is None:
-            return super().errors(values, None, share=share, noise=noise)
+        share, noise = noise_of(settings.noise)
         stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * self.scene.domain.cell))
         roughness = profile.roughness(stated)
         draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
@@ -151,7 +146,14 @@ class Profile(Observation):
         numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in heights]
         off = np.stack(numbers) - np.mean(numbers, axis=0)
         covariance = np.asarray(off.T @ off / (DRAWS - 1.0))
-        return Errors(deviation=np.sqrt(np.diag(covariance)), covariance=covariance, roughness=roughness)
+        return Measurement(
+            observation=self,
+            values=values,
+            deviation=np.sqrt(np.diag(covariance)),
+            covariance=covariance,
+            profile=profile,
+            roughness=roughness,
+        )
 
     def text(self, values: Values) -> str:
         return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datasets import files
 from datasets.errors import InputError
 from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from inverse.settings import ObservationSettings
 
 Values = NDArray[np.float64]
@@ -29,6 +30,8 @@ class Context:
     """Relative paths start here."""
     released: float | None
     """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
+    run: Trajectory | None = None
+    """The flow that was observed, where it is known."""
 
 
 def tabulated(

@@ -45,11 +45,11 @@ from inverse.parameters.kind import (
 __all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL = (
-    Constant(form="friction_deg", unit="deg", digits=2, step=0.05, input=inputs.friction),  # the paper's step
-    Cohesion(form="cohesion", unit="Pa", digits=1, step=1.0, input=inputs.cohesion),
-    Constant(form="young", unit="Pa", digits=0, step=1.0e5),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, step=0.5),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, step=10.0),
+    Constant(form="friction_deg", unit="deg", digits=2, step=0.05, order=0, input=inputs.friction),  # the paper's step
+    Cohesion(form="cohesion", unit="Pa", digits=1, step=1.0, order=0, input=inputs.cohesion),
+    Constant(form="young", unit="Pa", digits=0, step=1.0e5, order=0),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, step=0.5, order=1),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, step=10.0, order=1),
 )
 _COEFFICIENTS = {
     "floor_friction": inputs.floor_friction,
@@ -73,7 +73,7 @@ KINDS: dict[str, Kind] = {
     for each in (
         *_MATERIAL,
         *(Kind(form=name, unit="-", digits=3, step=0.02, input=enter) for name, enter in _COEFFICIENTS.items()),
-        *(dataclasses.replace(each, form=f"masses[].{each.form}") for each in _MATERIAL),
+        *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
         *(
             Velocity(
                 form=f"masses[].velocity_{name}",

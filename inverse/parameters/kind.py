@@ -48,6 +48,9 @@ class Kind:
     """Whether it is a quantity with a zero of its own and no sign, so that an error can be compared with the value."""
     changes_volume: bool = False
     """Whether more or less material is released with it."""
+    order: int = 2
+    """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2), and
+    each time residual strengths last (1, 3), because the cohesion of their material scales them."""
     input: Input | None = None
     """How it enters the surrogate (`inverse.parameters.inputs`); None of what the MPM alone knows."""
 
@@ -60,11 +63,6 @@ class Kind:
     def key(self) -> str:
         """Name of the attribute."""
         return self.attribute or self.form.split(".")[-1]
-
-    @property
-    def order(self) -> int:
-        """Parameters are set in ascending order: shared material (0), its residual strength (1), others (2, 3)."""
-        return 2
 
     @property
     def differentiable(self) -> bool:
@@ -152,11 +150,6 @@ class Height(Kind):
 class Constant(Kind):
     """A constant of the material of a mass, or of the shared one."""
 
-    @property
-    def order(self) -> int:
-        """Shared constants first: those of a single mass take precedence."""
-        return 0 if self.index is None else 2
-
     def check(self, scene: Scene) -> None:
         super().check(scene)
         if self.index is None and all(mass.material is not None for mass in scene.masses):
@@ -195,11 +188,6 @@ class Cohesion(Constant):
 
 class Residual(Constant):
     """A residual strength: friction angle [deg] or cohesion [Pa] after a long slip."""
-
-    @property
-    def order(self) -> int:
-        """After the cohesion of the same material, which scales residual values."""
-        return 1 if self.index is None else 3
 
     def check(self, scene: Scene) -> None:
         super().check(scene)

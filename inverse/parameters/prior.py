@@ -18,7 +18,7 @@ matters less; S takes the nodes of the field and scales each to the stated devia
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -42,17 +42,17 @@ class Prior:
         self.grid, self.deviation, self.lengths = grid, deviation, tuple(lengths)
         # Along an axis with one node the field does not vary.
         dimension = sum(count > 1 for count in grid.nodes)
-        scales = np.array(lengths) / math.sqrt(8.0 * smoothness(dimension))
+        scales = np.array(lengths) / math.sqrt(8.0 * (2.0 - 0.5 * dimension))  # nu
         margins = [
             0 if count == 1 else math.ceil(length / step)
             for count, length, step in zip(grid.nodes, lengths, grid.spacing, strict=True)
         ]
         shape = [count + 2 * margin for count, margin in zip(grid.nodes, margins, strict=True)]
         masses = [lumped_mass(count, step) for count, step in zip(shape, grid.spacing, strict=True)]
-        operator = mass = kron(masses)
+        operator = mass = reduce(sparse.kron, masses)
         for axis, (count, step) in enumerate(zip(shape, grid.spacing, strict=True)):
             factors = [stiffness(count, step) if other == axis else each for other, each in enumerate(masses)]
-            operator = operator + scales[axis] ** 2 * kron(factors)
+            operator = operator + scales[axis] ** 2 * reduce(sparse.kron, factors)
         self.root_mass: Floats = np.sqrt(mass.diagonal())
         self.operator = sparse.csc_array(operator)
         self.factor = splu(self.operator)
@@ -92,11 +92,6 @@ class Prior:
         return np.asarray(found.reshape(-1, *adjoint.shape[1:]))
 
 
-def smoothness(dimension: int) -> float:
-    """nu of the Matern covariance."""
-    return 2.0 - 0.5 * dimension
-
-
 def lumped_mass(count: int, step: float) -> Any:
     """Of linear elements along a line, half of one at its ends; sparse."""
     lengths = np.full(count, step)
@@ -109,11 +104,3 @@ def stiffness(count: int, step: float) -> Any:
     """int phi_i' phi_j' of linear elements along a line; sparse."""
     slopes = sparse.diags_array([-np.ones(count - 1), np.ones(count - 1)], offsets=[0, 1], shape=(count - 1, count))
     return slopes.T @ slopes / step
-
-
-def kron(factors: Sequence[Any]) -> Any:
-    """The Kronecker product of matrices, one for each axis; sparse."""
-    found = factors[0]
-    for each in factors[1:]:
-        found = sparse.kron(found, each)
-    return found

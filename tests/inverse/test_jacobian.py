@@ -12,44 +12,12 @@ from inverse.observations import build
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings
 
+MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x", "damping")
+BAFFLE = ("baffles[0].x", "baffles[0].length", "baffles[0].height", "baffle_friction")
 NAMES: dict[int | str, tuple[str, ...]] = {
-    2: (
-        "friction_deg",
-        "cohesion",
-        "masses[1].friction_deg",
-        "masses[1].cohesion",
-        "masses[0].velocity_x",
-        "masses[1].velocity_y",
-        "baffles[0].x",
-        "baffles[0].length",
-        "baffles[0].height",
-        "floor_friction",
-        "wall_friction",
-        "baffle_friction",
-        "damping",
-    ),
-    3: (
-        "friction_deg",
-        "cohesion",
-        "masses[0].velocity_x",
-        "masses[0].velocity_z",
-        "baffles[0].x",
-        "baffles[1].z",
-        "baffles[0].length",
-        "baffles[1].width",
-        "baffles[0].height",
-        "baffle_friction",
-    ),
-    "terrain": (
-        "friction_deg",
-        "cohesion",
-        "masses[0].velocity_x",
-        "floor_friction",
-        "wall_friction",
-        "damping",
-        "solids[0].friction",
-        "solids[1].friction",
-    ),
+    2: (*MATERIAL, *BAFFLE, "masses[1].friction_deg", "masses[1].cohesion", "masses[1].velocity_y", "wall_friction"),
+    3: (*MATERIAL, *BAFFLE, "masses[0].velocity_z", "baffles[1].z", "baffles[1].width"),
+    "terrain": (*MATERIAL, "floor_friction", "wall_friction", "solids[0].friction", "solids[1].friction"),
 }
 STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-4, "damping": 1e-4}
 """Short, because a profile has a kink wherever a point passes a station."""

@@ -151,19 +151,3 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     assert target.truth is None
     np.testing.assert_allclose(target.values, observation.exact(seen.positions[-1]))
     assert target.front_error(1.01 * seen.positions[-1]) == pytest.approx(0.01, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "x,height\n0.1,0.2\n",
-        "x,y\n0,1\n1,0\n",
-        "x,height\n0,0\n1,0\n",
-    ],
-)
-def test_a_wrong_csv_names_the_file(text: str, tmp_path: Path) -> None:
-    (tmp_path / "profile.csv").write_text(text)
-    problem = small("profile", tmp_path, csv="profile.csv")
-    with pytest.raises(InputError, match=r"profile\.csv"):
-        read_target(problem, fall)

@@ -104,8 +104,7 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
             "percentage",
         ),
         ('[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = -1.0\n', "observations[0].noise", "at least 0"),
-        ('[[observations]]\nkind = "passed"\nvalue = 0.1\n', "observations[0].line", "a length in"),
-        ('[[observations]]\nkind = "toe"\nvalues = [0.1]\n', "observations[0].values", "expected 2 numbers"),
+        ('[[observations]]\nkind = "profile"\ntimes = [0.1, 0.2]\n', "observations[0].times", "one time"),
         ('[[observations]]\nkind = "impulse"\nvalue = 1.0\n', "observations[0].solid", "the scene has no solids"),
         ('[[observations]]\nkind = "outline"\nvalues = [1.0]\n', "observations[0].kind", "in 3D"),
         ('[[observations]]\nkind = "height"\nvalues = [1.0]\n', "observations[0].x", "the x [m] of the gauges"),
@@ -114,7 +113,6 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
             "observations[0].times",
             "got 1.5",
         ),
-        ('[[observations]]\nkind = "heights"\nvalue = 1.0\n', "observations[0].kind", "peak-force"),
         (
             '[[observations]]\nkind = "deposit"\n[[observations]]\nkind = "front"\n',
             "observations[0].kind",

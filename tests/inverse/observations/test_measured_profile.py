@@ -83,7 +83,6 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
     """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
     problem = measured(tmp_path, noise="3%")
     observation = operator_of(problem)
-    assert observation.sampled
     target = target_of(problem)
     assert target.covariance is not None
     rng = np.random.default_rng(7)

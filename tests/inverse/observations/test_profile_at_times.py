@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_volumes
 from datasets.scene import Domain, Mass, Scene
@@ -48,9 +47,3 @@ def test_it_is_seen_at_its_time(run: Trajectory, time: float, moved: float) -> N
         positions=torch.from_numpy(run.positions), times=run.time, volumes=torch.from_numpy(initial_volumes(SCENE))
     )
     np.testing.assert_allclose(observation.predict(rollout), observation.observe(run), atol=1e-6)
-
-
-def test_one_time_for_each_profile() -> None:
-    with pytest.raises(InputError, match="one time") as error:
-        build(ObservationSettings(kind="profile", times=(0.01, 0.02)), SCENE)
-    assert error.value.key == "times"
