@@ -12,12 +12,14 @@ from inverse.observations import build
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings
 
-MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x", "damping")
+MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x")
 BAFFLE = ("baffles[0].x", "baffles[0].length", "baffles[0].height", "baffle_friction")
+ROUGH = ("floor_friction", "wall_friction", "damping")
+OTHER = ("masses[1].friction_deg", "masses[1].cohesion", "masses[1].velocity_y")
 NAMES: dict[int | str, tuple[str, ...]] = {
-    2: (*MATERIAL, *BAFFLE, "masses[1].friction_deg", "masses[1].cohesion", "masses[1].velocity_y", "wall_friction"),
+    2: (*MATERIAL, *BAFFLE, *ROUGH, *OTHER),
     3: (*MATERIAL, *BAFFLE, "masses[0].velocity_z", "baffles[1].z", "baffles[1].width"),
-    "terrain": (*MATERIAL, "floor_friction", "wall_friction", "solids[0].friction", "solids[1].friction"),
+    "terrain": (*MATERIAL, *ROUGH, "solids[0].friction", "solids[1].friction"),
 }
 STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "friction": 1e-4, "damping": 1e-4}
 """Short, because a profile has a kink wherever a point passes a station."""

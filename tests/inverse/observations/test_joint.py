@@ -148,12 +148,14 @@ def rolled(run: Trajectory) -> Rollout:
     "settings",
     [
         ObservationSettings(kind="front", times=(0.05, 0.33, 1.0)),
+        ObservationSettings(kind="profile", times=(0.33,)),
         ObservationSettings(kind="height", spacing=0.05, x=(0.0, 0.1, 0.3)),
         ObservationSettings(kind="height", spacing=0.05, x=(0.1, 0.3), times=(0.12, 0.5)),
     ],
 )
 def test_the_smooth_form_is_the_exact_one(settings: ObservationSettings) -> None:
     run, observation = flow(SCENE), build(settings, SCENE)
+    assert observation.over_time == (settings.times is not None)
     exact = observation.observe(run)
     np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
     assert len(exact) > 1
