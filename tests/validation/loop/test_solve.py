@@ -86,7 +86,7 @@ def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: in
     assert len(result.mpm_runs) <= result.problem.loop.budget(count)
 
 
-@pytest.mark.parametrize(("beyond", "bound"), [(5.0, 12.0), (60.0, 52.0)])
+@pytest.mark.parametrize(("beyond", "bound"), [(5.0, 12.0), pytest.param(60.0, 52.0, marks=pytest.mark.slow)])
 def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: float, bound: float) -> None:
     result = wedge(tmp_path, value=length(beyond), scatter=0.001).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
@@ -231,7 +231,10 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert "cells " in (tmp_path / "seen" / "report.md").read_text()
 
 
-@pytest.mark.parametrize(("improvable", "expected"), [(True, Verdict.CONFIRMED), (False, Verdict.UNCONFIRMED)])
+@pytest.mark.parametrize(
+    ("improvable", "expected"),
+    [(True, Verdict.CONFIRMED), pytest.param(False, Verdict.UNCONFIRMED, marks=pytest.mark.slow)],
+)
 def test_a_design_is_confirmed_where_the_mpm_shows_it_is_better(
     tmp_path: Path, improvable: bool, expected: Verdict
 ) -> None:

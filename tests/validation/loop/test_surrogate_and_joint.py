@@ -87,6 +87,7 @@ def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
     assert "times worse than noise" in (tmp_path / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
     names = ["masses[0].friction_deg", "masses[1].friction_deg"]
     scene = Scene(
