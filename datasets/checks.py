@@ -165,7 +165,7 @@ def check_fields(scene: Scene) -> None:
             require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
         require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
         require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
-        count = field.grid.count
+        count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
         masses = range(len(scene.masses))
         require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)

@@ -70,7 +70,7 @@ class Grid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field(Record):
+class Field(Grid, Record):
     """What varies over the particles of a scene at the start, in place of what their mass or its material has.
 
     For example:
@@ -82,21 +82,10 @@ class Field(Record):
 
     quantity: str
     """`friction_deg`, `velocity_x`, `velocity_y` or `velocity_z`."""
-    origin: tuple[float, ...]
-    """The node with the smallest coordinates [m]."""
-    spacing: tuple[float, ...]
-    """Distance between nodes along each axis [m]."""
-    nodes: tuple[int, ...]
-    """How many along each axis."""
     values: tuple[float, ...]
     """At the nodes, y (in 3D z) fastest: angles in degrees, velocities in m/s."""
     mass: int | None = None
     """Index of the mass whose particles have it; all where absent."""
-
-    @property
-    def grid(self) -> Grid:
-        """Of its nodes."""
-        return Grid(self.origin, self.spacing, self.nodes)
 
     @property
     def axis(self) -> int:
@@ -105,4 +94,4 @@ class Field(Record):
 
     def at(self, positions: Floats) -> Floats:
         """Its values at `positions` [m], shape [N, D]; shape [N]."""
-        return np.asarray(self.grid.weights(positions) @ np.array(self.values))
+        return np.asarray(self.weights(positions) @ np.array(self.values))

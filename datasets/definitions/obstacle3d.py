@@ -13,8 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from datasets.definitions import flow2d
-from datasets.definitions.definition import Storage
-from datasets.definitions.families import Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Storage, Stream, family, jitter_seed, log_uniform
 from datasets.definitions.held_out import boxes
 from datasets.errors import InputError
 from datasets.material import Material
@@ -159,7 +158,7 @@ def terrain(stream: Stream) -> Scene:
         bump = float(stream.uniform(-0.2, 0.3)) * radius
         ground = ground + bump * np.exp(-((x - at[0]) ** 2 + (z - at[1]) ** 2) / (2.0 * (0.5 * radius) ** 2))
     ground = ground - ground.min() + 0.05
-    friction = floor(stream)
+    friction = flow2d.floor(stream, 0.43)
     solid = Solid(
         kind="terrain",
         origin=(-GRID, -GRID),
@@ -285,11 +284,6 @@ def sand(stream: Stream) -> Material:
     return dataclasses.replace(given, friction_deg=float(stream.uniform(*FRICTION_DEG)), young=YOUNG)
 
 
-def floor(stream: Stream) -> float:
-    """Coulomb coefficient of the ground [-]; that of the paper's scenes in three of ten."""
-    return 0.43 if stream.random() < 0.3 else float(stream.uniform(0.1, 1.0))
-
-
 def scene(
     stream: Stream,
     mass: Mass,
@@ -320,7 +314,7 @@ def scene(
         duration=DURATION,
         frame_dt=FRAME_DT,
         slope_deg=slope_deg,
-        floor_friction=floor(stream) if floor_friction is None else floor_friction,
+        floor_friction=flow2d.floor(stream, 0.43) if floor_friction is None else floor_friction,
         wall_friction=wall_friction,
         baffle_friction=on_baffles if baffles else 0.0,
         damping=damping,

@@ -12,8 +12,7 @@ from functools import wraps
 import numpy as np
 
 from datasets.definitions import flow2d, obstacle3d
-from datasets.definitions.definition import Storage
-from datasets.definitions.families import Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Storage, Stream, family, jitter_seed, log_uniform
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 

@@ -60,7 +60,7 @@ def test_the_adjoint_of_a_field_of_friction(material: Material) -> None:
     objective = Weighted(scene)
     _, slope = gradient(scene, objective, threads=1, exact=True)
     (field,) = scene.fields
-    at_nodes = field.grid.weights(slope.particles.positions).T @ slope.material("friction_deg")
+    at_nodes = field.weights(slope.particles.positions).T @ slope.material("friction_deg")
     direction = np.random.default_rng(2).normal(size=12)
     found = central(lambda h: value_of(with_friction(scene, values + h * direction), objective), 1e-2)
     assert at_nodes @ direction == pytest.approx(found, rel=5e-6)
