@@ -22,7 +22,6 @@ RETURNED = (
     "energy",
     "recorded_impulse",
     "offsets",
-    "clamped",
     "retained",
     "settling",
 )
@@ -62,7 +61,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
         device["offsets"].from_numpy(batch.offsets)
         call_kernel(Phase.RECORD, first=frame)
         batch.computed = frame
-        if not batch.in_kernel and any(frame in batch.kept(index) for index in range(len(batch.scenes))):
+        if not batch.in_kernel and any(batch.recording.slot(frame, each.frames) is not None for each in batch.scenes):
             batch.state[...] = device["state"].to_numpy().reshape(batch.state.shape)
             batch.keep(frame)
         bar.update()

@@ -1,7 +1,6 @@
 """python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
 
 import sys
-import time
 from collections.abc import Iterable
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -49,7 +48,7 @@ def command(
     definition
         flow2d, columns2d, obstacle3d, baffles3d, paper2d, paper3d, or the path of a definition in TOML.
     out
-        Folder of the dataset: train, valid, test, metadata.json, generation.json.
+        Folder of the dataset: train, valid, test, metadata.json.
     count
         How many trajectories, the first ones of the definition; all of them unless given.
     seed
@@ -88,28 +87,17 @@ def generate(
     """
     if jobs < 1:
         raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
-    start = time.perf_counter()
     entries = definition.entries(seed=seed, count=count)
     if len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     with locked(out), pool(jobs) if scheduler is None else connected(scheduler) as workers:
-        missing = missing_entries(entries, out)
-        simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
+        simulate_all(workers, missing_entries(entries, out), out, total=len(entries), storage=definition.storage)
         statistics = statistics_of(
             workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
         )
         radius = definition.connectivity_radius
         described = metadata(definition.name, entries, connectivity_radius=radius, seed=seed, statistics=statistics)
         write_json(out / "metadata.json", described)
-        write_json(
-            out / "generation.json",
-            {
-                "simulated": len(missing),
-                "kept": len(entries) - len(missing),
-                "jobs": workers.width(),
-                "wall_s": time.perf_counter() - start,
-            },
-        )
 
 
 def trajectory_path(entry: Entry, out: Path) -> Path:

@@ -121,8 +121,8 @@ def digest(content: bytes) -> str:
 
 
 def dataset_files(out: Path) -> Digest:
-    """Every file of a dataset but the one that records how it was made."""
-    files = [path for path in sorted(out.rglob("*")) if path.is_file() and path.name != "generation.json"]
+    """Every file of a dataset."""
+    files = [path for path in sorted(out.rglob("*")) if path.is_file()]
     return {str(path.relative_to(out)): digest(path.read_bytes()) for path in files}
 
 

@@ -137,14 +137,14 @@ class Batch:
         self.computed = 0
         self.record = [self.empty_record(index) for index in range(len(scenes))]
         """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
-        self.clamped = np.zeros(len(self.workers), np.int32)
         for index in range(len(scenes)):
             self.fill(index)
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        obstacles, self.first_obstacles = obstacles_of(self.scenes if self.features.contact else self.scenes[:1])
-        self.offsets[: len(self.first_obstacles), Offset.GEOMETRY] = [first.cell for first in self.first_obstacles]
+        scenes = self.scenes if self.features.contact else self.scenes[:1]
+        obstacles, first_cells, self.first_faces = obstacles_of(scenes)
+        self.offsets[: len(scenes), Offset.GEOMETRY] = first_cells
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
@@ -184,7 +184,7 @@ class Batch:
         put(features.velocity, particles.velocities)
         if features.contact:
             contacts = initial_contacts(scene, particles.positions)
-            contacts[:, Contact.FACE] += self.first_obstacles[index].face
+            contacts[:, Contact.FACE] += self.first_faces[index]
             put(features.contacts, contacts)
         put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
@@ -204,7 +204,7 @@ class Batch:
         state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
-        if self.kept(index)[0] == 0:
+        if self.recording.every > 0:
             self.store(index, 0)
         mass = particles.density * particles.volume
         energies = self.energies(index)
@@ -251,9 +251,9 @@ class Batch:
     def keep(self, first: int) -> None:
         """Record what is kept of the frames from `first` on that have been computed, where the kernel does not."""
         for index in range(0 if self.in_kernel else len(self.scenes)):
-            rest = int(self.offsets[index, Offset.REST])
-            for slot, frame in enumerate(self.kept(index)):
-                if first <= frame <= min(self.computed, rest or frame):
+            last = int(self.offsets[index, Offset.REST]) or self.computed
+            for frame in range(first, min(last, self.computed, self.scenes[index].frames - 1) + 1):
+                if (slot := self.recording.slot(frame, self.scenes[index].frames)) is not None:
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:

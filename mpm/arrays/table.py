@@ -46,7 +46,6 @@ STEP = {
     "offsets": Kind.INTEGER_TABLE,
     "workers": Kind.INTEGER_TABLE,
     "arrivals": Kind.INTEGER,
-    "clamped": Kind.INTEGER,
     "barriers": Kind.INTEGER_TABLE,
     "retained": Kind.INTEGER_TABLE,
     "settling": Kind.DOUBLE_TABLE,

@@ -20,7 +20,7 @@ from mpm.output.request import Recording
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch
 
-RUN = ("precision", "frame", "steps", "clamped", "wall_s")
+RUN = ("precision", "frame", "steps", "wall_s")
 """How far a run came, one text beside the scene and what is recorded."""
 
 
@@ -35,8 +35,6 @@ class Checkpoint:
     """The last frame that was computed."""
     steps: int
     """Steps so far."""
-    clamped: int
-    """How often a particle was put back into the box."""
     wall_s: float
     """What all parts of the run have taken so far [s]."""
     arrays: dict[str, NDArray[Any]]
@@ -51,7 +49,6 @@ class Checkpoint:
             precision=batch.features.precision,
             frame=batch.computed,
             steps=int(batch.offsets[0, Offset.STEPS]),
-            clamped=int(batch.clamped.sum()),
             wall_s=wall_s,
             arrays=arrays_of(batch, batch.computed),
         )
@@ -81,8 +78,7 @@ class Checkpoint:
             kept = sum(number <= self.frame for number in batch.kept(0))
             for number in range(batch.recording.every > 0, kept):
                 batch.file.append(positions=self.arrays["positions"][number][None])
-        batch.offsets[0, Offset.STEPS], batch.clamped[0] = self.steps, self.clamped
-        batch.computed = self.frame
+        batch.offsets[0, Offset.STEPS], batch.computed = self.steps, self.frame
 
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays and JSON strings."""

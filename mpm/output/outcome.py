@@ -13,7 +13,7 @@ from datasets.remarks import remarks
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Energy, Offset, Worker
+from mpm.arrays.layout import Energy, Offset
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -62,9 +62,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
 
     Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
-    scene; `clamped`, how often a particle was put back into the box; `rest_time` [s], when the deposit came to rest,
-    where the run may end there, and `end_time` [s], until when it was computed; `release_time` [s], when each mass was
-    let go, where barriers hold one; `relaxation_time` [s] of the scene, its default worked out; where asked for the
+    scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
+    it was computed; `release_time` [s], when each mass was let go, where barriers hold one; where asked for the
     momentum that the sides of the box and the barriers have taken up to each frame [N s], `side_impulse` of each and
     their sum `wall_impulse`; `outflow` [kg] through each open side; `wall_s` of all scenes that ran together,
     compilation apart.
@@ -92,10 +91,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "toe": list(toe(deposit)),
         "steps": int(offset[Offset.STEPS]),
         "particles": len(deposit),
-        "clamped": int(batch.clamped[batch.workers[:, Worker.SCENE] == index].sum()),
         "rest_time": began * scene.frame_dt if rest else None,
         "end_time": (rest or scene.frames - 1) * scene.frame_dt,
-        "relaxation_time": scene.relaxation,
         "energy": {
             column.name.lower(): rounded(energies[:, column])
             for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)

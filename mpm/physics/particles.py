@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.arrays.access import add, clamp, lane_maximum, lane_minimum, lane_sum, maximum, minimum, no_overflow
+from mpm.arrays.access import clamp, lane_maximum, lane_minimum, maximum, minimum, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
@@ -58,7 +58,7 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
-    step_particles(worker, scene, block, scratch, dt, kappa, arrays)
+    step_particles(scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, dt, arrays)
     if ti.static(features.outflow):
         remove_outflow(block, scene, arrays)
@@ -68,7 +68,7 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
 
 
 @ti.func
-def step_particles(worker, scene, block, scratch, dt, kappa, arrays: ti.template()):
+def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
     """Move a block by its velocity; no particle leaves the box."""
     features = arrays.features
     x = no_overflow(block * features.block)
@@ -93,11 +93,6 @@ def step_particles(worker, scene, block, scratch, dt, kappa, arrays: ti.template
         if ti.static(features.outflow):
             inside = unless_open(free, inside, 2 * k, scene, arrays)
         arrays.state[x + k] = inside
-        put_back = lane_sum(
-            ti.select(inside != free, arrays.state[block * features.block + features.present], 0.0), arrays
-        )
-        if put_back > 0.0:
-            add(arrays.clamped, worker, ti.cast(put_back, ti.i32), arrays)
 
 
 @ti.func

@@ -11,7 +11,7 @@ the cell can cut F only where d(c, F) <= h + travel.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,17 +49,8 @@ class Obstacles:
     """Of each held node the normal, friction and the number of its solid, shape [K, D + 2]."""
 
 
-class FirstEntries(NamedTuple):
-    """Where those of one scene begin among the obstacles of several."""
-
-    cell: int
-    """In `cell_faces` and `fixed_nodes`."""
-    face: int
-    """In `faces`."""
-
-
-def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, list[FirstEntries]]:
-    """The solids of several scenes in one, and where each scene's begin.
+def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers]:
+    """The solids of several scenes in one, and where each scene's begin in `cell_faces` and in `faces`, shape [scenes].
 
     Raises InputError as `datasets.geometry.surface.surface_of`.
     """
@@ -82,7 +73,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, list[FirstEntries]
         ),
         node_contacts=np.concatenate([part.node_contacts for part in parts]),
     )
-    return together, [FirstEntries(cell=cell, face=face) for cell, face, _, _ in firsts]
+    return together, np.array([cell for cell, *_ in firsts]), np.array([face for _, face, *_ in firsts])
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
