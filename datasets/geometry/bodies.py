@@ -15,15 +15,11 @@ from functools import lru_cache
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from datasets.errors import InputError
 from datasets.geometry.ground import TOUCHING, elevation, interpolated, plan_axes
-from datasets.geometry.nearest import inside
 from datasets.geometry.planar import check_simple
 from datasets.geometry.shapes import FARTHEST, check_grid, check_ground_line, check_mass, require
-from datasets.geometry.spatial import manifold, outward, sliced
-from datasets.geometry.surface import surface_around
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid
 
@@ -115,6 +111,13 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
     """A closed surface of triangles in 3D."""
+    # Commands on boxes alone start without these libraries.
+    from scipy import ndimage
+
+    from datasets.geometry.nearest import inside
+    from datasets.geometry.spatial import manifold, outward, sliced
+    from datasets.geometry.surface import surface_around
+
     vertices = np.array(mass.vertices)
     triangles = outward(vertices, np.array(mass.triangles, np.int64), f"{key}.triangles")
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
 from datasets.scene import Domain, Mass, Scene
@@ -48,18 +47,6 @@ def test_volumes_equal_to_rounding_are_one_number(scene: Scene) -> None:
     assert set(points.volume) == {0.031 * 0.03 / 36}
     points = initial_particles(dataclasses.replace(scene, masses=(twins[0], masses[2])))
     assert len(set(points.volume)) == 2
-
-
-def test_masses_that_fit_the_lattice_are_as_ever() -> None:
-    scene = read_scene("column-tall-42")
-    points = initial_particles(scene)
-    share = scene.particle_spacing
-    assert set(points.volume) == {scene.particle_volume} == {share**2}
-    counts = [round(length / share) for length in scene.masses[0].size]
-    lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
-    offset = np.random.default_rng([scene.seed, 0]).uniform(-0.5, 0.5, lattice.shape) * scene.jitter
-    spacing = np.array(scene.masses[0].size) / counts
-    np.testing.assert_array_equal(points.positions, (lattice + 0.5 + offset) * spacing + scene.masses[0].lower)
 
 
 def test_a_mass_thinner_than_a_cell_is_warned_of(scene: Scene) -> None:

@@ -126,15 +126,6 @@ def test_a_mesh(tmp_path: Path, name: str) -> None:
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
 
 
-def test_tetrahedra_have_a_skin(tmp_path: Path) -> None:
-    corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
-    cells = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
-    meshio.Mesh(corners, [("tetra", cells)]).write(tmp_path / "cube.vtu")
-    found = scene(tmp_path, SPACE + '[[masses]]\nkind = "mesh"\nfile = "cube.vtu"\nat = [1.0, 0.1, 0.5]\n')
-    assert mass_volumes(found)[0] == pytest.approx(0.008, rel=1e-9)
-    assert len(initial_particles(found).positions) == 8**3
-
-
 def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
