@@ -18,6 +18,7 @@ TRIES = 200
 """Draws of a scene that is valid and not held out, before it is an error."""
 
 Stream = np.random.Generator
+Kind = Callable[[Stream], Scene]
 
 
 class Split(StrEnum):
@@ -90,7 +91,7 @@ class Definition:
 def family(
     name: str,
     *,
-    kinds: tuple[Callable[[Stream], Scene], ...],
+    kinds: tuple[Kind, ...],
     variant: Callable[[Stream, Scene], Scene],
     size: int,
     connectivity_radius: float,

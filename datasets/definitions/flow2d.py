@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.definitions.definition import Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -202,18 +202,7 @@ def baffles(stream: Stream) -> Scene:
     return scene(stream, masses=(mass,), width=width, baffles=tuple(obstacles))
 
 
-KINDS: tuple[Callable[[Stream], Scene], ...] = (
-    column,
-    layers,
-    column,
-    thrown,
-    slope,
-    staircase,
-    column,
-    baffles,
-    layers,
-    terrain,
-)
+KINDS: tuple[Kind, ...] = (column, layers, column, thrown, slope, staircase, column, baffles, layers, terrain)
 """Repeated along the dataset."""
 
 

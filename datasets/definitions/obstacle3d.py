@@ -7,13 +7,13 @@ MPM computes it on cells of `CELL`, 19 across the body; what is stored are `KEPT
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from datasets.definitions import flow2d
-from datasets.definitions.definition import Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
 from datasets.definitions.held_out import boxes
 from datasets.errors import InputError
 from datasets.material import Material
@@ -195,7 +195,7 @@ def terrain(stream: Stream) -> Scene:
     )
 
 
-KINDS: tuple[Callable[[Stream], Scene], ...] = (slab, pile, tower, terrain, dam, slope, row, sheet, slab, tower)
+KINDS: tuple[Kind, ...] = (slab, pile, tower, terrain, dam, slope, row, sheet, slab, tower)
 """Repeated along the dataset."""
 
 

@@ -6,13 +6,12 @@ friction angles and velocities than its own; scenes next to those that ship are 
 """
 
 import dataclasses
-from collections.abc import Callable
 from functools import wraps
 
 import numpy as np
 
 from datasets.definitions import flow2d, obstacle3d
-from datasets.definitions.definition import Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 
@@ -91,7 +90,7 @@ def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
     )
 
 
-def as_paper(kind: Callable[[Stream], Scene]) -> Callable[[Stream], Scene]:
+def as_paper(kind: Kind) -> Kind:
     """Scenes of a kind with the paper's dry sand and friction of floor, walls and baffles, undamped; on other cells."""
 
     @wraps(kind)

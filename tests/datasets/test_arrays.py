@@ -50,11 +50,6 @@ def test_everything_comes_back_to_the_bit(flow: Trajectory, saved: Path) -> None
     assert stored_scene(saved) == flow.scene
 
 
-def test_saving_what_was_read_changes_nothing(saved: Path, tmp_path: Path) -> None:
-    Trajectory.load(saved).save(tmp_path / f"again{saved.suffix}")
-    assert (tmp_path / f"again{saved.suffix}").read_bytes() == saved.read_bytes()
-
-
 def test_an_opened_trajectory_has_the_frames_that_are_asked_for(flow: Trajectory, saved: Path) -> None:
     opened = open_trajectory(saved)
     for key in ("velocity0", "friction", "time", "volume", "mass"):

@@ -169,26 +169,6 @@ POSITIONS = np.random.default_rng(0).random((4, 5, 2))
 TYPES = np.array([6, 3, 6, 6, 3])
 
 
-@pytest.mark.parametrize(
-    ("parts", "expected"),
-    [
-        ((POSITIONS,), "positions, particle types"),
-        ((np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), "positions within"),
-        ((POSITIONS, 3), "sand that moves"),
-        ((POSITIONS, TYPES, np.array(["a"] * 5)), "found the dtype"),
-    ],
-)
-def test_what_is_no_trajectory(tmp_path: Path, parts: tuple[Any, ...], expected: str) -> None:
-    path, data = tmp_path / "train.npz", np.empty(len(parts), dtype=object)
-    for index, part in enumerate(parts):
-        data[index] = part
-    np.savez(path, flow=data)
-    with pytest.raises(InputError) as caught:
-        list(geoelements.read(path, {"flow"}))
-    assert expected in str(caught.value)
-    assert (caught.value.where, caught.value.key) == (str(path), "flow")
-
-
 class Calls:
     """Pickles as a call of `function`."""
 
@@ -199,37 +179,47 @@ class Calls:
         return self.made
 
 
-def test_a_pickle_is_refused_by_name_and_not_run(tmp_path: Path) -> None:
-    mark = tmp_path / "mark"
-    data = np.empty(1, dtype=object)
-    data[0] = (np.zeros((2, 3, 2)), Calls(os.system, f"touch {mark}"))
-    np.savez(tmp_path / "bad.npz", flow=data)
-    with pytest.raises(InputError, match=rf"bad.npz: flow: expected arrays .* '{os.name}.system'"):
-        list(geoelements.read(tmp_path / "bad.npz", {"flow"}))
-    assert not mark.exists()
+def stored(path: Path, content: bytes, count: int = 1) -> Path:
+    """An NPZ of one object array, pickled so."""
+    return with_member(path, npy(OBJECTS.replace("(1,)", f"({count},)"), content))
+
+
+def objects(*parts: Any) -> bytes:
+    """The pickle of an array of these."""
+    data = np.empty(len(parts), dtype=object)
+    for index, part in enumerate(parts):
+        data[index] = part
+    return pickle.dumps(data, 2)
 
 
 def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
-    data = np.empty(2, dtype=object)
-    data[0], data[1] = POSITIONS, TYPES
-    content = npy(OBJECTS.replace("(1,)", "(2,)"), pickle.dumps(data, 2)).replace(b"numpy._core.", b"numpy.core.")
-    ((_, (positions, friction)),) = geoelements.read(with_member(tmp_path / "train.npz", content), {"data"})
+    content = objects(POSITIONS, TYPES).replace(b"numpy._core.", b"numpy.core.")
+    ((_, (positions, friction)),) = geoelements.read(stored(tmp_path / "train.npz", content, 2), {"data"})
     np.testing.assert_array_equal(positions, POSITIONS[:, TYPES == 6])
     assert friction is None
 
 
 @pytest.mark.parametrize(
-    ("content", "expected"),
+    ("content", "count", "expected"),
     [
-        (b"", "positions, particle types"),
-        (pickle.dumps([1, 2]), "of the shape that its header states"),
-        (pickle.dumps(Calls(np.dtype, "V9", False, True)), "the dtype 'V9'"),
-        (b"\x80\x04Nr\xff\xff\xff\x7f.", "more values than bytes"),
-        (pickle.dumps(np.arange(3)).replace(b"K\x03\x85", b"J\xff\xff\xff\x7f\x85"), "match its content"),
+        (objects(POSITIONS), 1, "positions, particle types"),
+        (objects(np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), 2, "positions within"),
+        (objects(POSITIONS, 3), 2, "sand that moves"),
+        (objects(POSITIONS, TYPES, np.array(["a"] * 5)), 3, "found the dtype"),
+        (b"", 1, "positions, particle types"),
+        (pickle.dumps([1, 2]), 1, "of the shape that its header states"),
+        (pickle.dumps(Calls(np.dtype, "V9", False, True)), 1, "the dtype 'V9'"),
+        (
+            pickle.dumps(Calls(os.mkdir, "/nowhere/else")),
+            1,
+            f"expected arrays and nothing else, found the name '{os.name}",
+        ),
+        (b"\x80\x04Nr\xff\xff\xff\x7f.", 1, "more values than bytes"),
+        (pickle.dumps(np.arange(3)).replace(b"K\x03\x85", b"J\xff\xff\xff\x7f\x85"), 1, "match its content"),
     ],
 )
-def test_hostile_pickles(tmp_path: Path, content: bytes, expected: str) -> None:
-    path = with_member(tmp_path / "bad.npz", npy(OBJECTS, content))
+def test_what_is_no_trajectory_or_hostile(tmp_path: Path, content: bytes, count: int, expected: str) -> None:
+    path = stored(tmp_path / "bad.npz", content, count)
     with pytest.raises(InputError) as caught:
         list(geoelements.read(path, {"data"}))
     assert (caught.value.where, caught.value.key) == (str(path), "data")
