@@ -64,7 +64,7 @@ def status(module: str, arguments: list[str], *, works: bool = True) -> int:
     if module == "validation.bench":
         if arguments[0].startswith("-"):
             return benches.main(arguments)
-        command = benches.command_of(importlib.import_module(benches.BENCHES[arguments[0]].module).bench)
+        command = benches.command_of(benches.bench_of(arguments[0]))
         arguments = arguments[1:]
     else:
         command = command_of(module)

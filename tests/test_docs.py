@@ -1,6 +1,5 @@
 """The pages of `docs` and README: links, names of code, commands, blocks of TOML and Python; the site as a whole."""
 
-import dataclasses
 import importlib
 import importlib.util
 import json
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import gns
 from datasets.library import read_scene
 from inverse.problem import read_problem
 from tests.commands import DOCS, README, ROOT, blocks, commands, measured_pages, status, written_pages
@@ -148,14 +146,6 @@ def test_the_scene_on_terrain_is_read(tmp_path: Path) -> None:
     scene = read_scene(str(tmp_path / "scene.toml"))
     assert scene.dimension == 3
     assert scene.solids[0].name == "ground"
-
-
-def test_every_key_of_a_model_is_described() -> None:
-    text = (DOCS / "formats.md").read_text().partition("## A model\n")[2].partition("\n## ")[0]
-    simulator = gns.load("flow2d")
-    buffers = [name for name, _ in simulator.named_buffers() if "." not in name]
-    keys = [field.name for field in dataclasses.fields(simulator.settings)]
-    assert {f"`{key}`" for key in (*keys, *buffers)} <= set(re.findall(r"`\w+`", text))
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 
+import gns
 from datasets import command_line
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
@@ -198,8 +199,9 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
 
 def test_the_page_names_every_key() -> None:
     page = (ROOT / "docs" / "formats.md").read_text().split("## A model\n")[1].split("\n## ")[0]
-    for kind in (Card, card.Data, card.Calibration):
-        assert [each.name for each in dataclasses.fields(kind) if f"`{each.name}`" not in page] == []
+    keys = [each.name for kind in (Card, card.Data, card.Calibration) for each in dataclasses.fields(kind)]
+    buffers = [name for name, _ in gns.load("flow2d").named_buffers() if "." not in name]
+    assert [key for key in (*keys, *buffers) if f"`{key}`" not in page] == []
 
 
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)

@@ -78,21 +78,6 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     assert float(initial.conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
 
 
-def test_it_moves_to_a_device_and_a_precision_as_a_whole() -> None:
-    initial = initial_state(SCENE, SETTINGS)
-    there, double = initial.to("meta"), initial.to(dtype=torch.float64)
-    for part in ("state", "conditions"):
-        for field in dataclasses.fields(getattr(initial, part)):
-            before, on, wide = (getattr(getattr(each, part), field.name) for each in (initial, there, double))
-            if isinstance(before, torch.Tensor):
-                assert (on.device.type, on.shape) == ("meta", before.shape), field.name
-                assert wide.dtype == torch.float64
-                torch.testing.assert_close(wide.float(), before)
-            else:
-                assert before == on == wide, field.name
-    assert (there.steps, there.scene) == (25, SCENE)
-
-
 def test_the_mass_of_each_particle() -> None:
     initial = initial_state(SCENE, SETTINGS)
     upper = initial.known[0, :, 1] > 0.1

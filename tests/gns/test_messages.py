@@ -1,14 +1,11 @@
-"""The fused sum of the messages is its definition in PyTorch Geometric, and so are its gradients and the network."""
+"""The fused sum of the messages is its definition in PyTorch Geometric, and so are its gradients."""
 
 import pytest
 import torch
 from torch import Tensor
 
-from gns import network
 from gns.graph import Graph, radius_graph
 from gns.messages import message_sum, messages
-from gns.simulator import Simulator
-from tests.gns.conftest import Cloud
 
 
 def random_inputs(dimension: int, width: int) -> tuple[Graph, list[Tensor]]:
@@ -43,20 +40,6 @@ def test_its_gradients_are_those_of_the_definition(frozen: str, dimension: int) 
     fused, defined = (torch.autograd.grad(form(*inputs, graph), leaves, seed) for form in (messages, message_sum))
     for got, expected in zip(fused, defined, strict=True):
         torch.testing.assert_close(got, expected, atol=2e-4, rtol=2e-4)
-
-
-def test_a_step_of_the_network_is_the_definitions(
-    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state, conditions = cloud(lower=(0.0, 0.0))
-    friction = conditions.friction.requires_grad_()
-    results = []
-    for form in (messages, message_sum):
-        monkeypatch.setattr(network, "messages", form)
-        positions = lively(state, conditions).positions
-        results.append((positions, *torch.autograd.grad(positions.square().sum(), friction)))
-    for fused, defined in zip(*results, strict=True):
-        torch.testing.assert_close(fused, defined, atol=1e-6, rtol=1e-4)
 
 
 def test_nan_stays_visible() -> None:

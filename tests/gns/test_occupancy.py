@@ -50,18 +50,6 @@ def test_it_is_the_share_of_random_points_of_a_cell(dimension: int, is_turned: b
 
 
 @dimensions
-def test_it_sums_to_the_volume_of_turned_boxes(dimension: int) -> None:
-    baffles, turn = turned_boxes(dimension)
-    cell = 0.05
-    stencil = whole_room(dimension, cell, samples=2)
-    free = occupancy(stencil, conditions(1, baffles + 100.0)).view(2, -1)
-    volume = (baffles[:, :, 1] - baffles[:, :, 0]).prod(2).sum(1)
-    for angles in (None, 0.0 * turn, turn, turn + 2.0):
-        share = occupancy(stencil, conditions(1, baffles, turn=angles)).view(2, -1)
-        torch.testing.assert_close((share - free).sum(1) * cell**dimension, volume)
-
-
-@dimensions
 def test_it_sums_to_the_volume_below_a_plane(dimension: int) -> None:
     cell, around = 0.05, conditions(1, dimension=dimension, ground=plane(dimension, rise=(0.3, -0.1)))
     stencil = whole_room(dimension, cell)

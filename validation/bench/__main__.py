@@ -9,7 +9,6 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,53 +20,31 @@ from datasets.lock import locked
 COMMAND = "python -m validation.bench"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bench:
-    """A page that can be measured.
-
-    `module` has `bench(out: Path, *, quick: bool, keep: Path, ...) -> str`, imported when it is called: it measures,
-    writes its page and pictures into `out`, and returns what is printed. quick: coarse cells or few runs, to try the
-    command. keep: where finished runs stay, so that work that was cut short goes on. Further keywords with defaults
-    are further flags.
-    """
-
-    module: str
-    summary: str
-
-
 BENCHES = {
-    "experiments": Bench(
-        module="validation.bench.experiments",
-        summary="measured experiments: forward with independently measured angles, backward from their fronts",
-    ),
-    "accuracy": Bench(
-        module="validation.bench.accuracy.bench",
-        summary="error over seconds of the MPM, whether --tolerance holds, columns beside the paper and other codes",
-    ),
-    "stability": Bench(
-        module="validation.bench.stability.bench",
-        summary="hard cases and exact solutions of the MPM; fronts over stiffness and step",
-    ),
-    "problems": Bench(
-        module="validation.bench.problems",
-        summary="the shipped inverse problems, beside their criteria and the reference paper",
-    ),
-    "coverage": Bench(
-        module="validation.bench.coverage",
-        summary="how often the posterior of an inverse problem holds the truth, in twin experiments",
-    ),
-    "speed": Bench(
-        module="validation.bench.speed",
-        summary="rates of the MPM over sizes, price of a gradient by the adjoint, a network's step",
-    ),
-    "efficiency": Bench(
-        module="validation.bench.efficiency",
-        summary="price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
-    ),
-    "gns": Bench(
-        module="validation.bench.gns", summary="the shipped surrogates beside the MPM: error, price, bands, ranges"
-    ),
+    "experiments": "measured experiments: forward with independently measured angles, backward from their fronts",
+    "accuracy": "error over seconds of the MPM, whether --tolerance holds, columns beside the paper and other codes",
+    "stability": "hard cases and exact solutions of the MPM; fronts over stiffness and step",
+    "problems": "the shipped inverse problems, beside their criteria and the reference paper",
+    "coverage": "how often the posterior of an inverse problem holds the truth, in twin experiments",
+    "speed": "rates of the MPM over sizes, price of a gradient by the adjoint, a network's step",
+    "efficiency": "price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
+    "gns": "the shipped surrogates beside the MPM: error, price, bands, ranges",
 }
+"""Pages that can be measured, each by the module of its name, or the module `bench` of the package of its name."""
+
+
+def bench_of(name: str) -> Callable[..., str]:
+    """`bench(out: Path, *, quick: bool, keep: Path, ...)` of a page, imported when it is asked for.
+
+    It measures, writes its page and pictures into `out`, and returns what is printed. quick: coarse cells or few runs,
+    to try the command. keep: where finished runs stay, so that work that was cut short goes on. Further keywords with
+    defaults are further flags.
+    """
+    module = importlib.import_module(f"validation.bench.{name}")
+    if not hasattr(module, "bench") or inspect.ismodule(module.bench):
+        module = importlib.import_module(f"validation.bench.{name}.bench")
+    found: Callable[..., str] = module.bench
+    return found
 
 
 def command_of(bench: Callable[..., str]) -> Callable[..., None]:
@@ -100,11 +77,11 @@ def main(arguments: Sequence[str]) -> int:
         raise InputError(f"expected the name of a page, one of {', '.join(BENCHES)}", where=name or "bench")
 
     if name in ("--list", "--help", "-h"):
-        print(__doc__, *(f"{each}: {bench.summary}" for each, bench in BENCHES.items()), sep="\n")
+        print(__doc__, *(f"{each}: {summary}" for each, summary in BENCHES.items()), sep="\n")
         return 0
     if name not in BENCHES:
         return run(unknown, COMMAND, [])
-    return run(command_of(importlib.import_module(BENCHES[name].module).bench), f"{COMMAND} {name}", flags)
+    return run(command_of(bench_of(name)), f"{COMMAND} {name}", flags)
 
 
 if __name__ == "__main__":

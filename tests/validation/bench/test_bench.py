@@ -1,29 +1,23 @@
 """The dispatcher: names, a list, flags of a page, one line for a wrong name; the writer of pages."""
 
-import ast
-import importlib
+import inspect
 from pathlib import Path
 
 import pytest
 
 from datasets.lock import locked
-from validation.bench.__main__ import BENCHES, Bench, main
+from validation.bench import __main__
+from validation.bench.__main__ import BENCHES, bench_of, main
 from validation.report.page import Page
-
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("name", BENCHES)
 def test_every_module_has_a_bench_with_the_common_flags(name: str) -> None:
-    # Read, not imported: that would load Taichi and PyTorch.
-    source = ROOT / f"{BENCHES[name].module.replace('.', '/')}.py"
-    functions = [each for each in ast.parse(source.read_text()).body if isinstance(each, ast.FunctionDef)]
-    (bench,) = (each for each in functions if each.name == "bench")
-    flags = dict(zip((each.arg for each in bench.args.kwonlyargs), bench.args.kw_defaults, strict=True))
-    assert [each.arg for each in bench.args.args] == ["out"]
-    assert {"quick", "keep"} <= flags.keys()
+    out, *flags = inspect.signature(bench_of(name)).parameters.values()
+    assert (out.name, out.kind) == ("out", out.POSITIONAL_OR_KEYWORD)
+    assert {"quick", "keep"} <= {flag.name for flag in flags if flag.kind is flag.KEYWORD_ONLY}
     # Without its own flags a page is measured as it ships.
-    assert all(default is not None for name, default in flags.items() if name not in ("quick", "keep"))
+    assert all(flag.default is not flag.empty for flag in flags if flag.name not in ("quick", "keep"))
 
 
 def test_a_page_gets_its_flags(
@@ -33,8 +27,8 @@ def test_a_page_gets_its_flags(
         assert keep.is_dir()
         return f"{out.name} {quick} {seeds}"
 
-    monkeypatch.setattr(importlib.import_module("math"), "bench", bench, raising=False)
-    monkeypatch.setitem(BENCHES, "fake", Bench(module="math", summary=""))
+    monkeypatch.setitem(BENCHES, "fake", "")
+    monkeypatch.setattr(__main__, "bench_of", lambda _: bench)
     assert main(["fake", "--out", str(tmp_path), "--quick", "--seeds", "3"]) == 0
     assert capsys.readouterr().out.startswith(f"{tmp_path.name} True 3\n")
     assert main(["fake", "--out", str(tmp_path)]) == 0

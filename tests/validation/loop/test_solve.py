@@ -18,23 +18,8 @@ from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 
 RESULT_KEYS = {
-    "problem",
-    "verdict",
-    "unknowns",
-    "certainty",
-    "answers",
-    "combinations",
-    "check",
-    "discrepancy",
-    "truth",
-    "error_pct",
-    "observation",
-    "loss",
-    "mpm_runs",
-    "iterations",
-    "sampling",
-    "surrogate",
-    "seconds",
+    *("problem", "verdict", "unknowns", "certainty", "answers", "combinations", "check", "discrepancy", "truth"),
+    *("error_pct", "observation", "loss", "mpm_runs", "iterations", "sampling", "surrogate", "seconds"),
     "peak_memory_mib",
 }
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from datasets import measures
@@ -62,34 +61,16 @@ STUDIES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reference:
-    """The deposit of a scene on a much finer grid."""
+def error(flow: Trajectory, reference: Trajectory) -> float:
+    """The larger of the errors of front and profile of a deposit, over the extent [-]; reference: on a much finer grid.
 
-    front: float
-    """[m]."""
-    shares: NDArray[np.float64]
-    """x of equal shares of the deposit [m], shape [20]."""
-    extent: float
-    """From the rear of the masses at the start to the front [m]; errors are fractions of it."""
-
-    def error(self, flow: Trajectory) -> float:
-        """The larger of the front's error and the profile's, the rms distance along x of equal shares [-]."""
-        front = abs(measures.front(flow.positions[-1]) - self.front)
-        profile = float(np.sqrt(np.mean((equal_shares(flow) - self.shares) ** 2)))
-        return max(front, profile) / self.extent
-
-
-def reference_of(flow: Trajectory) -> Reference:
-    """The reference from its run."""
-    front = measures.front(flow.positions[-1])
-    rear = min(mass.lower[0] for mass in flow.scene.masses)
-    return Reference(front=front, shares=equal_shares(flow), extent=front - rear)
-
-
-def equal_shares(flow: Trajectory) -> NDArray[np.float64]:
-    """The x [m] that twenty equal shares of a deposit's particles, from their middles, lie behind, shape [20]."""
-    return np.asarray(np.quantile(flow.positions[-1, :, 0].astype(np.float64), (np.arange(20) + 0.5) / 20.0))
+    The profile's is `measures.transport_distance`; the extent is from the rear of the masses at the start to the front.
+    """
+    found, exact = flow.positions[-1], reference.positions[-1]
+    front = measures.front(exact)
+    apart = measures.transport_distance(found, flow.volumes, exact, reference.volumes)
+    extent = front - min(mass.lower[0] for mass in flow.scene.masses)
+    return max(abs(measures.front(found) - front), apart) / extent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,12 +105,12 @@ def errors_of(
     exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
     coarse = {(each, name): runs(scene, each, seeds) for each in tried for name, scene in scenes.items()}
     store.run([run for group in (*coarse.values(), *exact.values()) for run in group])
-    solutions = {name: reference_of(store.run(group)[0]) for name, group in exact.items()}
+    solutions = {name: store.run(group)[0] for name, group in exact.items()}
     found: dict[Resolution, dict[str, Error]] = {each: {} for each in tried}
     for (resolution, name), group in coarse.items():
         flows = store.run(group)
         found[resolution][name] = Error(
-            errors=tuple(solutions[name].error(flow) for flow in flows),
+            errors=tuple(error(flow, solutions[name]) for flow in flows),
             seconds=float(np.mean([flow.summary[SHARE] for flow in flows])),
             particle_steps=flows[0].summary["steps"] * flows[0].summary["particles"],
         )
