@@ -173,9 +173,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = F
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
     for key in ("velocity0",) if lazily else ("velocity0", "positions"):
         require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers")
-    time, friction, volume, mass = (arrays.get(key) for key in ("time", "friction", "volume", "mass"))
-    assert time is not None
-    assert friction is not None
+    time, friction, volume, mass = arrays["time"], arrays["friction"], arrays.get("volume"), arrays.get("mass")
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
     require(bool(ascending), "time", "ascending times of at least 0 s")
     require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0")

@@ -110,6 +110,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     content = read_metadata(source / "metadata.json")
     record = {"from": "geoelements", "source": str(source), "scene": scene.to_json(), "up": up}
     entries: list[Entry] = []
+    radius = None
     for split in Split:
         path = source / f"{split.value}.npz"
         if not path.exists():
@@ -121,6 +122,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             foreign = from_mapping(ForeignMetadata, known)
         except InputError as error:
             raise error.at(str(source / "metadata.json")) from None
+        radius = radius or foreign.default_connectivity_radius
         names = geoelements.names(path)
         begin(out, record)
         files = {name: out / split.value / f"{index:05d}.npz" for index, name in enumerate(names)}
@@ -132,12 +134,11 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             except InputError as error:
                 raise InputError(error.message, where=str(path), key=name) from None
         entries += [Entry(split=split, name=file.stem, scene=stored_scene(file)) for file in files.values()]
-    if not entries:
+    if not entries or radius is None:
         raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
     first = [out / each.split.value / f"{each.name}.npz" for each in entries if each.split is entries[0].split]
     ours = map(Trajectory.load, tqdm(first, desc="statistics", unit="trajectory", dynamic_ncols=True))
     statistics = reduce(add, (motion_statistics(flow.positions, flow.frame_dt) for flow in ours))
-    radius = foreign.default_connectivity_radius
     content = metadata("geoelements", entries, connectivity_radius=radius, seed=None, statistics=statistics)
     write_json(out / "metadata.json", {**content, "exchange": record})
 
