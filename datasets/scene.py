@@ -69,7 +69,7 @@ class Mass(Record):
     triangles: Triangles | None = None
     """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
     thickness: float | Rows | None = None
-    """Of a layer, vertically [m]: a number; in 2D rows x, thickness; in 3D rows along x of columns along z."""
+    """Of a layer, vertically [m]: a number; in 3D that or rows along x of columns along z."""
     origin: Vector | None = None
     """x and z of the first thickness in 3D [m]."""
     spacing: Vector | None = None

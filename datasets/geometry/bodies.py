@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.ground import TOUCHING, elevation, interpolated, plan_axes
 from datasets.geometry.planar import check_simple
-from datasets.geometry.shapes import FARTHEST, check_grid, check_ground_line, check_mass, require
+from datasets.geometry.shapes import FARTHEST, check_grid, check_mass, require
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid
 
@@ -184,25 +184,20 @@ class Plan:
     """A layer in plan, in 2D a range of x, in 3D a polygon of x and z; how thick it is there. Raises InputError."""
 
     def __init__(self, mass: Mass, domain: Domain, key: str) -> None:
-        given, spatial = mass.thickness, domain.dimension == 3
+        given, spatial = mass.thickness or 0.0, domain.dimension == 3
+        gridded = isinstance(given, tuple)
+        require(spatial or not gridded, f"{key}.thickness", "a number, in 3D that or rows of a grid", "rows")
+        for name in ("origin", "spacing"):
+            expected = "x and z of a grid of thicknesses, and only of that"
+            require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
         self.stations: tuple[Floats, ...] = ()
         """Where thicknesses are given along each axis in plan [m]; nowhere where it is the same everywhere."""
-        self.values: Floats = np.array(given, np.float64) if isinstance(given, float | int) else np.zeros(0)
-        """The thickness [m]: a number, or those at the stations."""
-        gridded = isinstance(given, tuple) and spatial
-        for name in ("origin", "spacing"):
-            grid = "x and z of a grid of thicknesses" if gridded else "no such key without a grid of thicknesses"
-            require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", grid, "others")
-        if isinstance(given, tuple) and gridded:
+        if isinstance(given, tuple):
             check_grid(mass, given, key, "thickness")
-            self.values = np.array(given)
-            origin, spacing = mass.origin or (), mass.spacing or ()
-            self.stations = tuple(
-                np.asarray(o + s * np.arange(n)) for o, s, n in zip(origin, spacing, self.values.shape, strict=True)
-            )
-        elif isinstance(given, tuple):
-            check_ground_line(given, f"{key}.thickness")
-            self.stations, self.values = (np.array(given)[:, 0],), np.array(given)[:, 1]
+            steps = zip(mass.origin or (), mass.spacing or (), np.shape(given), strict=True)
+            self.stations = tuple(np.asarray(first + step * np.arange(count)) for first, step, count in steps)
+        self.values = np.array(given, np.float64)
+        """The thickness [m]: a number, or those at the stations."""
         some = self.values.min() >= 0.0 and 0.0 < self.values.max() <= FARTHEST
         require(some, f"{key}.thickness", "thicknesses in m of at least 0, and some above", f"{self.values.min():g}")
         size = np.array(domain.size)[plan_axes(domain.dimension)]

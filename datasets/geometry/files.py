@@ -4,10 +4,13 @@
 |---|---|---|
 | `file` | terrain in 2D, a CSV | `points`, a column `friction` |
 | `file` | terrain in 3D, a raster | `origin`, `spacing` and `heights`, `corner` and `crs` |
-| `friction` = a raster's path | terrain in 3D | one for every height |
-| `thickness` = a path | layer | rows x, thickness of a CSV, in 3D `origin`, `spacing` and rows of a raster |
+| `thickness` = a raster's path | layer in 3D | `origin`, `spacing` and rows of thicknesses |
 | `file` | mesh, a mass too | `vertices`, `triangles` |
 | `scale`, `at` | of a mesh, of any of these | nothing: they say how to read it |
+
+Rasters are ESRI ASCII or GeoTIFF. Plan coordinates are x, to the east, and z, to the north. A raster's values stand at
+the centres of its cells; by default the lower left corner of a terrain's extent becomes the corner x = 0, z = 0 of the
+box, and a thickness lies beside the terrain.
 """
 
 import io
@@ -15,16 +18,16 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import file_size, read_columns, reading
-from datasets.geometry.ground import BEYOND, check_covers, interpolated
-from datasets.geometry.rasters import Raster, read_raster
+from datasets.geometry.ground import BEYOND
 from datasets.geometry.shapes import require, usual
+from datasets.memory import require as require_memory
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -34,8 +37,12 @@ FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
 """The key that names the file of a kind."""
 MESHES = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".off": "off", ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu"}
 """Endings of meshes, as which format of meshio: those that hold all they need and name no other file."""
-LARGEST = 2**28
-"""Bytes of a mesh."""
+LARGEST = 2**30
+"""Bytes of a file."""
+VALUE = 32
+"""Bytes that a value takes while a raster is read."""
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+"""What a raster may call the unit of its values."""
 SAME = 1.0e-9
 """Distance of vertices that are one, over the extent of the mesh."""
 
@@ -83,43 +90,46 @@ class Reader:
                 if kind == "mesh":
                     found = placed_mesh(path, scale, at)
                 elif len(self.size) == 3:
-                    field = self.located(path, at, ground=kind == "terrain")
-                    found = on_grid(field, "heights" if kind == "terrain" else "thickness")
-                    if kind == "terrain" and self.offset is not None:
-                        found |= {"corner": [-self.offset[0], -self.offset[1]], "crs": field.crs}
+                    found = self.field(path, at, "heights" if kind == "terrain" else name)
+                elif kind == "terrain":
+                    found = ground_line(path, at)
                 else:
-                    found = table(path, "y" if kind == "terrain" else "thickness", at)
+                    raise InputError("expected a number; a raster only of a layer in 3D")
             refuse(entry, tuple(found), key, "no such key beside a file that has it")
             entry |= found
-        if isinstance(entry.get("friction"), str):
-            path = self.folder / entry["friction"]
-            with naming(path, f"{key}.friction"):
-                entry["friction"] = self.friction(entry, path).tolist()
         refuse(entry, ("scale", "at"), key)
         return entry
 
-    def located(self, path: Path, at: list[float] | None = None, *, ground: bool = False) -> Raster:
-        """A raster in and around the box: its corner `at` a place, else beside the terrain's, else at 0, 0."""
-        field, offset = read_raster(path), self.offset
-        if ground or at is not None or offset is None:
-            x, z = at or (0.0, 0.0)
-            offset = float(x) - field.corner[0], float(z) - field.corner[1]
-        if ground:
-            self.offset = offset
-        return field.placed(offset, (self.size[0], self.size[2]), BEYOND * self.cell)
+    def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
+        """What of a raster lies in and around the box, two values an axis at least, as keys of a solid or a mass.
 
-    def friction(self, entry: Entry, path: Path) -> Floats:
-        """Friction from a raster at the heights of a terrain."""
-        if entry.get("kind") != "terrain" or len(self.size) != 3 or not isinstance(entry.get("heights"), list):
-            raise InputError("expected a number or a list; a file only of a terrain in 3D")
-        field = self.located(path)
-        for name, coordinates, length in (("x", field.x, self.size[0]), ("z", field.z, self.size[2])):
-            check_covers(coordinates, name, length, coordinates[1] - coordinates[0], "", what="friction")
-        with reading(path, "friction of a terrain with `origin`, `spacing` and `heights`"):
-            shape = np.array(entry["heights"]).shape
-            axes = [entry["origin"][k] + entry["spacing"][k] * np.arange(shape[k]) for k in range(2)]
-        plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        return interpolated((field.x, field.z), field.values, plan).reshape(shape)
+        Its corner stands `at` a place [m], else beside the terrain's, else at x = z = 0. Raises InputError for holes.
+        """
+        raster, offset = read_raster(path), self.offset
+        if name == "heights" or at is not None or offset is None:
+            x, z = at or (0.0, 0.0)
+            offset = float(x) - raster.corner[0], float(z) - raster.corner[1]
+        axes, parts, margin = [], [], BEYOND * self.cell
+        for coordinates, shift, length in zip((raster.x, raster.z), offset, self.size[::2], strict=True):
+            moved = coordinates + shift
+            low = max(0, int(np.searchsorted(moved, -margin, side="right")) - 1)
+            high = min(len(moved), int(np.searchsorted(moved, length + margin)) + 1)
+            parts.append(slice(min(low, len(moved) - 2), max(high, low + 2)))
+            axes.append(moved[parts[-1]])
+        values = raster.values[parts[0], parts[1]]
+        holes = np.argwhere(np.isnan(values))
+        for i, k in holes[:1]:
+            where = f"{len(holes)} cells without data, the first at x = {axes[0][i]:g}, z = {axes[1][k]:g}"
+            raise InputError(f"expected a raster without holes in the box, got {where}")
+        found: Entry = {
+            "origin": [float(axis[0]) for axis in axes],
+            "spacing": [float(np.diff(axis).mean()) for axis in axes],
+            name: values.tolist(),
+        }
+        if name == "heights":
+            self.offset = offset
+            found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
+        return found
 
 
 @contextmanager
@@ -154,23 +164,70 @@ def is_length(value: Any) -> bool:
     return type(value) in (int, float) and usual(value)
 
 
-def on_grid(field: Raster, name: str) -> Entry:
-    """A field as the keys of a solid or a mass, its values under `name`."""
-    return {
-        "origin": [float(field.x[0]), float(field.z[0])],
-        "spacing": [float(np.diff(axis).mean()) for axis in (field.x, field.z)],
-        name: field.values.tolist(),
-    }
+def ground_line(path: Path, at: list[float] | None) -> Entry:
+    """A terrain in 2D: columns x, y and perhaps friction of a CSV."""
+    columns = read_columns(path, ("x", "y"), ("friction",))
+    points = np.stack([columns["x"], columns["y"]], axis=1) + np.array(at or (0.0, 0.0))
+    friction = {"friction": columns["friction"].tolist()} if "friction" in columns else {}
+    return {"points": points.tolist(), **friction}
 
 
-def table(path: Path, name: str, at: list[float] | None) -> Entry:
-    """A terrain in 2D, columns x, y and perhaps friction of a CSV; or a layer, columns x and thickness."""
-    columns = read_columns(path, ("x", name), ("friction",) if name == "y" else ())
-    shift = np.array(at or (0.0, 0.0)) * ([1.0, 1.0] if name == "y" else [1.0, 0.0])
-    rows = (np.stack([columns["x"], columns[name]], axis=1) + shift).tolist()
-    if name == "thickness":
-        return {"thickness": rows}
-    return {"points": rows} | ({"friction": columns["friction"].tolist()} if "friction" in columns else {})
+class Raster(NamedTuple):
+    """Values on a regular grid."""
+
+    x: Floats
+    """Ascending [m], shape [X]."""
+    z: Floats
+    """Ascending [m], shape [Z]."""
+    values: Floats
+    """NaN in holes, shape [X, Z]."""
+    corner: tuple[float, float]
+    """Lower left corner of the extent in the file's own coordinates [m]."""
+    crs: str | None
+    """Coordinate reference system, as an authority's code or in WKT, where it names one."""
+
+
+def read_raster(path: Path) -> Raster:
+    """A raster of one band, north up, in metres. Raises InputError."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    file_size(path, "a raster", most=LARGEST)
+    with path.open("rb") as raw:
+        head = raw.read(2)
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
+        with rasterio.open(path.resolve(), driver="GTiff" if head in (b"II", b"MM") else "AAIGrid") as file:
+            require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
+            georeferenced = not file.transform.is_identity
+            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+            masked = file.read(1, masked=True).astype(np.float64)
+    if not np.isfinite(tuple(transform)).all():
+        raise InputError("expected a raster that lies at finite coordinates")
+    if bands != 1:
+        raise InputError(f"expected a raster of one band, got {bands}")
+    if unit is not None and unit.lower() not in METRES:
+        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
+    name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
+    if name.lower() not in METRES:
+        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
+    if not georeferenced:
+        raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
+    if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
+        raise InputError("expected a raster with north up, got one that is turned or mirrored")
+    rows, columns = masked.shape
+    if min(rows, columns) < 2:
+        raise InputError(f"expected at least 2 x 2 values, got {rows} x {columns}")
+    values = masked.filled(np.nan)
+    values[~np.isfinite(values)] = np.nan
+    return Raster(
+        x=np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a),
+        z=np.asarray(transform.f + (np.arange(rows)[::-1] + 0.5) * transform.e),
+        values=np.ascontiguousarray(values[::-1].T),
+        corner=(float(transform.c), float(transform.f + rows * transform.e)),
+        crs=crs.to_string() if crs else None,
+    )
 
 
 def placed_mesh(path: Path, scale: float, at: list[float] | None) -> Entry:

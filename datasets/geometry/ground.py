@@ -84,10 +84,10 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
     return axes, heights, friction
 
 
-def check_covers(at: Floats, name: str, length: float, slack: float, key: str, *, what: str = "ground") -> None:
+def check_covers(at: Floats, name: str, length: float, slack: float, key: str) -> None:
     """Raise InputError unless coordinates [m] go from 0 to `length`, or to within `slack` of both."""
     if at[0] > slack + TOUCHING or at[-1] < length - slack - TOUCHING:
-        expected = f"expected {what} over the whole box, {name} from 0 to {length:g} or within a cell of it"
+        expected = f"expected ground over the whole box, {name} from 0 to {length:g} or within a cell of it"
         raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=key)
 
 

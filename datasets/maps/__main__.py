@@ -12,7 +12,7 @@ from datasets.files import make_folder, replacing, write_json
 from datasets.maps.files import (
     LOCAL,
     Georeference,
-    draw_map,
+    draw_maps,
     draw_profile,
     georeference,
     outline,
@@ -58,12 +58,10 @@ def write_plan(maps: PlanMaps, folder: Path, location: Georeference) -> dict[str
         for name, values in shown.items()
         if values is not None
     }
-    for name, (title, unit, colours) in KINDS.items():
-        if (values := getattr(maps, name)) is not None:
-            write_raster(folder / f"{name}.tif", values, maps.cell, location, name=title, unit=unit)
-            draw_map(
-                folder / f"{name}.png", maps, values, outlines, location, label=f"{title} [{unit}]", colours=colours
-            )
+    known = {name: kind for name, kind in KINDS.items() if getattr(maps, name) is not None}
+    for name, (title, unit, _) in known.items():
+        write_raster(folder / f"{name}.tif", getattr(maps, name), maps.cell, location, name=title, unit=unit)
+    draw_maps(folder / "maps.png", maps, location, known)
     write_outlines(folder / "outline.geojson", outlines, maps.threshold, location)
     # Single particles that rolled on are islands of their own.
     largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)

@@ -121,40 +121,31 @@ def write_outlines(
     write_text(path, json.dumps(collection) + "\n")
 
 
-def draw_map(
-    path: Path,
-    maps: PlanMaps,
-    values: Floats,
-    outlines: Mapping[str, MultiPolygon],
-    georeference: Georeference,
-    *,
-    label: str,
-    colours: str,
+def draw_maps(
+    path: Path, maps: PlanMaps, georeference: Georeference, kinds: Mapping[str, tuple[str, str, str]]
 ) -> None:
-    """One map in 3D, shape [X, Z], where it is covered; over the ground, with the outlines of deposit and release.
+    """All maps in 3D where they are covered, one above the other; over the ground, with the outline of the deposit.
 
-    label: what the colours show, with its unit; colours: a colour map of matplotlib.
+    kinds: title, unit and colours (of matplotlib) of each.
     """
     from matplotlib.figure import Figure
 
-    covered = (maps.thickness if values is maps.thickness else maps.depth) > maps.threshold
     x, z = maps.grid.axes
     x, z = x + georeference.east, z + georeference.north
-    figure = Figure(figsize=(WIDTH, min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))), layout="constrained")
-    axis = figure.add_subplot(aspect="equal")
-    if np.ptp(maps.ground) > 0.0:
-        axis.contour(x, z, maps.ground.T, levels=CONTOURS, colors="grey", linewidths=0.6)
-    image = axis.pcolormesh(x, z, np.ma.masked_where(~covered, values).T, cmap=colours, vmin=0.0, shading="nearest")
-    figure.colorbar(image, label=label)
-    for name, style in (("release", "--"), ("deposit", "-")):
-        for index, polygon in enumerate(outlines[name].geoms if name in outlines else ()):
-            legend = f"{name}, over {maps.threshold:.3g} m" if index == 0 else ""
-            axis.plot(*polygon.exterior.xy, color="black", linestyle=style, linewidth=1.0, label=legend)
-    if axis.lines:
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
-    local = georeference.crs is None
-    axis.set(xlabel="x [m]" if local else "easting [m]", ylabel="z [m]" if local else "northing [m]")
-    axis.ticklabel_format(useOffset=False, style="plain")
+    height = min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))
+    figure = Figure(figsize=(WIDTH, height * len(kinds)), layout="constrained")
+    panels = figure.subplots(len(kinds), squeeze=False, subplot_kw={"aspect": "equal"})[:, 0]
+    for panel, (name, (title, unit, colours)) in zip(panels, kinds.items(), strict=True):
+        covered = (maps.thickness if name == "thickness" else maps.depth) > maps.threshold
+        if np.ptp(maps.ground) > 0.0:
+            panel.contour(x, z, maps.ground.T, levels=CONTOURS, colors="grey", linewidths=0.6)
+        shown = np.ma.masked_where(~covered, getattr(maps, name)).T
+        image = panel.pcolormesh(x, z, shown, cmap=colours, vmin=0.0, shading="nearest")
+        figure.colorbar(image, label=f"{title} [{unit}]")
+        if maps.thickness.min() < maps.threshold < maps.thickness.max():
+            panel.contour(x, z, maps.thickness.T, levels=[maps.threshold], colors="black", linewidths=1.0)
+        panel.set(xlabel="x, easting [m]", ylabel="z, northing [m]")
+        panel.ticklabel_format(useOffset=False, style="plain")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)
 

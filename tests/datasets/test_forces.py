@@ -90,7 +90,7 @@ def test_what_cannot_be(flow: Trajectory, changes: dict[str, object], window: fl
 
 
 def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two peaks of known size, told, drawn and in a table that holds the impulse."""
+    """Two peaks of known size, printed, drawn and in a table that holds the impulse."""
     impulse = np.zeros_like(flow.solid_impulse)
     impulse[3:, 0, 0], impulse[5:, 1, 1] = 60.0, -40.0
     dataclasses.replace(flow, solid_impulse=impulse).save(tmp_path / "run" / "trajectory.npz")

@@ -91,20 +91,13 @@ def test_a_height_field(tmp_path: Path, name: str) -> None:
     assert Scene.from_json(found.to_json()) == found
 
 
-def test_rasters_of_friction_and_thickness_lie_beside_the_terrains(tmp_path: Path) -> None:
+def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path) -> None:
     write_tiff(tmp_path / "dem.tif", np.full((10, 20), 0.2))
-    write_tiff(tmp_path / "mu.tif", 0.3 + 0.05 * (0.05 + 0.1 * np.arange(20))[None] + np.zeros((10, 1)))
     # 0.4 x 0.3 m of release, 1.0 and 0.5 m from the corner.
     transform = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
     write_tiff(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
-    found = scene(
-        tmp_path,
-        SPACE
-        + TERRAIN
-        + 'file = "dem.tif"\nfriction = "mu.tif"\n[[masses]]\nkind = "layer"\nthickness = "release.tif"\n',
-    )
-    seen = nearest(surface(found), np.array([[1.02, 0.25, 0.51]]))
-    assert surface(found).friction[seen.face].mean() == pytest.approx(0.3 + 0.05 * 1.02, abs=0.003)
+    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
+    found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
     # Between the centres of the raster's cells.
     assert mass_volumes(found)[0] == pytest.approx(0.3 * 0.2 * 0.1, rel=1e-6)
     particles = initial_particles(found).positions
