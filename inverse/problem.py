@@ -136,14 +136,9 @@ class Problem:
         return [each.kind for each in self.numbers]
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        """(lower, upper) of each number."""
-        return [each.bounds for each in self.numbers]
-
-    @property
     def box(self) -> Bounds:
-        """The same as a box."""
-        lower, upper = np.array(self.bounds).reshape(-1, 2).T
+        """The prior bounds of the numbers."""
+        lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
         return Bounds(lower, upper)
 
     @property

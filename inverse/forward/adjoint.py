@@ -27,8 +27,7 @@ from inverse.parameters import Kind, Vector, kind, with_kinds
 from inverse.parameters.kind import Velocity
 from inverse.problem import Problem
 from mpm.adjoint.gradient import Gradient, pull_back_all
-from mpm.adjoint.tape import MEMORY_MIB, FlowAdjoints, Tape
-from mpm.arrays.layout import Precision
+from mpm.adjoint.tape import FlowAdjoints, Tape
 
 
 class Flow(NamedTuple):
@@ -45,24 +44,16 @@ class Flow(NamedTuple):
 class Run:
     """A run as a function of some of the parameters of its scene (`inverse.parameters`), with checkpoints.
 
-    frames: those that it returns, the last alone unless given. Errors as `mpm.adjoint.tape.Tape`.
+    frames: those that it returns, the last alone unless given. Options and errors as `mpm.adjoint.tape.Tape`, but in
+    single precision unless asked otherwise.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        names: Sequence[str] = (),
-        *,
-        kinds: Sequence[Kind] | None = None,
-        frames: Sequence[int] | None = None,
-        precision: Precision = "f32",
-        memory_mib: float = MEMORY_MIB,
-        threads: int | None = None,
+        self, scene: Scene, names: Sequence[str], *, frames: Sequence[int] | None = None, **options: Any
     ) -> None:
-        self.scene = scene
+        self.scene, self.options = scene, {"precision": "f32"} | options
         self.frames = [scene.frames - 1] if frames is None else sorted(frames)
-        self.options: dict[str, Any] = {"precision": precision, "memory_mib": memory_mib, "threads": threads}
-        self.kinds: list[Kind] = [kind(name) for name in names] if kinds is None else list(kinds)
+        self.kinds = [kind(name) for name in names]
         for each in self.kinds:
             each.check(scene)
 
@@ -140,7 +131,7 @@ class AdjointForward(MpmForward):
         super().__init__(problem, observation, simulate)
         scene = problem.scene
         frames = range(scene.frames) if observation.over_time else (0, scene.frames - 1)
-        self.run = Run(scene, kinds=problem.kinds, frames=[*frames], **options)
+        self.run = Run(scene, problem.names, frames=[*frames], **options)
         self.times = np.array(self.run.frames) * scene.frame_dt
 
     def predict(self, parameters: Tensor, /) -> Tensor:

@@ -1,6 +1,5 @@
 """The learned simulator as a forward model: from the scene to the deposit, differentiably."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,23 +27,16 @@ class GnsForward:
     """
 
     def __init__(
-        self,
-        simulator: Simulator,
-        problem: Problem,
-        observation: Observation,
-        memory_gib: float = MEMORY_GIB,
-        *,
-        seed: int | None = None,
+        self, simulator: Simulator, problem: Problem, observation: Observation, memory_gib: float = MEMORY_GIB
     ) -> None:
-        """seed: of the particles' jitter; the scene's where absent. Raises InputError as `gns.initial.check`.
+        """The weights are frozen, which makes the backward pass much cheaper.
 
-        The weights are frozen, which makes the backward pass much cheaper.
+        Raises InputError as `gns.initial.check`.
         """
         self.simulator = simulator.requires_grad_(False)
         self.observation, self.kinds = observation, problem.kinds
-        scene = problem.scene if seed is None else dataclasses.replace(problem.scene, seed=seed)
         dtype = next(simulator.parameters()).dtype
-        self.initial = initial_state(scene, simulator.settings, seed=THINNING_SEED).to(dtype=dtype)
+        self.initial = initial_state(problem.scene, simulator.settings, seed=THINNING_SEED).to(dtype=dtype)
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))

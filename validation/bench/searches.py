@@ -208,8 +208,7 @@ def explore(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]
     found = list[Evaluation]()
 
     def objective(trial: "optuna.Trial") -> float:
-        pairs = zip(problem.names, problem.bounds, strict=True)
-        found.append(evaluate(np.array([trial.suggest_float(name, *bounds) for name, bounds in pairs])))
+        found.append(evaluate(np.array([trial.suggest_float(each.name, *each.bounds) for each in problem.numbers])))
         return found[-1].loss
 
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=problem.optimiser.seed))

@@ -54,7 +54,8 @@ def test_a_layer_is_ten_lines() -> None:
 def test_the_gradient_of_a_mean_over_jitters() -> None:
     """That of each jitter by itself, averaged; the forces on a baffle too."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.31, 0.0), size=(0.05, 0.1)),), duration=0.05)
-    run = Run(scene, names=("friction_deg", "baffles[0].x"), precision="f64")
+    names = ("friction_deg", "baffles[0].x")
+    run = Run(scene, names=names, precision="f64")
 
     def objective(flow: Flow) -> torch.Tensor:
         return flow.positions[-1, :, 0].mean() + 1.0e-4 * flow.impulses[-1, 0, 0]
@@ -64,7 +65,7 @@ def test_the_gradient_of_a_mean_over_jitters() -> None:
     assert parameters.grad is not None
     each = []
     for seed in (3, 4):
-        alone = Run(dataclasses.replace(scene, seed=seed), kinds=run.kinds, precision="f64")
+        alone = Run(dataclasses.replace(scene, seed=seed), names=names, precision="f64")
         own = parameters.detach().requires_grad_()
         objective(alone.flow(own)).backward()
         assert own.grad is not None

@@ -66,7 +66,7 @@ def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:
     found = descend(evaluation, problem, slow, 3)
     assert [float(each.parameters[0]) for each in found] == pytest.approx([30.0, 31.0, 31.8])
     far = dataclasses.replace(slow, rate=1e3)
-    assert descend(evaluation, problem, far, 2)[1].parameters[0] == problem.bounds[0][1]
+    assert descend(evaluation, problem, far, 2)[1].parameters[0] == problem.box.upper[0]
     assert len(descend(evaluation, problem, dataclasses.replace(slow, stop_below=1e3), 3)) == 1
 
 

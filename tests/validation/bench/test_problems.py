@@ -26,8 +26,7 @@ FIELD: dict[str, Any] = {
 def result(name: str, off: float = 0.002) -> dict[str, Any]:
     """What a loop might have left of a shipped problem."""
     problem = read_problem(name)
-    truth = {name: start + 0.1 * (upper - start) for name, start, (_, upper) in
-             zip(problem.names, problem.initial, problem.bounds, strict=True)}  # fmt: skip
+    truth = {each.name: each.start + 0.1 * (each.bounds[1] - each.start) for each in problem.numbers}
     unknowns = {name: value * (1.0 + off) for name, value in truth.items()}
     return {
         "verdict": "confirmed",
