@@ -39,9 +39,9 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
     own = block * layout.width
     for lane in range(lanes):
         present = arrays.lanes[(block * features.block + features.present) * lanes + lane]
-        at = (own + layout.contacts) * lanes + lane
+        at = (own + features.contacts) * lanes + lane
         then = after * lanes + lane
-        contact = then + layout.history_contacts * lanes
+        contact = then + features.contacts * lanes
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
         x_bar, v_bar = (
             lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays),
@@ -108,8 +108,8 @@ def depends(then, scene, arrays: ti.template()):
 
     with volume correction out to where a solid hides mass.
     """
-    layout, lanes = arrays.layout, arrays.features.lanes
-    contact = then + layout.history_contacts * lanes
+    lanes = arrays.features.lanes
+    contact = then + arrays.features.contacts * lanes
     if ti.static(arrays.features.volume_correction):
         return (
             arrays.history_lanes[contact + Contact.DISTANCE * lanes] < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]

@@ -204,7 +204,7 @@ def gradient(
 
 def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
     """Vector-Jacobian products: the gradient of each objective and scene of the tape, from the bars of each flow."""
-    features, layout = tape.features, tape.layout
+    features = tape.features
     found = []
     for ours in tape.reverse(adjoints):
         own = []
@@ -223,7 +223,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     velocities=numbers(features.velocity, size),
                     velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
                     stress=numbers(features.stress, features.stresses),
-                    properties=numbers(layout.properties, features.columns),
+                    properties=numbers(features.properties, features.columns),
                     settings=ours["settings"][index].copy(),
                     faces=ours["face_adjoints"][faces],
                     cut=float(ours["cut"][index]),

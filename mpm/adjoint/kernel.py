@@ -42,18 +42,12 @@ class Pass(Enum):
 
 
 @ti.func
-def keep_state(worker, scene, step, arrays: ti.template()):
+def keep_state(worker, step, arrays: ti.template()):
     """Keep the states of a worker's blocks as those before `step`."""
-    features, layout = arrays.features, arrays.layout
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        at = state_before(step, block, arrays)
-        own = block * features.block
-        copy(arrays.history, at, arrays.state, own, layout.history_contacts)
-        if ti.static(features.contact):
-            contacts = at + ti.static(layout.history_contacts)
-            copy(arrays.history, contacts, arrays.state, own + ti.static(features.contacts), features.contact_vectors)
-        if ti.static(features.outflow):
-            arrays.history[at + ti.static(layout.history_present)] = arrays.state[own + features.present]
+        at, own = state_before(step, block, arrays), block * arrays.features.block
+        for k in range(arrays.layout.history):
+            arrays.history[at + k] = arrays.state[own + k]
 
 
 @ti.func
@@ -64,31 +58,18 @@ def state_before(step, block, arrays: ti.template()):
 
 
 @ti.func
-def copy(to: ti.template(), at, source: ti.template(), first, count: ti.template()):
-    """Copy `count` vectors."""
-    for k in range(count):
-        to[at + k] = source[first + k]
-
-
-@ti.func
 def restore_state(worker, scene, step, arrays: ti.template()):
     """The states of a worker's blocks before `step`, and the box of nodes in their support."""
-    features, layout = arrays.features, arrays.layout
+    features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
     low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
-        at = state_before(step, block, arrays)
-        own = block * features.block
-        copy(arrays.state, own, arrays.history, at, layout.history_contacts)
-        if ti.static(features.contact):
-            contacts = at + ti.static(layout.history_contacts)
-            copy(arrays.state, own + ti.static(features.contacts), arrays.history, contacts, features.contact_vectors)
-        if ti.static(features.outflow):
-            arrays.state[own + features.present] = arrays.history[at + ti.static(layout.history_present)]
+        at, own = state_before(step, block, arrays), block * features.block
+        for k in range(arrays.layout.history):
+            arrays.state[own + k] = arrays.history[at + k]
         for k in ti.static(range(features.dimension)):
-            low[k] = minimum(low[k], arrays.state[block * features.block + k])
-            high[k] = maximum(high[k], arrays.state[block * features.block + k])
+            low[k], high[k] = minimum(low[k], arrays.state[own + k]), maximum(high[k], arrays.state[own + k])
     set_box(worker, scene, low, high, arrays)
 
 
@@ -104,12 +85,12 @@ def replay(worker, first, last, arrays: ti.template()):
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _step in range(substeps):
-            keep_state(worker, scene, step, arrays)
+            keep_state(worker, step, arrays)
             arrays.step_times[scene, step] = dt
             advance(worker, scene, dt, kappa, strides, arrays)
             step += 1
         synchronise(arrays)
-    keep_state(worker, scene, step, arrays)
+    keep_state(worker, step, arrays)
     arrays.step_counts[scene] = step
 
 

@@ -1,7 +1,8 @@
 """What the reverse of a step keeps of every particle and of a worker, beside the arrays of the step itself.
 
-The derivative of the objective J with respect to a number is called its bar. Bars of a block of particles lie as the
-numbers do in its state: position, velocity, C, stress from vector 0 on; those of its material properties follow.
+The derivative of the objective J with respect to a number is called its bar. Bars of a block of particles, and what is
+kept of it, lie as the numbers do in its state: position, velocity, C, stress from vector 0 on, then contact; bars of
+its material properties follow.
 """
 
 from dataclasses import dataclass
@@ -36,18 +37,10 @@ def parts(features: Features) -> list[dict[str, int]]:
     """How long the parts are of what the reverse keeps, in their order."""
     size, contact = features.dimension, int(features.contact)
     return [
-        {  # Vectors of bars of a block: of its state, of `Property` and of `Contact`.
-            "state": features.properties,
-            "properties": features.columns,
-            "contacts": features.contact_vectors,
-            "width": 0,
-        },
-        {  # Vectors of a block that are kept of every step: all that it changes and a reverse step reads.
-            "history_state": features.properties,
-            "history_contacts": features.contact_vectors,
-            "history_present": int(features.outflow),
-            "history": 0,
-        },
+        # Vectors of bars of a block: those of its state, then of `Property`.
+        {"state": features.properties + features.columns, "width": 0},
+        # Vectors of a block that are kept of every step, the first of its state: a reverse step reads no others.
+        {"changing": features.present + int(features.outflow), "history": 0},
         {  # Scratch vectors of a worker: those of the step, whose weights times distances become slopes, and
             "weights": 3 * size,
             "slopes": features.scratch - 3 * size,  # dw/dx_p of the three nodes along each axis [1/m],

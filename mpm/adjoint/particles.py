@@ -34,7 +34,7 @@ def update_block_reverse(
     first, own = no_overflow(block * features.block), block * layout.width
     if ti.static(features.outflow):
         # What has left keeps its position alone.
-        here = arrays.history[after + ti.static(layout.history_present)]
+        here = arrays.history[after + features.present]
         for k in range(ti.static(features.velocity), ti.static(features.stress + features.stresses)):
             arrays.adjoints[own + k] = here * arrays.adjoints[own + k]
     dx = arrays.settings[scene, Setting.CELL]
@@ -183,6 +183,3 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         arrays.cuts[scene, 1] += ti.cast(cut, float)
     for k in range(ti.static(features.velocity if features.outflow else 0), ti.static(features.properties)):
         arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)
-    for k in range(ti.static(features.contact_vectors)):
-        at = own + layout.contacts + k
-        arrays.adjoints[at] = ti.select(within, present * arrays.adjoints[at], 0.0 * present)

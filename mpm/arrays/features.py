@@ -115,11 +115,11 @@ def parts(features: Features) -> list[dict[str, int]]:
             "stress": features.stresses,
             "plastic_strain": int(features.strained),
             "gap": int(features.volume_correction),  # mean stress that what opened would have made [Pa]
+            "contacts": features.contact_vectors,
+            "present": 1,
             "properties": features.columns if features.heterogeneous else 0,
             "remainder": size if features.compensated else 0,  # what rounding has kept from the position [m]
             "before": size if features.until_rest else 0,  # the velocity at the end of the frame before
-            "contacts": features.contact_vectors,
-            "present": 1,
             "block": 0,
         },
         {  # Columns of a face: its corners, its normal and those of its corners and, in 3D, edges, ...

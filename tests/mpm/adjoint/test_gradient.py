@@ -193,31 +193,6 @@ def test_the_remainder_falls_with_the_square_of_the_step() -> None:
     assert np.median(orders) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.slow
-def test_each_body_of_its_own_sand() -> None:
-    """Sand without cohesion and two materials: friction of each, and none of cohesion."""
-    first, second = Material(friction_deg=25.0), Material(friction_deg=35.0, density=1500.0)
-    masses = tuple(
-        dataclasses.replace(mass, material=material)
-        for mass, material in zip(plane().masses, (first, second), strict=True)
-    )
-    scene = plane(first, masses=masses)
-    objective = Weighted(scene)
-    slope = exact_gradient(scene, objective)
-    ours = slope.of_mass(slope.material("friction_deg"))
-    for index, material in enumerate((first, second)):
-
-        def value(h: float, index: int = index, material: Material = material) -> float:
-            changed = list(masses)
-            rougher = dataclasses.replace(material, friction_deg=material.friction_deg + h)
-            changed[index] = dataclasses.replace(masses[index], material=rougher)
-            return value_of(dataclasses.replace(scene, masses=tuple(changed)), objective)
-
-        assert ours[index] == pytest.approx(central(value, 1e-2), rel=5e-6)
-    with pytest.raises(InputError, match="without any does not depend on cohesion"):
-        slope.material("cohesion")
-
-
 def test_a_path_that_moves_a_body_and_speeds_it_up() -> None:
     """Half a cell aside, where masses do not lie on the grid."""
     first, second = plane().masses
