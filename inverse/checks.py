@@ -200,5 +200,5 @@ def check_search(
         fixed = parameter.is_field or not parameter.kind.changes_volume
         expected = f"another kind: with {parameter.name} the number of particles changes"
         require(fixed, "observations[0].kind", expected, observations[0].kind)
-    expected = "lbfgs-b: a deposit is too many numbers for their Jacobian"
+    expected = "lbfgs-b or secants: a deposit is too many numbers for their Jacobian"
     require(optimiser.method is not Method.GAUSS_NEWTON, "optimiser.method", expected, optimiser.method)

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,16 @@ from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
 from inverse.forward.gns import GnsForward
-from inverse.forward.interface import Differentiable, Evaluation
+from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict, plain
-from inverse.jacobian import automatic, central
-from inverse.optimise import lowest, minimise
+from inverse.jacobian import Evaluate, automatic, central, observed
+from inverse.observations import Values
+from inverse.optimise import minimise
+from inverse.parameters import Vector
 from inverse.problem import Problem
 from inverse.result import Result
+from inverse.secants import lowest, sample
 from inverse.settings import ForwardModel, Gradient, Method, Surrogate
 from inverse.target import Target, read_each, read_target
 from mpm import simulate, simulate_many
@@ -125,6 +129,11 @@ def as_json(problem: Problem, evaluation: Evaluation) -> dict[str, object]:
     }
 
 
+def one_observed(forward: Forward, values: Values, components: int, at: Vector) -> Evaluation:
+    """The misfit at one vector of parameters [U], without a gradient."""
+    return observed(forward, values, [at], components=components)[0]
+
+
 def search(
     problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
 ) -> list[Evaluation]:
@@ -132,9 +141,14 @@ def search(
     gradient = gradient or (Gradient.AD if isinstance(forward, GnsForward) else Gradient.FD)
     values, components = forward.select(target.values), target.observation.components
     settings, box, initial = problem.optimiser, problem.box, problem.initial
-    if gradient is Gradient.AD and isinstance(forward, Differentiable):
+    spread: list[Evaluation] = []
+    evaluate: Evaluate
+    if settings.method is Method.SECANTS:
+        spread = sample(forward, values, initial, box, components=components)
+        evaluate = partial(one_observed, forward, values, components)
+    elif gradient is Gradient.AD and isinstance(forward, Differentiable):
         jacobian = settings.method is Method.GAUSS_NEWTON
         evaluate = automatic(forward, values, components=components, with_jacobian=jacobian)
     else:
         evaluate = central(forward, values, problem.steps, components=components)
-    return minimise(evaluate, initial, box, settings)
+    return spread + minimise(evaluate, initial, box, settings, sample=spread)

@@ -1,4 +1,4 @@
-"""Minimising the misfit inside bounds: L-BFGS-B, Gauss-Newton.
+"""Minimising the misfit inside bounds: L-BFGS-B, Gauss-Newton, secants.
 
 Every evaluation is kept. A method is a function of `evaluate`, the start and the bounds, and reads like its equation.
 """
@@ -14,6 +14,7 @@ from inverse.forward.interface import Evaluation
 from inverse.jacobian import Evaluate
 from inverse.parameters import Vector
 from inverse.problem import Bounds
+from inverse.secants import secants
 from inverse.settings import Method, OptimiserSettings
 
 ITERATIONS = 20
@@ -63,27 +64,29 @@ def minimise(
     bounds: Bounds,
     settings: OptimiserSettings,
     progress: str = "inversion",
+    sample: Sequence[Evaluation] = (),
 ) -> list[Evaluation]:
-    """Every evaluation from `start` to the end, in order; the answer is that of least loss (`lowest`).
+    """Every evaluation from `start` to the end, in order; the answer is that of least loss (`inverse.secants.lowest`).
 
     It ends below `stop_below`, after `max_iterations` evaluations, or when the method itself finds a minimum.
-    Gauss-Newton requires evaluations with their Jacobian.
+    sample: of the secants (`inverse.secants.sample`), which start at its best. Gauss-Newton requires evaluations with
+    their Jacobian.
     """
     recorder = _Recorder(evaluate, settings, bounds, progress)
     start = bounds.clip(start)
     try:
-        method = _gauss_newton if settings.method is Method.GAUSS_NEWTON else _lbfgsb
-        method(recorder, start, bounds)
+        match settings.method:
+            case Method.LBFGSB:
+                _lbfgsb(recorder, start, bounds)
+            case Method.GAUSS_NEWTON:
+                _gauss_newton(recorder, start, bounds)
+            case Method.SECANTS:
+                secants(recorder, sample, bounds)
     except _Finished:
         pass
     finally:
         recorder.bar.close()
     return recorder.records
-
-
-def lowest(found: Sequence[Evaluation]) -> Evaluation:
-    """The evaluation of minimum loss."""
-    return min(found, key=lambda each: each.loss if np.isfinite(each.loss) else np.inf)
 
 
 def _lbfgsb(evaluate: Evaluate, start: Vector, bounds: Bounds) -> None:

@@ -56,6 +56,8 @@ class Method(StrEnum):
     """Bounded quasi-Newton (SciPy)."""
     GAUSS_NEWTON = "gauss-newton"
     """Bounded least squares by the Jacobian (SciPy's trust region), for observations of few numbers."""
+    SECANTS = "secants"
+    """The same without derivatives, from a sample of the box (`inverse.secants`): for observations of many numbers."""
 
 
 class Surrogate(StrEnum):
@@ -160,7 +162,8 @@ class OptimiserSettings(Record):
     method: Method = Method.LBFGSB
     """Of numbers; fields are found by Gauss-Newton steps with the adjoint."""
     max_iterations: int | None = None
-    """Most evaluations of the loss and its gradient, 20 where absent; of fields most Gauss-Newton steps, 8."""
+    """Most evaluations of the loss and its gradient, 20 where absent; of fields most Gauss-Newton steps, 8. The sample
+    of the secants is not counted."""
     stop_below: float = 1.0e-7
     """Loss [m^2] at which the search for numbers ends: (0.3 mm)^2."""
     seed: int = 0

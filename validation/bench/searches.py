@@ -21,9 +21,10 @@ from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Evaluation
 from inverse.forward.mpm import MpmForward
 from inverse.jacobian import Evaluate, automatic, central, observed
-from inverse.optimise import lowest, minimise
+from inverse.optimise import minimise
 from inverse.parameters import Vector
 from inverse.problem import Problem
+from inverse.secants import lowest, sample
 from inverse.settings import Method
 from inverse.target import Target, read_target
 from mpm import simulate, simulate_many
@@ -43,10 +44,11 @@ class By(StrEnum):
     PAPER = "surrogate, the paper's descent"
     ADJOINT = "MPM by its adjoint, L-BFGS-B"
     DIFFERENCES = "MPM by differences, Gauss-Newton"
+    SECANTS = "MPM by secants"
     OPTUNA = "MPM by Optuna (TPE)"
 
 
-METHODS = {By.DIFFERENCES: Method.GAUSS_NEWTON}
+METHODS = {By.DIFFERENCES: Method.GAUSS_NEWTON, By.SECANTS: Method.SECANTS}
 """Of `inverse.optimise`; L-BFGS-B for the others that use it."""
 
 
@@ -144,8 +146,8 @@ class Models:
 
 def methods(problem: Problem) -> list[By]:
     """Those that are compared on a problem."""
-    few = len(problem.numbers) <= MOST_BY_DIFFERENCES
-    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few}
+    few, many = len(problem.numbers) <= MOST_BY_DIFFERENCES, len(problem.numbers) > 1
+    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few, By.SECANTS: many}
     return [by for by in By if applies.get(by, True)]
 
 
@@ -171,7 +173,7 @@ def search(by: By, models: Models, limit: float) -> Searched:
 
 def evaluations(by: By, models: Models, evaluate: Evaluate, most: int) -> list[Evaluation]:
     """Every evaluation of a search, in order; at most so many."""
-    problem, box = models.problem, models.problem.box
+    problem, box, spread = models.problem, models.problem.box, list[Evaluation]()
     if by is By.PAPER:
         return descend(evaluate, problem, PAPER[problem.name], most)
     if by is By.OPTUNA:
@@ -180,8 +182,13 @@ def evaluations(by: By, models: Models, evaluate: Evaluate, most: int) -> list[E
         # No difference leaves the bounds.
         steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
         box = dataclasses.replace(box, lower=box.lower + steps, upper=box.upper - steps)
-    settings = dataclasses.replace(problem.optimiser, method=METHODS.get(by, Method.LBFGSB), max_iterations=most)
-    return minimise(evaluate, problem.initial, box, settings, by)
+    if by is By.SECANTS:
+        target = models.target
+        spread = sample(models.mpm, target.values, problem.initial, box, components=target.observation.components)
+    settings = dataclasses.replace(
+        problem.optimiser, method=METHODS.get(by, Method.LBFGSB), max_iterations=max(1, most - len(spread))
+    )
+    return spread + minimise(evaluate, problem.initial, box, settings, by, spread)
 
 
 def descend(evaluate: Evaluate, problem: Problem, descent: Descent, most: int) -> list[Evaluation]:
