@@ -68,8 +68,8 @@ def command(
         write_picture(out / "picture.png", flow, Colour(colour or Colour.DISPLACEMENT), nearest)
         print(f"t = {flow.time[nearest]:.3f} s, drawn into {out / 'picture.png'}")
     if movie:
-        drawn = write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate, progress=True)
-        print(f"{len(shown)} frames, drawn into {drawn}")
+        write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate, progress=True)
+        print(f"{len(shown)} frames, drawn into {out / 'movie.mp4'}")
 
 
 if __name__ == "__main__":

@@ -69,8 +69,6 @@ WIDTH, HEIGHT = 1600, 1200
 """An image is at most this large [px]."""
 MARGIN = (0.13, 0.24)
 """Share of the image's width and height beside the flow, for scales, colour bar and time."""
-ENCODERS = (("libx264", ".mp4", "yuv420p"), ("mpeg4", ".mp4", "yuv420p"), ("gif", ".gif", "rgb8"))
-"""Codec, ending of the file and pixels of a movie; the first that is installed is used."""
 
 
 def require(trajectory: Trajectory, colour: Colour) -> None:
@@ -318,28 +316,12 @@ def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int
 
 def write_movie(
     path: Path, trajectory: Trajectory, colour: Colour, frames: Sequence[int], *, rate: int, progress: bool = False
-) -> Path:
-    """Draw `frames` into a movie of `rate` frames a second, and return its path.
-
-    An MP4, or a GIF where there is no encoder for it: the ending of `path` follows. Raises InputError and WorkFailed.
-    """
-    codec, ending, pixels = _encoder()
-    path = path.with_suffix(ending)
+) -> None:
+    """Draw `frames` into an MP4 of `rate` frames a second. Raises InputError and WorkFailed."""
     with Picture(trajectory, colour) as picture, replacing(path) as part, av.open(str(part), "w") as file:
-        stream = cast(av.VideoStream, file.add_stream(codec, rate=rate))
+        stream = cast(av.VideoStream, file.add_stream("libx264", rate=rate))
         stream.width, stream.height = picture.plotter.window_size
-        stream.pix_fmt = pixels
+        stream.pix_fmt = "yuv420p"
         for frame in tqdm(frames, desc="movie", unit="frame", disable=not progress):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture.at(frame), format="rgb24")))
         file.mux(stream.encode())
-    return path
-
-
-def _encoder() -> tuple[str, str, str]:
-    for encoder in ENCODERS:
-        try:
-            av.Codec(encoder[0], "w")
-        except ValueError:
-            continue
-        return encoder
-    raise WorkFailed("expected an encoder of movies in PyAV, found none")
