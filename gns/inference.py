@@ -35,7 +35,6 @@ def simulate(
     *,
     model: Simulator | str | Path | None = None,
     start: Trajectory | None = None,
-    seed: int = 0,
     device: torch.device | str = "cpu",
     progress: bool = False,
 ) -> Trajectory:
@@ -53,8 +52,6 @@ def simulate(
         A simulator, its file, or the name of a shipped one; the shipped one of the scene's dimension unless given.
     start
         A run of the scene by the MPM, from whose last frame the rollout goes on; at rest (time 0) unless given.
-    seed
-        Seed of the choice of the particles that stay, of all the scene's.
     device
         Where the model runs.
     progress
@@ -65,7 +62,7 @@ def simulate(
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     simulator = model if isinstance(model, Simulator) else load(model or shipped(scene.dimension))
-    initial = initial_state(scene, simulator.settings, start, seed=seed)
+    initial = initial_state(scene, simulator.settings, start)
     there = initial.to(device)
     clock = time.perf_counter()
     with torch.no_grad():

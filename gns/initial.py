@@ -81,18 +81,12 @@ class InitialState(Tensors):
         return dataclasses.replace(self, state=dataclasses.replace(self.state, displacements=displacements))
 
 
-def initial_state(
-    scene: Scene,
-    settings: ModelSettings,
-    frames: Trajectory | None = None,
-    *,
-    seed: int = 0,
-) -> InitialState:
-    """The initial state of `scene` for a model of these settings.
+def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
+    """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
 
     frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it the rollout begins
-    at rest, that is at time 0. seed: of the choice of the particles that stay.
-    Raises InputError for a scene outside of what the model represents (`check`), and for frames that do not fit.
+    at rest, that is at time 0. Raises InputError for a scene outside of what the model represents (`check`), and for
+    frames that do not fit.
     """
     check(scene, settings)
     units = Units.of_model(scene, settings)
@@ -107,7 +101,7 @@ def initial_state(
         known = resampled(frames, step)
     velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
     require_memory(scene, settings, units, step)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     cell = units.length * settings.cell
     thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
     kept = thinned.indices

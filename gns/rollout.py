@@ -21,7 +21,6 @@ def rollout(
     out: Path,
     model: Path | None = None,
     start: Path | None = None,
-    seed: int = 0,
     threads: int = 1,
     device: Literal["cpu", "cuda"] = "cpu",
     vtk: bool = False,
@@ -38,8 +37,6 @@ def rollout(
         The model's file or the name of a shipped one; the shipped one for scenes in 2D or in 3D unless given.
     start
         Trajectory of the MPM whose frames the rollout goes on from; without it, it starts from the scene itself.
-    seed
-        Seed of the choice of particles.
     threads
         Threads of torch.
     device
@@ -67,7 +64,7 @@ def rollout(
         check(read, simulator.settings)
         if warning := card.warning(path, read):
             print(warning, file=sys.stderr)
-        trajectory = simulate(read, model=simulator, start=frames, seed=seed, device=device, progress=True)
+        trajectory = simulate(read, model=simulator, start=frames, device=device, progress=True)
     except InputError as error:
         raise error if error.where else error.at(scene) from None
     except KeyboardInterrupt as interrupt:

@@ -72,7 +72,7 @@ class Deposit:
         return (beyond if self.side == 1 else -beyond) / self.extent, apart / self.extent
 
 
-def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> list[Score]:
+def evaluate(simulator: "Simulator", flows: Sequence[Flow]) -> list[Score]:
     """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
     import torch
@@ -80,7 +80,7 @@ def evaluate(simulator: "Simulator", flows: Sequence[Flow], *, seed: int) -> lis
     from gns.samples import batched, stretch
     from gns.unroll import unroll
 
-    settings, rng = simulator.settings, np.random.default_rng(seed)
+    settings, rng = simulator.settings, np.random.default_rng(0)
     scores: list[Score] = []
     for flow in flows:
         steps = len(flow.positions) - 1
@@ -124,7 +124,6 @@ def score(
     *datasets: Path,
     model: Path,
     split: str = "test",
-    seed: int = 0,
     threads: int = 1,
     keep: bool = False,
 ) -> None:
@@ -138,8 +137,6 @@ def score(
         The model's file, or the name of a shipped one.
     split
         train, valid or test.
-    seed
-        Seed of the choice of particles.
     threads
         Threads of torch.
     keep
@@ -163,7 +160,7 @@ def score(
     lines = []
     for dataset in datasets:
         flows = flows_of(dataset, split, settings, progress=True)
-        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows, seed=seed)))
+        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows)))
     if updates := card.total_updates(loaded.provenance):
         lines.append(card.length_of_training(updates, settings.dimension) + "\n")
     text = "\n".join(lines)
@@ -172,7 +169,7 @@ def score(
         card.write(path, dataclasses.replace(described, scores=text))
     if keep and members(path):
         valid = [flow for dataset in datasets for flow in flows_of(dataset, "valid", settings, progress=True)]
-        bands = uncertainty.calibrate(path, valid, seed=seed)
+        bands = uncertainty.calibrate(path, valid)
         print(f"bands by {bands.flows} flows are on {card.card_path(path)}")
 
 

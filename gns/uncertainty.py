@@ -127,7 +127,7 @@ def half_width(calibration: Calibration, spread: Floats | float, extent: Floats 
     return calibration.quantiles[key] * np.hypot(spread, calibration.floor * np.asarray(extent))
 
 
-def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> Calibration:
+def calibrate(path: Path, flows: Sequence[Flow]) -> Calibration:
     """Compare the rollouts of a model and its members with the MPM's `flows`, and write the calibration on its card.
 
     Raises InputError.
@@ -135,7 +135,7 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> Calibratio
     known, models = card.read(path), ensemble(path)
     if known is None:
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
-    settings, rng = models[0].settings, np.random.default_rng(seed)
+    settings, rng = models[0].settings, np.random.default_rng(0)
     found = []
     for flow in tqdm(flows, desc="bands", unit="flow"):
         steps = len(flow.positions) - 1
@@ -149,13 +149,11 @@ def calibrate(path: Path, flows: Sequence[Flow], *, seed: int = 0) -> Calibratio
     return calibration
 
 
-def predict(
-    scene: Scene | str | Path, *, model: str | Path | None = None, level: float = 0.95, seed: int = 0
-) -> Prediction:
+def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level: float = 0.95) -> Prediction:
     """Roll out a scene by a model and its members; their spread, calibrated, is how far the MPM may be.
 
     scene: a scene, the path of one in TOML, or the name of a shipped one; model: a file or a shipped name, that of the
-    scene's dimension where absent; level: one of `LEVELS`; seed: of the choice of particles. Raises InputError.
+    scene's dimension where absent; level: one of `LEVELS`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     path = library.model_path(model or library.shipped(scene.dimension))
@@ -164,7 +162,7 @@ def predict(
         message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
         raise InputError(message, where=str(card.card_path(path)), key="calibration")
     models = ensemble(path)
-    initial = initial_state(scene, models[0].settings, seed=seed)
+    initial = initial_state(scene, models[0].settings)
     found = rolled_out(models, initial.state, initial.conditions, initial.steps)
     width = float(half_width(described.calibration, found.spread, found.extent, level))
     return dataclasses.replace(found, half_width=width, warning=card.warning(path, scene))

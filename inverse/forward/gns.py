@@ -16,8 +16,6 @@ from inverse.problem import Problem
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
-THINNING_SEED = 0
-"""Which particles of a cell the surrogate follows: always the same, so that the parameters alone make a difference."""
 
 
 class GnsForward:
@@ -36,7 +34,7 @@ class GnsForward:
         self.simulator = simulator.requires_grad_(False)
         self.observation, self.kinds = observation, problem.kinds
         dtype = next(simulator.parameters()).dtype
-        self.initial = initial_state(problem.scene, simulator.settings, seed=THINNING_SEED).to(dtype=dtype)
+        self.initial = initial_state(problem.scene, simulator.settings).to(dtype=dtype)
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))

@@ -28,10 +28,10 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     simulator: Simulator, settings: ModelSettings, dataset: Path
 ) -> None:
     flows = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)
-    wrong = evaluate(simulator, [flows[1]], seed=0)[0]
+    wrong = evaluate(simulator, [flows[1]])[0]
     # With all particles, so that nothing is missing of the cloud.
     simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
-    right = evaluate(simulator, [flying(flows[0])], seed=0)[0]
+    right = evaluate(simulator, [flying(flows[0])])[0]
     assert not right.released
     assert abs(right.front_error) < 2e-3
     assert right.profile_error < 2e-3
