@@ -1,4 +1,4 @@
-"""Terrain, friction, thickness, meshes and particles from files; one line for what cannot be read."""
+"""Terrain, thickness and meshes from files; one line for what cannot be read."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +28,6 @@ SPACE = PLANE.replace("[2.0, 1.0]", "[2.0, 1.0, 1.0]")
 BODY = "[[masses]]\nlower = [1.7, 0.8]\nsize = [0.2, 0.1]\n"
 BODY_3D = "[[masses]]\nlower = [1.7, 0.8, 0.4]\nsize = [0.2, 0.1, 0.2]\n"
 TERRAIN = '[[solids]]\nkind = "terrain"\n'
-ASCII = "ncols 20\nnrows 10\nxllcorner {0}\nyllcorner {1}\ncellsize 0.1\nNODATA_value -9999\n"
 
 
 def scene(folder: Path, text: str) -> Scene:
@@ -43,15 +42,10 @@ def tilted() -> np.ndarray:
     return 0.1 + 0.1 * x[None] + 0.2 * z[:, None]
 
 
-def write_ascii(path: Path, values: np.ndarray, corner: tuple[float, float] = (0.0, 0.0)) -> None:
-    """An ESRI ASCII raster."""
-    path.write_text(ASCII.format(*corner) + "\n".join(" ".join(f"{v:.6f}" for v in row) for row in values) + "\n")
-
-
-def write_tiff(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
-    """A GeoTIFF whose lower left corner is at 500000, 5000000."""
+def write_raster(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
+    """A GeoTIFF or an ESRI ASCII raster whose lower left corner is at 500000, 5000000."""
     profile = {
-        "driver": "GTiff",
+        "driver": "GTiff" if path.suffix == ".tif" else "AAIGrid",
         "count": 1,
         "height": values.shape[0],
         "width": values.shape[1],
@@ -80,22 +74,20 @@ def test_a_ground_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["dem.asc", "dem.tif"])
 def test_a_height_field(tmp_path: Path, name: str) -> None:
-    if name == "dem.asc":
-        write_ascii(tmp_path / name, tilted(), (1000.0, 2000.0))
-    else:
-        write_tiff(tmp_path / name, tilted())
+    write_raster(tmp_path / name, tilted())
     found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
     slope = np.sqrt(1.0 + 0.1**2 + 0.2**2)
     distance = ground(found, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])
     np.testing.assert_allclose(distance, np.array([0.05, -0.09, 0.09]) / slope, atol=1e-6)
+    assert found.solids[0].corner == (500_000.0, 5_000_000.0)
     assert Scene.from_json(found.to_json()) == found
 
 
 def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path) -> None:
-    write_tiff(tmp_path / "dem.tif", np.full((10, 20), 0.2))
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2))
     # 0.4 x 0.3 m of release, 1.0 and 0.5 m from the corner.
     transform = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
-    write_tiff(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
+    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
     layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
     found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
     # Between the centres of the raster's cells.
@@ -122,13 +114,13 @@ def test_a_mesh(tmp_path: Path, name: str) -> None:
 def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
-    write_ascii(path, values)
+    write_raster(path, values)
 
 
 CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
-    ("dem.tif", lambda path: write_tiff(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
-    ("dem.tif", lambda path: write_tiff(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
+    ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
+    ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     ("dem.asc", lambda path: None, "there is none"),
     ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
 ]

@@ -12,19 +12,11 @@ from tests.datasets.geometry.solids import scene_of, surface
 SPACE = (2.0, 1.0, 1.0)
 
 
-def boxes(dimension: int) -> tuple[Solid, Solid]:
-    """Two boxes that touch at 0.1 + 0.2, where decimals do not meet exactly."""
-    first = Solid(lower=(0.1, 0.0, 0.2)[:dimension], size=(0.2, 0.3, 0.1)[:dimension], friction=0.1)
-    second = Solid(lower=(0.3, 0.0, 0.2)[:dimension], size=(0.2, 0.1 + 0.2, 0.1)[:dimension], friction=0.7)
-    assert first.lower is not None
-    assert first.size is not None
-    assert first.lower[0] + first.size[0] != 0.3
-    return first, second
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_touching_boxes_are_one(dimension: int) -> None:
-    first, second = boxes(dimension)
+    """They touch at 0.1 + 0.2, where decimals do not meet exactly."""
+    first = Solid(lower=(0.1, 0.0, 0.2)[:dimension], size=(0.2, 0.3, 0.1)[:dimension], friction=0.1)
+    second = Solid(lower=(0.3, 0.0, 0.2)[:dimension], size=(0.2, 0.1 + 0.2, 0.1)[:dimension], friction=0.7)
     scene = scene_of(first, second, size=SPACE[:dimension])
     found = surface(scene)
     points = np.array([[0.3, y, 0.25][:dimension] for y in np.linspace(0.01, 0.29, 29)])
