@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry import spatial
 from datasets.geometry.bodies import Plan, filling, lattice_in
-from datasets.geometry.ground import CLOSING, TOUCHING, elevation, plan_axes
+from datasets.geometry.ground import CLOSING, TOUCHING, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
 from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
@@ -80,8 +80,7 @@ def overlap(scene: Scene, mass: Mass, other: Mass | Solid, key: str) -> bool:
     if isinstance(other, Solid) or other.kind != "layer":
         return bool(inside(surface_in(scene.domain, (shape_of(other),), (key,)), places).any())
     plan, level = Plan(other, scene.domain, key), places[:, plan_axes(scene.dimension)]
-    below = places[:, 1] < elevation(scene.solids, scene.domain, level) + plan.thickness(level)
-    return bool((plan.contains(level) & below).any())
+    return bool((plan.contains(level) & (plan.thickness(level) > 0.0)).any())
 
 
 def shape_of(body: Mass | Solid) -> Solid:
