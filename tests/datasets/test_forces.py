@@ -47,7 +47,7 @@ def test_force_times_time_is_the_impulse(flow: Trajectory, window: float) -> Non
 
 
 def test_a_window_is_a_moving_mean(flow: Trajectory) -> None:
-    """2000 N/m for 0.03 s, over a window twice as long: at the ends of that time a quarter and three quarters are in."""
+    """2000 N/m for 0.03 s, over a window twice as long: from a quarter to three quarters in that time."""
     impulse = np.zeros_like(flow.solid_impulse)
     impulse[3:, 0, 0] = 60.0
     smooth = forces_of(dataclasses.replace(flow, solid_impulse=impulse), window=0.06)
