@@ -32,11 +32,8 @@ RESTRICTED = {
     "datasets/exchange/geoelements.py": {"Unpickler"},
 }
 """The module that may name more of it: an unpickler that can make arrays alone."""
-SAFE_LOADS = {
-    "np.load": ("allow_pickle", False),
-    "numpy.load": ("allow_pickle", False),
-    "torch.load": ("weights_only", True),
-}
+UNSAFE = {"allow_pickle=True", "weights_only=False"}
+"""Arguments that would let a file run code; both are off by default."""
 LONGEST = 400
 
 MODULES = sorted(path for folder in MAY_IMPORT for path in (ROOT / folder).rglob("*.py"))
@@ -71,11 +68,8 @@ def breaches(text: str, folder: str, restricted: Set[str] = frozenset()) -> list
                 found.append(f"{node.lineno}: uses pickle.{name}")
             case ast.ImportFrom(module="pickle", names=names) if {each.name for each in names} - PICKLE_ERRORS:
                 found.append(f"{node.lineno}: imports from pickle")
-        if isinstance(node, ast.Call):
-            keyword, value = SAFE_LOADS.get(ast.unparse(node.func), ("", None))
-            given = [each.value for each in node.keywords if each.arg == keyword]
-            if keyword and not (given and isinstance(given[0], ast.Constant) and given[0].value is value):
-                found.append(f"{node.lineno}: loads without {keyword}={value}")
+        if isinstance(node, ast.keyword) and f"{node.arg}={ast.unparse(node.value)}" in UNSAFE:
+            found.append(f"{node.value.lineno}: loads anything")
     if text.count("\n") > LONGEST:
         found.append(f"{text.count(chr(10))} lines; {LONGEST} are the most")
     return found
@@ -97,10 +91,8 @@ def test_the_arrows(path: Path) -> None:
         ("gns", "import numpy, taichi as ti"),
         ("gns", "from mpm import simulate"),
         ("inverse", "from validation import loop"),
-        ("gns", "import torch\ntorch.load('weights.pt')"),
         ("gns", "import torch\ntorch.load('weights.pt', weights_only=False)"),
         ("validation", "import numpy as np\nnp.load('data.npz', allow_pickle=True)"),
-        ("validation", "import numpy as np\nnp.load('data.npz')"),
         ("inverse", "import pickle\npickle.loads(b'')"),
         ("inverse", "from pickle import load"),
         ("inverse", "import dill"),

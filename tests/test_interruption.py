@@ -16,6 +16,7 @@ import pytest
 
 from tests import breaking
 from tests.breaking import Digest, orphans, start, unfinished, wait_for_work
+from tests.gns.conftest import TINY
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="expects Linux")]
 MOMENTS = 6
@@ -26,12 +27,6 @@ ENOUGH = 2**28
 """Bytes of a disk on which every command has room."""
 PAGE = 4096
 """Bytes in which a disk in memory counts."""
-TINY = [
-    *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
-    *("--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
-    *("--updates", "12", "--validations", "4"),
-]
-"""Flags of a training of seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +75,19 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
     def train(out: Path) -> list[str]:
         resume = ["--resume"] if (out / "last.pt").exists() else []
-        return ["-m", "gns.train", str(folder / "dataset"), "--out", str(out), *TINY, *resume]
+        return [
+            "-m",
+            "gns.train",
+            str(folder / "dataset"),
+            "--out",
+            str(out),
+            *TINY,
+            "--updates",
+            "12",
+            "--validations",
+            "4",
+            *resume,
+        ]
 
     arguments, result = {
         "generate": (lambda out: [*generate, "--out", str(out)], breaking.dataset_files),

@@ -13,7 +13,7 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.training.samples import Sample, cut
-from gns.distributed import joined, rank, sums
+from gns.distributed import joined, rank
 from gns.samples import batched, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -92,8 +92,3 @@ def test_torchrun_trains_and_resumes(dataset: Path, tmp_path: Path) -> None:
     assert run(tmp_path, "--updates", "6") == 6
     assert len(rows(tmp_path)) == 2
     assert run(tmp_path, "--updates", "8", "--resume") == 8
-
-
-def test_without_torchrun_there_is_one_process() -> None:
-    with joined("cpu"):
-        assert (rank(), sums(1.0, 2.0)) == (0, [1.0, 2.0])

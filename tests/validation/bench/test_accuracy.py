@@ -145,13 +145,6 @@ def test_slabs_have_the_volume_of_the_cylinder(aspect: float) -> None:
     assert columns.column(2, aspect, 16).masses[0].size == pytest.approx((0.1, 0.1 * aspect))
 
 
-def test_laws_hold_where_they_were_found() -> None:
-    laws = columns.laws()
-    assert laws[2, "Lube et al. 2005, channel", 1.0] == pytest.approx(1.2)
-    assert (2, "Lube et al. 2005, channel", 2.0) not in laws
-    assert columns.codes()[2, "taichi_elements, APIC", 8.0] == pytest.approx(11.98, abs=0.01)
-
-
 @pytest.mark.slow
 def test_the_page_of_a_few_coarse_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accuracy, "MEASURED", tmp_path / "resolution.toml")
