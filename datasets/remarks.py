@@ -15,6 +15,8 @@ SLOW = 2e-3
 """Root mean square speed below which nothing moves, over sqrt(g H), H the height of the body at the start."""
 SHARE = 0.005
 """Of the particles: what is beyond the front."""
+NEAR = 2.0
+"""Cells from a wall: sand against it comes to lie a part of a cell off, its tongue is a layer of particles."""
 FEWEST_CELLS = 3.0
 """Cells across a body or a layer."""
 
@@ -67,5 +69,5 @@ def remarks(
 
 
 def _near(coordinates: NDArray[np.floating], wall: float, scene: Scene) -> float:
-    """Share of the particles within a cell of a wall [-]."""
-    return float(np.mean(np.abs(coordinates - wall) < scene.domain.cell))
+    """Share of the particles within `NEAR` cells of a wall [-]."""
+    return float(np.mean(np.abs(coordinates - wall) < NEAR * scene.domain.cell))

@@ -217,6 +217,12 @@ class Found:
         return errors
 
     @property
+    def remarks(self) -> list[str]:
+        """What a user must know of the flow at the first answer (`datasets.remarks`)."""
+        checks = self.answers[0].checks
+        return list(checks[0].trajectory.summary.get("remarks", [])) if checks else []
+
+    @property
     def scene(self) -> Scene:
         """The scene with what was found."""
         return self.problem.scene_at(self.answer, fields=[each.field for each in self.fields])
@@ -270,6 +276,7 @@ class Found:
             "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,
+            "remarks": self.remarks,
             "seconds": self.seconds,
             "peak_memory_mib": peak_memory_mib(),
         }

@@ -19,9 +19,10 @@ from inverse.observations.joint import Joint, Part
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
 MAIN = 0.3
-"""A parameter with less than this share of the greatest weight is not named as part of a combination."""
+"""A parameter with less than this share of the greatest weight is not named as part of a combination, nor are more than
+the `NAMED` heaviest."""
 SUGGESTED = 3
-"""Measurements that the conclusion names."""
+"""Measurements, and combinations that are identifiable, that the conclusion names."""
 
 
 @rc_context(deposits.STYLE)  # type: ignore[arg-type]
@@ -64,7 +65,8 @@ def conclusion(found: Found) -> list[str]:
     runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
     price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
     fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
-    sentences = [verdict(found), numbers(found), *fields, equifinality(found), quality(found), price]
+    remarks = [f"At the answer: {each}." for each in found.remarks]
+    sentences = [verdict(found), numbers(found), *fields, equifinality(found), quality(found), *remarks, price]
     return [each for each in sentences if each]
 
 
@@ -152,7 +154,7 @@ def equifinality(found: Found) -> str:
             if each.identifiable
         ]
         listed = ", ".join(f"`{name}`" for name in names)
-        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known) or 'nothing'}")
+        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known[:SUGGESTED]) or 'nothing'}")
     if found.further:
         best = ", ".join(each.name for each in found.further[:SUGGESTED])
         parts.append(f"most would be decided by {best}")
@@ -300,6 +302,9 @@ def mix(combination: Combination) -> str:
     """A combination in words: which parameters go up, and which go down with them."""
     greatest = max(abs(weight) for weight in combination.weights.values())
     heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
+    if len(heavy) > NAMED:
+        heaviest = sorted(heavy, key=lambda name: -abs(heavy[name]))[:NAMED]
+        heavy = {name: weight for name, weight in heavy.items() if name in heaviest}
     up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
     down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
     if not down:
