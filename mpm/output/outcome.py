@@ -85,7 +85,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
     began = rest - int(offset[Offset.WINDOW]) + 1
     deposit = positions[-1]
-    summary = {
+    summary: dict[str, Any] = {
         "runout": runout(deposit),
         "front": front(deposit),
         "toe": list(toe(deposit)),
