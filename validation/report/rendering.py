@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import av
 import numpy as np
@@ -319,7 +319,7 @@ def write_movie(
 ) -> None:
     """Draw `frames` into an MP4 of `rate` frames a second. Raises InputError and WorkFailed."""
     with Picture(trajectory, colour) as picture, replacing(path) as part, av.open(str(part), "w") as file:
-        stream = cast(av.VideoStream, file.add_stream("libx264", rate=rate))
+        stream = file.add_stream("libx264", rate=rate)
         stream.width, stream.height = picture.plotter.window_size
         stream.pix_fmt = "yuv420p"
         for frame in tqdm(frames, desc="movie", unit="frame", disable=not progress):

@@ -1,4 +1,4 @@
-"""Flows by a formula in place of the MPM, and a surrogate of one that is wrong: what loops are tested on."""
+"""Flows by a formula in place of the MPM: what loops are tested on."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
@@ -130,32 +127,6 @@ class Layers(FakeMpm):
         velocities = np.array([mass.velocity[0] if mass.velocity else 0.0 for mass in scene.masses])
         waves = np.random.default_rng(scene.seed).normal(size=12) @ self.waves
         return np.asarray(self.moved(velocities) + self.scatter * waves)
-
-
-@dataclass(kw_only=True)
-class FakeSurrogate:
-    """A formula for x [m] of some of the particles."""
-
-    observation: Observation
-    indices: NDArray[np.int64]
-    """Of the particles that it follows."""
-
-    def x(self, parameters: Tensor) -> Tensor:
-        raise NotImplementedError
-
-    def predict(self, parameters: Tensor, /) -> Tensor:
-        x = self.x(parameters)
-        return self.observation.smooth(torch.stack([x, 0.1 * torch.ones_like(x)], 1), torch.ones(len(x)))
-
-    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]
-
-    def select(self, target: Values, /) -> Values:
-        return self.observation.of_particles(target, self.indices)
-
-    def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
-        x = self.x(torch.from_numpy(parameters)).numpy()
-        return np.stack([x, 0.1 * np.ones(len(x))], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)

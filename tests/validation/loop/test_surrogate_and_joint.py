@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
@@ -21,12 +21,14 @@ from gns.simulator import Normalisation, Simulator
 from inverse import deposits
 from inverse.forward.gns import GnsForward
 from inverse.found import Verdict
+from inverse.observations import Observation, Values
+from inverse.parameters import Vector
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target
-from tests.validation.loop.flows import SHAPE, Case, FakeMpm, FakeSurrogate, TwinAngles, length, wedge
+from tests.validation.loop.flows import SHAPE, Case, FakeMpm, TwinAngles, length, wedge
 from validation.loop import surrogate
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
@@ -183,7 +185,7 @@ def test_a_surrogate_is_asked_where_it_costs_less_than_it_saves(tmp_path: Path) 
     case = wedge(tmp_path)
 
     def load(*asked: object) -> tuple[Any, str]:
-        return Kink(observation=case.target.observation, indices=np.arange(600)), ""
+        return Kink(case.target.observation), ""
 
     auto = task(case, tmp_path, Surrogate.AUTO)
     found, reason = choose(auto, 100.0, model=None, load=load)
@@ -206,7 +208,7 @@ def test_the_loop_with_a_surrogate_in_its_trend(tmp_path: Path) -> None:
     case = dataclasses.replace(
         case,
         problem=dataclasses.replace(case.problem, surrogate=Surrogate.GNS),
-        surrogate=Kink(observation=case.target.observation, indices=np.arange(600)),
+        surrogate=Kink(case.target.observation),
     )
     result = case.solve(tmp_path / "out")
     assert result.verdict is Verdict.CONFIRMED
@@ -225,9 +227,16 @@ class Kinked(FakeMpm):
         return np.asarray((1.0 - 0.004 * (angle - 12.0) - 0.012 * max(0.0, angle - 25.0) + scatter) * SHAPE)
 
 
-@dataclass(kw_only=True)
-class Kink(FakeSurrogate):
-    """The same with half of the kink."""
+@dataclass(frozen=True)
+class Kink:
+    """The same with half of the kink, as a surrogate."""
 
-    def x(self, parameters: Tensor) -> Tensor:
-        return (1.0 - 0.006 * (parameters[0] - 25.0).clamp(min=0.0)) * torch.from_numpy(SHAPE)
+    observation: Observation
+
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        found = []
+        for (angle,) in parameters:
+            x = torch.from_numpy((1.0 - 0.006 * max(angle - 25.0, 0.0)) * SHAPE)
+            positions = torch.stack([x, 0.1 * torch.ones_like(x)], dim=1)
+            found.append(self.observation.smooth(positions, torch.ones(len(x))).numpy())
+        return found
