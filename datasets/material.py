@@ -32,6 +32,25 @@ does not depend on the cell (crack band: Bazant & Oh 1983; in shear Palmer & Ric
 of its width. Cells must be smaller than G softening_length / (peak - residual shear strength), or the band snaps back.
 The step uses the strength of the plastic strain at its start.
 
+**Which angle.** `angle` says how every angle of friction of a material was measured. "triaxial": phi of Mohr and
+Coulomb itself. "slope": on the plane that shears, as a tilted table, a heap's or an avalanche's slope and a direct shear
+box measure it; where stress and strain rate share their axes (Davis 1968)
+
+    tan(angle) = sin phi cos psi / (1 - sin phi sin psi),     so     sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
+
+and sin phi = tan(angle) without dilation: a table that tilts to 25.5 degrees means phi = 28.5.
+
+**Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio mu
+of shear to normal stress on the plane that shears, sin phi without dilation, is
+
+    mu(I) = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = shear rate * grain_diameter / sqrt(p / grain_density)
+
+with mu_s of `friction_deg`, mu_2 of `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`). So a
+slope's angles are those at which a layer begins to accelerate and at which no layer flows steadily any more; triaxial
+angles are phi of a slow and of a very fast shear, and sin phi is interpolated in either case. Where the material
+softens, mu_s is what is left; the cohesion does not depend on the rate. Glass beads (Jop et al.): mu_s = tan 20.9, mu_2
+= tan 32.8 degrees of a slope, I_0 = 0.279, 2500 kg/m^3.
+
 Dilation: psi(w) with sin psi(w) = w sin psi. A dense sand dilates until it has reached its critical state (Rowe 1962;
 Bolton 1986: phi - phi_crit = 0.8 psi), which `residual_friction_deg` and `softening_length` describe. Without a
 `softening_length` a material with `dilation_deg` **dilates for ever**: fine for small strains, wrong for flows.
@@ -55,6 +74,8 @@ STIFFEST = 1.0e15
 LEAST_VOLUME_CHANGE = 0.4999
 """Largest Poisson's ratio: the bulk modulus is then 5,000 times the shear modulus, and beyond
 that single precision loses the shear stress beside the pressure."""
+ANGLES = {"triaxial": 90.0, "slope": 45.0}
+"""How angles of friction may have been measured, and below which value [deg] each stays."""
 TENSION_SHARE = 0.003
 """Tension cutoff over cohesion [-] where a material names none."""
 BOUNDS = {
@@ -65,6 +86,9 @@ BOUNDS = {
     "strength_gradient": (0.0, STIFFEST, f"a growth of at least 0 Pa/m, up to {STIFFEST:g}"),
     "tension_cutoff": (0.0, STIFFEST, f"a tension cutoff of at least 0 Pa, up to {STIFFEST:g}"),
     "softening_length": (1.0e-9, 1.0e9, "a positive slip in m, 1e-9 to 1e9"),
+    "inertial_number": (1.0e-6, 1.0e6, "a positive number, 1e-6 to 1e6"),
+    "grain_diameter": (1.0e-9, 1.0e3, "a positive length in m, 1e-9 to 1000"),
+    "grain_density": (1.0e-3, 1.0e6, "a positive density in kg/m^3, 0.001 to 1e6"),
 }
 """Of the keys that have fixed ones: least and greatest value, and what is expected."""
 
@@ -80,7 +104,17 @@ class Material(Record):
     """
 
     friction_deg: float
-    """Angle of internal friction [deg], in [0, 90); 0, Tresca's law, needs a cohesion."""
+    """Angle of friction [deg], in [0, 90), of a slope in [0, 45); 0, Tresca's law, needs a cohesion."""
+    angle: str = "triaxial"
+    """How angles of friction were measured: "triaxial" (phi itself) or "slope" (on the plane that shears)."""
+    friction_limit_deg: float | None = None
+    """Angle of friction at very high rates of shear [deg], of the same `angle`; no dependence on them where absent."""
+    inertial_number: float = 0.279
+    """I_0 [-], at which half of that growth is reached; that of glass beads where absent."""
+    grain_diameter: float | None = None
+    """Diameter of a grain [m], needed with a `friction_limit_deg`."""
+    grain_density: float = 2500.0
+    """Density of the grains [kg/m^3], not of the bulk; that of glass and quartz, about, where absent."""
     density: float = 1800.0
     """Initial bulk density [kg/m^3]."""
     young: float = 2.0e6
@@ -111,7 +145,11 @@ class Material(Record):
             if not ok:
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
-        require(0.0 <= self.friction_deg < 90.0, "friction_deg", "an angle in [0, 90) degrees")
+        if self.angle not in ANGLES:
+            raise InputError(f"expected one of {', '.join(ANGLES)}, got {self.angle!r}", key="material.angle")
+        highest = ANGLES[self.angle]
+        kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
+        require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
         for key, (low, high, expected) in BOUNDS.items():
             require(getattr(self, key) is None or low <= getattr(self, key) <= high, key, expected)
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
@@ -127,14 +165,47 @@ class Material(Record):
                 require(0.0 <= value <= peak, f"residual_{key}", f"a value in [0, {key}], at most {peak:g},")
                 known = self.softening_length is not None
                 require(known, f"residual_{key}", "no residual value without a softening_length")
+        if self.friction_limit_deg is not None:
+            slow = self.friction_deg if self.residual_friction_deg is None else self.residual_friction_deg
+            expected = f"{kind} of at least {slow:g} degrees, that of slow shear, and below {highest:g}"
+            require(slow <= self.friction_limit_deg < highest, "friction_limit_deg", expected)
+            if self.grain_diameter is None:
+                raise InputError("expected a value beside a friction_limit_deg, got none", key="material.grain_diameter")
         if self.residual_friction_deg == 0.0:
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")
 
     @property
+    def phi_deg(self) -> float:
+        """Mohr's and Coulomb's angle of internal friction phi [deg]: `friction_deg` where that is "triaxial"."""
+        return self.phi_deg_of(self.friction_deg, self.dilation_deg)
+
+    def phi_deg_of(self, friction_deg: Depth, dilation_deg: float = 0.0) -> Depth:
+        """phi [deg] of an angle of friction [deg] that was measured as `angle` says; a number or an array."""
+        if self.angle == "triaxial":
+            return friction_deg
+        tangent, psi = np.tan(np.radians(friction_deg)), math.radians(dilation_deg)
+        phi = np.degrees(np.arcsin(tangent / (math.cos(psi) + tangent * math.sin(psi))))
+        return phi if isinstance(friction_deg, np.ndarray) else float(phi)
+
+    @property
     def friction(self) -> float:
         """tan(phi) [-]."""
-        return math.tan(math.radians(self.friction_deg))
+        return math.tan(math.radians(self.phi_deg))
+
+    @property
+    def sin_phi_limit(self) -> float:
+        """sin(phi) [-] at very high rates of shear; 0 where friction does not depend on them."""
+        if self.friction_limit_deg is None:
+            return 0.0
+        return math.sin(math.radians(self.phi_deg_of(self.friction_limit_deg)))
+
+    @property
+    def inertial_rate(self) -> float:
+        """Shear rate over the root of the pressure at I = I_0 [1/(s sqrt(Pa))]: I_0 / (d sqrt(rho_s)); 0 if none is."""
+        if self.friction_limit_deg is None or self.grain_diameter is None:
+            return 0.0
+        return self.inertial_number / (self.grain_diameter * math.sqrt(self.grain_density))
 
     @property
     def shear_modulus(self) -> float:
@@ -174,9 +245,12 @@ class Material(Record):
         def or_peak(value: float | None, peak: float) -> float:
             return peak if value is None else value
 
+        given = self.residual_friction_deg
         return dataclasses.replace(
             self,
-            friction_deg=or_peak(self.residual_friction_deg, self.friction_deg),
+            angle="triaxial",
+            friction_deg=self.phi_deg if given is None else self.phi_deg_of(given),
+            friction_limit_deg=None,
             dilation_deg=0.0,
             cohesion=or_peak(self.residual_cohesion, self.cohesion),
             strength_gradient=share * self.strength_gradient,

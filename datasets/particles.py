@@ -43,7 +43,8 @@ class Particles:
     depth: NDArray[np.float64]
     """Of each particle below the top of its mass [m], shape [N]."""
     friction_deg: NDArray[np.float64] | None = None
-    """Angle of friction of each particle [deg], shape [N], in place of its material's; None where all have that."""
+    """Angle of friction of each particle [deg], shape [N], in place of its material's and measured as that; None where
+    all have that."""
 
     @property
     def density(self) -> NDArray[np.float64]:
@@ -53,9 +54,13 @@ class Particles:
     @property
     def friction(self) -> NDArray[np.float32]:
         """tan(phi) of each particle [-], shape [N]."""
-        if self.friction_deg is not None:
-            return np.tan(np.radians(self.friction_deg)).astype(np.float32)
-        return np.array([material.friction for material in self.materials], np.float32)[self.material]
+        if self.friction_deg is None:
+            return np.array([material.friction for material in self.materials], np.float32)[self.material]
+        phi_deg = self.friction_deg.copy()
+        for index, material in enumerate(self.materials):
+            here = self.material == index
+            phi_deg[here] = material.phi_deg_of(phi_deg[here], material.dilation_deg)
+        return np.tan(np.radians(phi_deg)).astype(np.float32)
 
     @property
     def cohesion(self) -> NDArray[np.float32]:

@@ -24,7 +24,7 @@ from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, with_jump
-from mpm.physics.mohr_coulomb import return_principal, softened
+from mpm.physics.mohr_coulomb import return_principal, softened, strengths_at_rate
 from mpm.physics.particles import peak_strength, residual_strength, strength_of
 from mpm.physics.principal import TINY
 from mpm.physics.stress import equivalent_strain, midpoint_increment, trial_stress, with_cracks
@@ -48,9 +48,9 @@ def trial_of(stress, affine, jump, contact, limit, lame, shear, gap, rate, grid,
     return trial_stress(cracked, increment, lame, shear, features.dimension)
 
 
-def principal_return(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features):
+def principal_return(s1, s2, s3, strengths, lame, shear, features):
     """Returned principal stresses [Pa] and, where a step keeps them, plastic strain [-] and opening [Pa]; traced."""
-    t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
     strain = equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear) if features.softens else None
     return t1, t2, t3, strain, opened if features.volume_correction else None
 
@@ -66,7 +66,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     corrected = ti.static(int(features.volume_correction))
     first, own = no_overflow(block * features.block), block * layout.width
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    strengths = strength_of(scene, block, dt, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
     contact = contact_of(block, arrays)
@@ -85,7 +85,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(size))]
     rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
     density = property_of(scene, block, Property.DENSITY, arrays)
-    numbers = ti.static((stress, affine, jump, contact, limit, lame, shear, gap, rate, around, x, density))
+    numbers = ti.static((stress, affine, jump, contact, strengths[3], lame, shear, gap, rate, around, x, density))
     elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
     bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
     strain_bar, opened_bar = zero, zero
@@ -93,7 +93,6 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         strain_bar = arrays.adjoints[own + features.plastic_strain]
     if ti.static(features.volume_correction):
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
-    strengths = [sin_phi, sin_psi, strength, limit]
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar, elastic.values, strengths, lame, shear, strain_bar, opened_bar, features
     )
@@ -129,12 +128,15 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar, arrays)
     add_property_bar(block, Property.SHEAR, moduli_bar[1] + shear_bar + slip_shear_bar, arrays)
     strengths_bar[3] = strengths_bar[3] + limit_bar
-    strength_reverse(scene, block, strengths_bar, arrays)
+    if ti.static(features.inertial):
+        add_property_bar(block, Property.SIN_PHI_LIMIT, strengths_bar[4], arrays)
+        add_property_bar(block, Property.INERTIAL_RATE, dt * strengths_bar[5], arrays)
+    strength_reverse(scene, block, [strengths_bar[k] for k in ti.static(range(4))], arrays)
 
 
 @ti.func
 def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
-    """Bars of the strength of a block's material, and of its plastic strain, from those of `strength_of`."""
+    """Bars of the strength of a block's material, and of its plastic strain, from those of `slow_strength`."""
     features, layout = arrays.features, arrays.layout
     peak_columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
     if ti.static(features.softens):
@@ -167,11 +169,10 @@ def plastic_return_reverse(
     opened_bar,
     features: ti.template(),
 ):
-    """Bars of the trial stress, of the strengths (sin phi, sin psi, 2 c cos phi, T) and of (lambda, mu), a list each.
+    """Bars of the trial stress, of the `strengths` of `mpm.physics.mohr_coulomb` and of (lambda, mu), a list each.
 
     bar: of the returned stress; strain_bar, opened_bar: of the plastic strain after the step and of what opened.
     """
-    sin_phi, sin_psi, strength, limit = strengths
     if ti.static(features.dimension == 2):
         xx, yy, z, xy = trial
         half = 0.5 * (xx - yy)
@@ -183,7 +184,7 @@ def plastic_return_reverse(
         a, b = centre + radius, centre - radius
         above, below = z > a, z < b
         s = [maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)]
-        numbers = ti.static((s[0], s[1], s[2], sin_phi, sin_psi, strength, limit, lame, shear))
+        numbers = ti.static((s[0], s[1], s[2], strengths, lame, shear))
         step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
         t = ti.static(step.values)
         top, bottom = ti.select(above, t[1], t[0]), ti.select(below, t[1], t[2])
@@ -197,35 +198,35 @@ def plastic_return_reverse(
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
-        free = elastic_at(s, strengths, features) | (above & fell_alike(t, strengths, features))
+        free = elastic_at(s, strengths, features) | (above & fell_alike(s, t, strengths, lame, shear, features))
         apart, turned_bar = a_bar - b_bar, theta(top - bottom, a - b, free) * turning
         half_bar, middle = cosine * apart - sine * turned_bar, 0.5 * (a_bar + b_bar)
         trial_bar = [middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, sine * apart + cosine * turned_bar]
-        return trial_bar, [g[3], g[4], g[5], g[6]], [g[7], g[8]]
+        return trial_bar, g[3], [g[4], g[5]]
     else:
         p = (trial[0] + trial[1] + trial[2]) / 3.0
         deviator = [trial[0] - p, trial[1] - p, trial[2] - p, trial[3], trial[4], trial[5]]
         a, axes = principal_axes(deviator, features.precision)
         s = [p + a[0], p + a[1], p + a[2]]
-        numbers = ti.static((s[0], s[1], s[2], sin_phi, sin_psi, strength, limit, lame, shear))
+        numbers = ti.static((s[0], s[1], s[2], strengths, lame, shear))
         step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
         t = ti.static(step.values)
         own = in_axes([bar[0], bar[1], bar[2], 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]], axes)
         g = ti.static(step([own[0], own[1], own[2], strain_bar, opened_bar]))
         elastic = elastic_at(s, strengths, features)
-        alike = elastic | fell_alike(t, strengths, features)
+        alike = elastic | fell_alike(s, t, strengths, lame, shear, features)
         k12 = theta(t[0] - t[1], a[0] - a[1], elastic) * own[3]
         k23 = theta(t[1] - t[2], a[1] - a[2], alike) * own[4]
         k31 = theta(t[0] - t[2], a[0] - a[2], elastic) * own[5]
         back = in_axes([g[0], g[1], g[2], k12, k23, k31], [axes[3 * (k % 3) + k // 3] for k in ti.static(range(9))])
         trial_bar = [back[0], back[1], back[2], 2.0 * back[3], 2.0 * back[4], 2.0 * back[5]]
-        return trial_bar, [g[3], g[4], g[5], g[6]], [g[7], g[8]]
+        return trial_bar, g[3], [g[4], g[5]]
 
 
 @ti.func
 def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template()):
     """Whether nothing yields at the principal stresses `s`; without cohesion stress 0 is the apex, where all does."""
-    sin_phi, _, strength, limit = strengths
+    sin_phi, strength, limit = strengths[0], strengths[2], strengths[3]
     below = s[0] * (1.0 + sin_phi) - s[2] * (1.0 - sin_phi) - strength <= 0.0
     if ti.static(features.cohesive):
         return below & (s[0] <= limit)
@@ -234,11 +235,11 @@ def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template
 
 
 @ti.func
-def fell_alike(t: ti.template(), strengths: ti.template(), features: ti.template()):
+def fell_alike(s: ti.template(), t: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
     """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (`mpm.physics.mohr_coulomb`, B)."""
     if ti.static(features.cohesive):
-        sin_phi, _, strength, limit = strengths
-        lowest = (limit * (1.0 + sin_phi) - strength) / (1.0 - sin_phi)
+        sin_phi, limit = strengths_at_rate(s[0], s[2], strengths, lame, shear, features)
+        lowest = (limit * (1.0 + sin_phi) - strengths[2]) / (1.0 - sin_phi)
         return (t[0] >= limit) & (t[1] < limit) & (t[2] > lowest)
     else:
         return t[0] != t[0]

@@ -30,6 +30,8 @@ class Features(Record):
     dilates: bool = False
     softens: bool = False
     """Strength and dilation fall with plastic strain, which is then part of the state."""
+    inertial: bool = False
+    """Friction grows with the inertial number (`mpm.physics.inertial`)."""
     volume_correction: bool = False
     """A particle carries the gap to its neighbours."""
     heterogeneous: bool = False
@@ -79,7 +81,9 @@ class Features(Record):
     @property
     def columns(self) -> int:
         """How many of the columns of `Property` a particle of its own material carries."""
-        return len(Property) if self.softens else int(Property.RESIDUAL_SIN_PHI)
+        if self.inertial:
+            return len(Property)
+        return int(Property.SIN_PHI_LIMIT if self.softens else Property.RESIDUAL_SIN_PHI)
 
     @property
     def compensated(self) -> bool:
@@ -182,6 +186,7 @@ def features_of(
         cohesive=any(material.cohesive for material in materials),
         dilates=any(material.dilation_deg > 0.0 for material in materials),
         softens=any(material.softening_length is not None for material in materials),
+        inertial=any(material.friction_limit_deg is not None for material in materials),
         volume_correction=any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),

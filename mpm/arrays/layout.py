@@ -64,6 +64,8 @@ class Property(Column):
     RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
     RESIDUAL_LIMIT = auto()  # [Pa]
     SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
+    SIN_PHI_LIMIT = auto()  # [-], 0 where friction does not depend on the rate; from here on only where it does
+    INERTIAL_RATE = auto()  # I_0 / (d sqrt(rho_s)) [1/(s sqrt(Pa))]
 
 
 FRAMES_PER_CALL = 20

@@ -85,7 +85,7 @@ def properties_row(material: Material, volume: float) -> list[float]:
 
     Of a material whose strength grows with depth, that at its top.
     """
-    friction, dilation = math.radians(material.friction_deg), math.radians(material.dilation_deg)
+    friction, dilation = math.radians(material.phi_deg), math.radians(material.dilation_deg)
     residual = material.residual
     values = {
         Property.VOLUME: volume,
@@ -98,10 +98,12 @@ def properties_row(material: Material, volume: float) -> list[float]:
         Property.LIMIT: material.tension_limit,
         Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
         Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
-        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.friction_deg)),
-        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.friction_deg)),
+        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.phi_deg)),
+        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.phi_deg)),
         Property.RESIDUAL_LIMIT: material.residual_tension_limit_at(0.0),
         Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
+        Property.SIN_PHI_LIMIT: material.sin_phi_limit,
+        Property.INERTIAL_RATE: material.inertial_rate,
     }
     return [values[column] for column in Property]
 
@@ -124,12 +126,12 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
     """
     rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
     for state, strength in ((material, Property.STRENGTH), (material.residual, Property.RESIDUAL_STRENGTH)):
-        rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.friction_deg))
+        rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.phi_deg))
     rows[:, Property.LIMIT] = material.tension_limit_at(depth)
     rows[:, Property.RESIDUAL_LIMIT] = material.residual_tension_limit_at(depth)
     if friction_deg is None:
         return rows
-    angle, residual = np.radians(friction_deg), material.residual
+    angle, residual = np.radians(material.phi_deg_of(friction_deg, material.dilation_deg)), material.residual
     cutoff = material.cutoff_at(depth)
     states = [(material, cutoff, Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)]
     if material.residual_friction_deg is None:

@@ -37,6 +37,7 @@ Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the me
 import taichi as ti
 
 from mpm.arrays.access import clamp, maximum, minimum
+from mpm.physics.inertial import sin_phi_at_rate
 from mpm.physics.principal import TINY
 
 
@@ -152,14 +153,34 @@ def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
 
 
 @ti.func
-def return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
+def strengths_at_rate(s1, s3, strengths: ti.template(), lame, shear, features: ti.template()):
+    """sin phi [-] and T [Pa] at the rate of shear of a step, from `strengths` as `return_principal` takes them."""
+    if ti.static(features.inertial):
+        sin_phi, sin_psi, strength, limit, sin_phi_limit, inertial_step = strengths
+        now = sin_phi_at_rate(
+            s1, s3, sin_phi, sin_psi, strength, sin_phi_limit, inertial_step, lame, shear, features.dilates
+        )
+        if ti.static(features.cohesive):
+            # The apex of the steeper cone lies at a lower tension.
+            return now, ti.select(now > sin_phi, apex_limit(limit, now, strength), limit)
+        else:
+            return now, limit
+    else:
+        return strengths[0], strengths[3]
+
+
+@ti.func
+def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features: ti.template()):
     """The stresses that Mohr-Coulomb with tension cutoff admits in place of s1 >= s2 >= s3, and then the mean stress
     [Pa] that opening cost: K times the volume of the cracks; dilation is not counted, and 0 where nothing opened.
 
-    Of `features` it reads `dilates` and `cohesive`; without the latter `strength` and `limit` must be 0. It shifts
-    stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
+    strengths: sin phi, sin psi, 2 c cos phi and T; where friction grows with the rate of shear then sin phi at very high
+    rates and I_0 dt / (d sqrt(rho_s)). Of `features` it reads `dilates`, `inertial` and `cohesive`; without the latter
+    2 c cos phi and T must be 0. It shifts stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
     """
     dilates = ti.static(features.dilates)
+    sin_phi, limit = strengths_at_rate(s1, s3, strengths, lame, shear, features)
+    sin_psi, strength = strengths[1], strengths[2]
     t1, t2, t3, _, _, _ = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
     open_ = t1 + t2 + t3 >= 0.0
     if ti.static(features.cohesive):

@@ -126,7 +126,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.block)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    sin_phi, sin_psi, strength, limit = strength_of(scene, block, arrays)
+    strengths = strength_of(scene, block, dt, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     increment = strain_increment(block, scratch, dt, arrays)
     opened = 0.0 * stress[0]
@@ -137,8 +137,8 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
         cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
         density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
         gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
-        opened = updated_gap(remembered, limit, bulk, dt * arrays.settings[scene, Setting.GAP_RATE], gap)
-    new = stress_step(stress, increment, opened, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        opened = updated_gap(remembered, strengths[3], bulk, dt * arrays.settings[scene, Setting.GAP_RATE], gap)
+    new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
@@ -167,8 +167,20 @@ def strain_increment(block, scratch, dt, arrays: ti.template()):
 
 
 @ti.func
-def strength_of(scene, block, arrays: ti.template()):
-    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step."""
+def strength_of(scene, block, dt, arrays: ti.template()):
+    """The strengths of a block in this step, as `mpm.physics.mohr_coulomb.return_principal` takes them."""
+    slow = slow_strength(scene, block, arrays)
+    if ti.static(arrays.features.inertial):
+        sin_phi_limit = property_of(scene, block, Property.SIN_PHI_LIMIT, arrays)
+        inertial_step = dt * property_of(scene, block, Property.INERTIAL_RATE, arrays)
+        return slow[0], slow[1], slow[2], slow[3], sin_phi_limit, inertial_step
+    else:
+        return slow
+
+
+@ti.func
+def slow_strength(scene, block, arrays: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step, where it shears slowly."""
     features = arrays.features
     peak = peak_strength(scene, block, arrays)
     if ti.static(features.softens):
@@ -181,7 +193,7 @@ def strength_of(scene, block, arrays: ti.template()):
 
 @ti.func
 def peak_strength(scene, block, arrays: ti.template()):
-    """What `strength_of` is before any plastic strain."""
+    """What `slow_strength` is before any plastic strain."""
     features = arrays.features
     sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
     # Zeros known to the compiler where the scene has no dilation and no cohesion.

@@ -100,10 +100,7 @@ def stress_step(
     old: ti.template(),
     gradient: ti.template(),
     opened,
-    sin_phi,
-    sin_psi,
-    strength,
-    limit,
+    strengths: ti.template(),
     lame,
     shear,
     features: ti.template(),
@@ -113,9 +110,9 @@ def stress_step(
     `opened` is what the last step's return gave as such [Pa], read where `features.volume_correction`: volume
     correction (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
     """
-    cracked = with_cracks(old, opened, limit, lame, shear, features)
+    cracked = with_cracks(old, opened, strengths[3], lame, shear, features)
     trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
-    new = plastic_return(trial, sin_phi, sin_psi, strength, limit, lame, shear, features)
+    new = plastic_return(trial, strengths, lame, shear, features)
     if ti.static(features.volume_correction and features.cohesive and features.strained):
         # The strain of open cracks was plastic once, when they opened.
         bare = trial_stress(old, gradient, lame, shear, features.dimension)
@@ -183,7 +180,7 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
 
 
 @ti.func
-def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lame, shear, features: ti.template()):
+def plastic_return(stress: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
     """The stress [Pa] that Mohr-Coulomb with tension cutoff admits in place of a trial stress.
 
     Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
@@ -196,7 +193,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         radius = ti.sqrt(half * half + xy * xy)
         a, b = centre + radius, centre - radius
         s1, s2, s3 = maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)
-        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
         yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
         above, below = z > a, z < b
         top = ti.select(above, t2, t1)
@@ -218,7 +215,7 @@ def plastic_return(stress: ti.template(), sin_phi, sin_psi, strength, limit, lam
         dxx, dyy, dzz = xx - p, yy - p, zz - p
         a1, a2, a3 = principal_deviator(dxx, dyy, dzz, xy, yz, zx, features.precision)
         s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3, opened = return_principal(s1, s2, s3, sin_phi, sin_psi, strength, limit, lame, shear, features)
+        t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
         # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
         g12 = clamp((g1 - g2) / maximum(a1 - a2, TINY), -1.0, 0.0)

@@ -23,9 +23,32 @@ Vector = NDArray[np.float64]
 XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 
+@ti.func
+def strengths_now(m: ti.template(), strain, cell, dt, features: ti.template()):
+    """As `mpm.physics.particles.strength_of`, of the properties `m` of an element after the plastic strain `strain`."""
+    zero = 0.0 * strain
+    peak = (
+        m[Property.SIN_PHI] + zero,
+        m[Property.SIN_PSI] + zero,
+        m[Property.STRENGTH] + zero,
+        m[Property.LIMIT] + zero,
+    )
+    residual = m[Property.RESIDUAL_SIN_PHI], m[Property.RESIDUAL_STRENGTH], m[Property.RESIDUAL_LIMIT]
+    now = [each for each in peak]
+    if ti.static(features.softens):
+        soft = softened(strain, m[Property.SOFTENING] * cell, peak, residual, features)
+        for k in ti.static(range(4)):
+            now[k] = soft[k]
+    if ti.static(features.inertial):
+        rate = dt * m[Property.INERTIAL_RATE]
+        return now[0], now[1], now[2], now[3], m[Property.SIN_PHI_LIMIT] + zero, rate + zero
+    else:
+        return now[0], now[1], now[2], now[3]
+
+
 @cache
 def path_kernel(features: Features) -> Callable[..., None]:
-    """(stress, gradients, history, properties, cell): one element along a path of displacement-gradient increments.
+    """(stress, gradients, history, properties, cell, dt): one element along a path of displacement-gradient increments.
 
     `stress` ends with the plastic strain and what is remembered of opened cracks.
     """
@@ -34,31 +57,18 @@ def path_kernel(features: Features) -> Callable[..., None]:
     width = features.stresses + 2
 
     @ti.kernel
-    def follow_path(stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray(), cell: real):
+    def follow_path(
+        stress: blocks, gradients: ti.types.ndarray(), history: blocks, m: ti.types.ndarray(), cell: real, dt: real
+    ):
         for _ in range(1):
             for step in range(gradients.shape[0]):
                 zero = 0.0 * stress[0]
                 strain, gap = stress[ti.static(features.stresses)], stress[ti.static(features.stresses + 1)]
-                peak = (
-                    m[Property.SIN_PHI] + zero,
-                    m[Property.SIN_PSI] + zero,
-                    m[Property.STRENGTH] + zero,
-                    m[Property.LIMIT] + zero,
-                )
-                sin_phi, sin_psi, strength, limit = peak
-                if ti.static(features.softens):
-                    residual = (
-                        m[Property.RESIDUAL_SIN_PHI],
-                        m[Property.RESIDUAL_STRENGTH],
-                        m[Property.RESIDUAL_LIMIT],
-                    )
-                    sin_phi, sin_psi, strength, limit = softened(
-                        strain, m[Property.SOFTENING] * cell, peak, residual, features
-                    )
+                strengths = strengths_now(m, strain, cell, dt, features)
                 old = [stress[k] for k in ti.static(range(features.stresses))]
                 lame, shear = m[Property.LAME], m[Property.SHEAR]
                 increment = [gradients[step, k] + zero for k in ti.static(range(features.dimension**2))]
-                new = stress_step(old, increment, gap, sin_phi, sin_psi, strength, limit, lame, shear, features)
+                new = stress_step(old, increment, gap, strengths, lame, shear, features)
                 for k in ti.static(range(features.stresses)):
                     stress[k] = new[k]
                 stress[ti.static(features.stresses)] = strain + new[features.stresses]
@@ -85,10 +95,7 @@ def return_kernel(features: Features) -> Callable[..., None]:
                 s[4 * e],
                 s[4 * e + 1],
                 s[4 * e + 2],
-                m[Property.SIN_PHI],
-                m[Property.SIN_PSI],
-                m[Property.STRENGTH],
-                m[Property.LIMIT],
+                (m[Property.SIN_PHI], m[Property.SIN_PSI], m[Property.STRENGTH], m[Property.LIMIT]),
                 m[Property.LAME],
                 m[Property.SHEAR],
                 features,
@@ -107,9 +114,11 @@ def follow_states(
     corrected: bool = False,
     cohesive: bool = True,
     cell: float = 1.0,
+    dt: float = 1.0,
 ) -> tuple[Vector, Vector, Vector]:
     """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
-    increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens."""
+    increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens, `dt` [s] the time of an
+    increment where friction grows with the rate of shear."""
     runtime.start(precision)
     features = Features(
         dimension=gradients.shape[1],
@@ -119,6 +128,7 @@ def follow_states(
         strain_recorded=True,
         volume_correction=corrected,
         softens=material.softening_length is not None,
+        inertial=material.friction_limit_deg is not None,
     )
     real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
     width = features.stresses + 2
@@ -127,7 +137,7 @@ def follow_states(
         stress[: features.stresses] = np.asarray(start)[:, None]
     history = aligned((len(gradients) * width, features.lanes), real)
     increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
-    path_kernel(features)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell)
+    path_kernel(features)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell, dt)
     assert np.all(history == history[:, :1])
     series = history[:, 0].reshape(len(gradients), width).astype(np.float64)
     return series[:, :-2], series[:, -2], series[:, -1]

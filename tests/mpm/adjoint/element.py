@@ -44,7 +44,7 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
             old = [x[at + k] for k in ti.static(range(stresses))]
             trial = trial_stress(old, increment, p[4], p[5], dimension)
-            new = plastic_return(trial, p[0], p[1], p[2], p[3], p[4], p[5], features)
+            new = plastic_return(trial, [p[0], p[1], p[2], p[3]], p[4], p[5], features)
             for k in ti.static(range(stresses)):
                 y[e * stresses + k] = new[k]
 
