@@ -32,24 +32,22 @@ does not depend on the cell (crack band: Bazant & Oh 1983; in shear Palmer & Ric
 of its width. Cells must be smaller than G softening_length / (peak - residual shear strength), or the band snaps back.
 The step uses the strength of the plastic strain at its start.
 
-**Which angle.** `angle` says how every angle of friction of a material was measured. "triaxial": phi of Mohr and
-Coulomb itself. "slope": on the plane that shears, as a tilted table, a heap's or an avalanche's slope and a direct shear
-box measure it; where stress and strain rate share their axes (Davis 1968)
+**Which angle.** "triaxial": phi of Mohr and Coulomb itself. "slope": measured on the plane that shears, as by a tilted
+table, a heap, an avalanche or a direct shear box. Where stress and strain rate share their axes (Davis 1968)
 
-    tan(angle) = sin phi cos psi / (1 - sin phi sin psi),     so     sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
+    tan(angle) = sin phi cos psi / (1 - sin phi sin psi),   so   sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
 
 and sin phi = tan(angle) without dilation: a table that tilts to 25.5 degrees means phi = 28.5.
 
-**Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio mu
-of shear to normal stress on the plane that shears, sin phi without dilation, is
+**Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio
+mu of shear to normal stress on the plane that shears, sin phi where nothing dilates, is
 
     mu(I) = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = shear rate * grain_diameter / sqrt(p / grain_density)
 
-with mu_s of `friction_deg`, mu_2 of `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`). So a
-slope's angles are those at which a layer begins to accelerate and at which no layer flows steadily any more; triaxial
-angles are phi of a slow and of a very fast shear, and sin phi is interpolated in either case. Where the material
-softens, mu_s is what is left; the cohesion does not depend on the rate. Glass beads (Jop et al.): mu_s = tan 20.9, mu_2
-= tan 32.8 degrees of a slope, I_0 = 0.279, 2500 kg/m^3.
+with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`). Read as
+a slope's, they are the slopes below which a layer stops and beyond which it accelerates for ever; read as triaxial,
+phi of slow and of very fast shear. Where the material softens mu_s is what is left, and beyond mu_2 the rate adds
+nothing; the cohesion does not depend on it. Jop's glass beads: slopes of 20.9 and 32.8 degrees, I_0 = 0.279.
 
 Dilation: psi(w) with sin psi(w) = w sin psi. A dense sand dilates until it has reached its critical state (Rowe 1962;
 Bolton 1986: phi - phi_crit = 0.8 psi), which `residual_friction_deg` and `softening_length` describe. Without a
@@ -170,7 +168,7 @@ class Material(Record):
             expected = f"{kind} of at least {slow:g} degrees, that of slow shear, and below {highest:g}"
             require(slow <= self.friction_limit_deg < highest, "friction_limit_deg", expected)
             if self.grain_diameter is None:
-                raise InputError("expected a value beside a friction_limit_deg, got none", key="material.grain_diameter")
+                raise InputError("expected a value with friction_limit_deg, got none", key="material.grain_diameter")
         if self.residual_friction_deg == 0.0:
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")

@@ -91,7 +91,10 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         return Quantity([value / body.speed for value in values], "sqrt(g l)")
 
     return {
-        "friction_deg": Quantity([each.friction_deg for each in sand], "deg", scale=logarithm_of_tangent),
+        "friction_deg": Quantity([each.phi_deg for each in sand], "deg", scale=logarithm_of_tangent),
+        "friction_limit_deg": Quantity(
+            [each.friction_limit_deg for each in sand if each.friction_limit_deg is not None], "deg"
+        ),
         "cohesion": Quantity([each / body.stress for each in cohesions], "rho g l"),
         "tension_cutoff": Quantity(
             [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0], "of the cohesion"

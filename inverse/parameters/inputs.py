@@ -1,20 +1,26 @@
 """How numbers enter the surrogate: an initial state with a value, differentiable in it."""
 
 import dataclasses
+import math
 
 import torch
 from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
 from gns.initial import InitialState
-from inverse.parameters.kind import Extent, Kind
+from inverse.parameters.kind import Constant, Extent, Kind
 
 
-def friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Angle of internal friction [deg], an input as its tangent."""
-    known = initial.conditions.friction
-    tangent = torch.tan(torch.deg2rad(value)).to(known.dtype)
-    return initial.with_conditions(friction=torch.where(initial.of_mass(kind.index), tangent, known))
+def friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
+    """Angle of friction [deg], an input as tan(phi) (`datasets.material`: which angle)."""
+    known, material = initial.conditions.friction, kind.material(initial.scene)
+    tangent = torch.tan(torch.deg2rad(value))
+    if material.angle == "slope":
+        psi = math.radians(material.dilation_deg)
+        sine = tangent / (math.cos(psi) + tangent * math.sin(psi))
+        tangent = sine / torch.sqrt(1.0 - sine * sine)
+    friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
+    return initial.with_conditions(friction=friction)
 
 
 def cohesion(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:

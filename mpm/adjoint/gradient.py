@@ -186,7 +186,7 @@ def with_constant(material: Material, name: str, value: float) -> Material:
     """`material` with another constant. Raises InputError where cohesion, of which the run has no trace, is meant."""
     if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
         raise InputError(f"expected a material with cohesion, a run without any does not depend on {name}", key=name)
-    return dataclasses.replace(material, **{name: value})
+    return dataclasses.replace(material, **{name: value})  # type: ignore[arg-type]
 
 
 def gradient(

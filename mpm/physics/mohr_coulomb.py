@@ -174,9 +174,10 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
     """The stresses that Mohr-Coulomb with tension cutoff admits in place of s1 >= s2 >= s3, and then the mean stress
     [Pa] that opening cost: K times the volume of the cracks; dilation is not counted, and 0 where nothing opened.
 
-    strengths: sin phi, sin psi, 2 c cos phi and T; where friction grows with the rate of shear then sin phi at very high
-    rates and I_0 dt / (d sqrt(rho_s)). Of `features` it reads `dilates`, `inertial` and `cohesive`; without the latter
-    2 c cos phi and T must be 0. It shifts stresses and brings them closer, never further apart: no difference s_i - s_j grows or changes its sign.
+    strengths: sin phi, sin psi, 2 c cos phi and T; where friction grows with the rate of shear then sin phi at very
+    high rates and I_0 dt / (d sqrt(rho_s)). Of `features` it reads `dilates`, `inertial` and `cohesive`; without the
+    last 2 c cos phi and T must be 0. It shifts stresses and brings them closer, never further apart: no difference
+    s_i - s_j grows or changes its sign.
     """
     dilates = ti.static(features.dilates)
     sin_phi, limit = strengths_at_rate(s1, s3, strengths, lame, shear, features)

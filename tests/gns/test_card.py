@@ -118,6 +118,7 @@ def on(slope: float) -> Scene:
 
 OUTSIDE: dict[str, Callable[[], Scene]] = {
     "friction_deg": lambda: sand(friction_deg=62.0),
+    "friction_limit_deg": lambda: sand(friction_limit_deg=50.0, grain_diameter=1e-3),
     "cohesion": lambda: sand(cohesion=5000.0, tension_cutoff=2500.0),
     "tension_cutoff": lambda: sand(tension_cutoff=None),
     "young": lambda: sand(young=2.0e5),

@@ -34,7 +34,7 @@ def strengths_now(m: ti.template(), strain, cell, dt, features: ti.template()):
         m[Property.LIMIT] + zero,
     )
     residual = m[Property.RESIDUAL_SIN_PHI], m[Property.RESIDUAL_STRENGTH], m[Property.RESIDUAL_LIMIT]
-    now = [each for each in peak]
+    now = [peak[k] for k in ti.static(range(4))]
     if ti.static(features.softens):
         soft = softened(strain, m[Property.SOFTENING] * cell, peak, residual, features)
         for k in ti.static(range(4)):

@@ -128,7 +128,8 @@ def out_of_range() -> dict[str, Scene]:
     )
 
     def sand(**changes: float) -> Scene:
-        return dataclasses.replace(usual, material=dataclasses.replace(usual.material, **changes))
+        material = dataclasses.replace(usual.material, **changes)  # type: ignore[arg-type]
+        return dataclasses.replace(usual, material=material)
 
     def changed(**changes: object) -> Scene:
         return dataclasses.replace(usual, **changes)  # type: ignore[arg-type]

@@ -155,7 +155,7 @@ def slope(flow: Trajectory) -> Finding:
 
     Against the largest angle of friction in the scene and a margin.
     """
-    angle = max(flow.scene.material_of(mass).friction_deg for mass in flow.scene.masses)
+    angle = max(flow.scene.material_of(mass).phi_deg for mass in flow.scene.masses)
     surface, cell = topmost(flow), flow.scene.domain.cell
     level = surface.ndim
     windows = np.lib.stride_tricks.sliding_window_view(surface, (BASE,) * level)
