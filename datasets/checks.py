@@ -6,7 +6,7 @@ import warnings
 from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES
 from datasets.geometry.shapes import FARTHEST, check_solid, check_vector, require, usual
-from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene
+from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene
 
 MOST_CELLS = 2**31 - 1
 """Of the box: what 32 bits count."""
@@ -73,8 +73,9 @@ def whole(count: float) -> bool:
 def check(scene: Scene) -> None:
     """Raise InputError for a scene that cannot be simulated: each key with what was expected of it."""
     domain, dimension = scene.domain, scene.dimension
-    coefficients = ("floor_friction", "wall_friction", "baffle_friction")
-    bounds = dict.fromkeys(coefficients, ("a coefficient of at least 0", 0.0)) | {
+    for key in ("floor_friction", "wall_friction", "baffle_friction"):
+        check_friction(getattr(scene, key), key)
+    bounds: dict[str, tuple[str, float]] = {
         "gravity": ("an acceleration of at least 0 m/s^2", 0.0),
         "relaxation_time": ("a time of at least 0 s", 0.0),
         "seed": ("an integer of at least 0", 0),
@@ -106,9 +107,8 @@ def check(scene: Scene) -> None:
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
     for index, baffle in enumerate(scene.baffles):
-        mu = baffle.friction
-        ok = mu is None or 0.0 <= mu <= FARTHEST
-        require(ok, f"baffles[{index}].friction", "a coefficient of at least 0", mu)
+        if baffle.friction is not None:
+            check_friction(baffle.friction, f"baffles[{index}].friction")
     for index, solid in enumerate(scene.solids):
         check_solid(solid, f"solids[{index}]", dimension)
     for index, mass in enumerate(scene.masses):
@@ -121,6 +121,13 @@ def check(scene: Scene) -> None:
     from datasets.geometry.placement import check_overlaps
 
     check_overlaps(scene)
+
+
+def check_friction(friction: float | str, key: str) -> None:
+    """Raise InputError for what is no friction of a surface."""
+    ok = friction == ROUGH or (not isinstance(friction, str) and 0.0 <= friction <= FARTHEST)
+    got = repr(friction) if isinstance(friction, str) else friction
+    require(ok, key, f"a coefficient of at least 0 or '{ROUGH}'", got)
 
 
 def check_start(scene: Scene, mass: Mass, key: str) -> None:

@@ -28,6 +28,17 @@ RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
 
 
+ROUGH = "rough"
+"""Friction of a surface as rough as the grains: nothing slides on it, the material shears above it."""
+NO_SLIP = 1.0e9
+"""Coulomb coefficient that stands for it: times no pressure it is none."""
+
+
+def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
+    """Coulomb coefficient [-] of a surface: a number as it is, `rough` where it is as rough as the grains."""
+    return rough if isinstance(friction, str) else friction
+
+
 @dataclass(frozen=True, kw_only=True)
 class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
@@ -111,8 +122,8 @@ class Baffle(Record):
     """Extent [m]."""
     turned_deg: float = 0.0
     """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
-    friction: float | None = None
-    """Coulomb coefficient of its faces [-]; the scene's `baffle_friction` where absent."""
+    friction: float | str | None = None
+    """Coulomb coefficient of its faces [-], or "rough"; the scene's `baffle_friction` where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,12 +200,12 @@ class Scene(Record):
     """Gravitational acceleration [m/s^2]."""
     slope_deg: float = 0.0
     """Inclination of the floor [deg], in (-90, 90): downhill is +x; the box is drawn level, gravity tilts instead."""
-    floor_friction: float = 0.0
-    """Coulomb coefficient of the floor y = 0 [-]."""
-    wall_friction: float = 0.0
-    """Coulomb coefficient of every other wall of the box [-]."""
-    baffle_friction: float = 0.0
-    """Coulomb coefficient of the faces of every baffle that names none of its own [-]."""
+    floor_friction: float | str = 0.0
+    """Coulomb coefficient of the floor y = 0 [-], or "rough": as rough as the grains, which then do not slide on it."""
+    wall_friction: float | str = 0.0
+    """Coulomb coefficient of every other wall of the box [-], or "rough"."""
+    baffle_friction: float | str = 0.0
+    """Coulomb coefficient of the faces of every baffle that names none of its own [-], or "rough"."""
     damping: float = 0.0
     """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
     relaxation_time: float | None = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.scene import Scene
+from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
 from gns.units import Units
 
@@ -109,10 +109,10 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "relaxation_time": Quantity(
             [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"
         ),
-        "floor_friction": Quantity([scene.floor_friction]),
-        "wall_friction": Quantity([scene.wall_friction]),
+        "floor_friction": Quantity([coefficient(scene.floor_friction)]),
+        "wall_friction": Quantity([coefficient(scene.wall_friction)]),
         "baffle_friction": Quantity(
-            [scene.baffle_friction if each.friction is None else each.friction for each in baffles]
+            [coefficient(scene.baffle_friction if each.friction is None else each.friction) for each in baffles]
         ),
         "ground_friction": Quantity(roughness),
         "ground_deg": Quantity(steepness, "deg", below=False),

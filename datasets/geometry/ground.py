@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.scene import Domain, Scene, Solid
+from datasets.scene import Domain, Scene, Solid, coefficient
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -40,7 +40,7 @@ def ground_raster(scene: Scene, spacing: float) -> tuple[Floats, Floats, Integer
     axes = [spacing * np.arange(math.ceil(length / spacing - 1.0e-6) + 1) for length in lengths.tolist()]
     plan = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     shape, places = plan.shape[:-1], plan.reshape(-1, len(axes))
-    height, friction, top = highest(scene.solids, scene.domain, places, scene.floor_friction)
+    height, friction, top = highest(scene.solids, scene.domain, places, coefficient(scene.floor_friction, 1.0))
     return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
 
 

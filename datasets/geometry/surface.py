@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from datasets.geometry import planar, spatial
 from datasets.geometry.closed import Body, Floats, Integers, pseudonormals, ring, turned
 from datasets.geometry.ground import CLOSING
-from datasets.scene import Domain, Scene, Solid
+from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient
 
 KEPT = 3.0
 """Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
@@ -83,14 +83,16 @@ def surface_of(scene: Scene) -> Surface | None:
 
 def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each."""
+    frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
     baffles = [
         Solid(
             lower=each.lower,
             size=each.size,
             turned_deg=each.turned_deg,
-            friction=scene.baffle_friction if each.friction is None else each.friction,
+            friction=coefficient(friction, 0.0),
+            contact="no-slip" if friction == ROUGH else "coulomb",
         )
-        for each in scene.baffles
+        for each, friction in zip(scene.baffles, frictions, strict=True)
     ]
     keys = [f"{kind}[{index}]" for kind in ("baffles", "solids") for index in range(len(getattr(scene, kind)))]
     return (*baffles, *scene.solids), tuple(keys)

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.geometry.ground import ground_raster
 from datasets.particles import mass_counts
-from datasets.scene import Scene
+from datasets.scene import Scene, coefficient
 from datasets.trajectory import Floats, Trajectory, open_trajectory, trajectory_files
 
 MOVING = 0.02
@@ -129,15 +129,19 @@ class Surroundings:
             for key in ("lower", "size")
         )
         frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
+        # Sand shears above what is rougher than itself.
+        floor, wall, *others = (
+            coefficient(each, 1.0) for each in (scene.floor_friction, scene.wall_friction, *frictions)
+        )
         return Surroundings(
             size=np.array(scene.domain.size, np.float32),
             gravity=np.array(scene.gravity_vector, np.float32),
-            floor_friction=scene.floor_friction,
-            wall_friction=scene.wall_friction,
+            floor_friction=floor,
+            wall_friction=wall,
             damping=scene.damping,
             baffles=np.concatenate((lower, lower + extent), axis=1),
             baffle_turn=np.radians([each.turned_deg for each in scene.baffles]).astype(np.float32),
-            baffle_friction=np.array(frictions, np.float32),
+            baffle_friction=np.array(others, np.float32),
             ground=ground,
         )
 

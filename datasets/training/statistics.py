@@ -126,5 +126,5 @@ def extremes(values: Sequence[Any]) -> Any:
     """The value that all have, else the smallest and the largest of those that are numbers."""
     if all(value == values[0] for value in values):
         return values[0]
-    numbers = [value for value in values if value is not None]
-    return [min(numbers), max(numbers)]
+    numbers = [value for value in values if isinstance(value, float | int)]
+    return [min(numbers), max(numbers)] if numbers else sorted({str(value) for value in values})

@@ -84,7 +84,7 @@ class Kind:
         if self.form == "baffle_friction" and not scene.baffles:
             raise InputError("expected a scene with baffles, there are none")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a solid")
+            owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def holder(self, scene: Scene | Draft) -> Any:

@@ -103,7 +103,10 @@ class Gradient:
         def scene_at(value: float) -> Scene:
             return dataclasses.replace(self.scene, **{name: value})  # type: ignore[arg-type]
 
-        return self.along(scene_at, getattr(self.scene, name))
+        at = getattr(self.scene, name)
+        if isinstance(at, str):
+            raise InputError(f"expected a number of which there is a derivative, got {at!r}", key=name)
+        return self.along(scene_at, at)
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene.

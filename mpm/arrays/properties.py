@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.particles import Particles
-from datasets.scene import Scene
+from datasets.scene import Scene, coefficient
 from mpm.arrays.layout import Property, Setting
 from mpm.output.request import REST_ENERGY, height
 
@@ -51,8 +51,8 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.FRAME_DT: scene.frame_dt,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
-        Setting.FLOOR_FRICTION: scene.floor_friction,
-        Setting.WALL_FRICTION: scene.wall_friction,
+        Setting.FLOOR_FRICTION: coefficient(scene.floor_friction),
+        Setting.WALL_FRICTION: coefficient(scene.wall_friction),
         Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
         Setting.SEARCH_DISTANCE: search_distance(scene),
         Setting.FACE_DISTANCE: search_distance(scene) + scene.domain.cell,

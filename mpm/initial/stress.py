@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles
-from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers, inside
@@ -148,7 +148,7 @@ class Equilibrium:
         self.mass: Floats = weights.T @ (self.volume * density)
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
-        self.friction = scene.floor_friction
+        self.friction = coefficient(scene.floor_friction)
         self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
         self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
@@ -173,7 +173,7 @@ class Equilibrium:
         free[walls != 0] = False
         rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
-            if isinstance(each.k0, str) and scene.floor_friction > 0.0:
+            if isinstance(each.k0, str) and self.friction > 0.0:
                 rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if each.k0 is not None and (each.release is not None or not isinstance(each.k0, str)):
                 for barrier in barriers(scene, each):

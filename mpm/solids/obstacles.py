@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Domain, Scene
+from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.layout import PADDING, Contact
 from mpm.arrays.properties import CONTACT_WIDTH, search_distance
 
@@ -28,8 +28,6 @@ Integers = NDArray[np.int64]
 
 FIXED_DEPTH = 0.5
 """Depth [cells] from which nodes in a solid are held."""
-NO_SLIP = 1.0e9
-"""Coulomb coefficient that stands for no slip: times no pressure it is none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene
+from datasets.scene import Scene, coefficient
 from datasets.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -68,7 +68,7 @@ class SlidingBlock:
     def of_scene(scene: Scene, friction: float | None = None) -> "SlidingBlock":
         """That of a tilted box with the friction of its floor, or another coefficient [-]."""
         slope = math.radians(scene.slope_deg)
-        coefficient = scene.floor_friction if friction is None else friction
+        mu = coefficient(scene.floor_friction) if friction is None else friction
         return SlidingBlock(
             acceleration=scene.gravity * max(0.0, math.sin(slope) - coefficient * math.cos(slope)),
         )
