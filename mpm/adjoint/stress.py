@@ -238,7 +238,7 @@ def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template
 def fell_alike(s: ti.template(), t: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
     """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (`mpm.physics.mohr_coulomb`, B)."""
     if ti.static(features.cohesive):
-        sin_phi, limit = strengths_at_rate(s[0], s[2], strengths, lame, shear, features)
+        sin_phi, limit = strengths_at_rate(s[0], s[1], s[2], strengths, lame, shear, features)
         lowest = (limit * (1.0 + sin_phi) - strengths[2]) / (1.0 - sin_phi)
         return (t[0] >= limit) & (t[1] < limit) & (t[2] > lowest)
     else:

@@ -4,29 +4,26 @@
 
 On the plane that shears the normal stress is the centre P = -(s1 + s3) / 2 of Mohr's circle and the shear stress its
 radius R = (s1 - s3) / 2, where nothing dilates; so sin phi is the measured ratio mu. gamma' is the plastic shear rate
-of that plane. The backward Euler step of `mpm.physics.mohr_coulomb` with this sin phi (in MPM: Dunatunga & Kamrin 2015)
-takes the trial radius R to R - G g with the shear g = gamma' dt, so that with w = (sin phi - mu_s) / (mu_2 - mu_s)
+of that plane. `mpm.physics.mohr_coulomb` returns with slow friction mu_s to (P, R) by a plastic shear g_s in the step
+dt; with more friction (in MPM: Dunatunga & Kamrin 2015) the shear is g = gamma' dt < g_s, where
 
-    R - G g (1 + b sin phi) = P sin phi + c cos phi_s,     g = g_0 w / (1 - w),     g_0 = dt I_0 sqrt(P / rho_s) / d
+    (1 + b mu_s) G (g_s - g) = (sin phi - mu_s) P,     b = dP / (G dg)
 
-where b = (lambda + G) sin psi / G lowers P as the plane dilates (in I the trial P stands). Of the excess over the slow
-strength e = R - P mu_s - c cos phi_s and the most that the rate can add, m = P (mu_2 - mu_s), w is the smaller root of
+b says how P changes as the return goes on: by (lambda + G) sin psi / G on a plane; where two stresses meet at an edge,
+by -1/3 where they are the larger two and by 1/3 where the smaller two, and as they dilate. With w the share of the
+growth, sin phi = mu_s + (mu_2 - mu_s) w, and g = g_0 w / (1 - w), g_0 = dt I_0 sqrt(P / rho_s) / d, backward Euler is
 
-    (m - f) w^2 - (e + m + k) w + e = 0,     k = G g_0 (1 + b mu_s),     f = G g_0 b (mu_2 - mu_s),
+    m w^2 - (e + m + k) w + e = 0,     e = (1 + b mu_s) G g_s,  m = (mu_2 - mu_s) P,  k = (1 + b mu_s) G g_0
 
-in [0, 1] at any step: 0 where nothing yields, e / k where it shears slowly, 1 where it shears very fast. The return
-then has this sin phi on every plane. On an edge of the pyramid, where axis 2 yields too, g is that of the plane alone,
-which is the shear rate there to a fifth. Under tension, P <= 0, there is no I and friction is that of slow shear.
+whose smaller root is in [0, 1] at any step: 0 where nothing yields, about e / k in slow shear and 1 in very fast shear.
+Under tension, P <= 0, there is no I and friction is that of slow shear.
 
 | symbol | variable |
 |---|---|
 | mu_s, mu_2 | sin_phi, sin_phi_limit |
-| sin psi | sin_psi |
-| 2 c cos phi_s | strength |
 | I_0 dt / (d sqrt(rho_s)) | inertial_step |
-| P, R | pressure, radius |
-| e, m, k, f, w | excess, most, slow, bulge, share |
-| lambda, G | lame, shear |
+| P, G g_s, 1 + b mu_s | pressure, shear_return, stiffening |
+| e, m, k, w | excess, most, slow, share |
 """
 
 import taichi as ti
@@ -36,20 +33,12 @@ from mpm.physics.principal import TINY
 
 
 @ti.func
-def sin_phi_at_rate(
-    s1, s3, sin_phi, sin_psi, strength, sin_phi_limit, inertial_step, lame, shear, dilates: ti.template()
-):
-    """sin phi [-] at the rate of shear at which a step returns the trial principal stresses s1 >= s3 [Pa]."""
-    pressure, radius = maximum(0.0 - 0.5 * (s1 + s3), 0.0), 0.5 * (s1 - s3)
-    growth = maximum(sin_phi_limit - sin_phi, 0.0)
-    excess, most = maximum(radius - pressure * sin_phi - 0.5 * strength, 0.0), pressure * growth
-    slow = shear * inertial_step * ti.sqrt(pressure)
-    bulge = 0.0 * slow
-    if ti.static(dilates):
-        dilating = (lame + shear) / shear * sin_psi
-        bulge = slow * dilating * growth
-        slow = slow + slow * dilating * sin_phi
-    # (e + m + k)^2 - 4 (m - f) e without a difference of large numbers.
-    square = (excess - most) * (excess - most) + slow * (slow + 2.0 * (excess + most)) + 4.0 * bulge * excess
+def sin_phi_at_rate(pressure, shear_return, stiffening, sin_phi, sin_phi_limit, inertial_step, shear):
+    """sin phi [-] at the rate of shear of a step that returns by `shear_return` [Pa] to `pressure` [Pa] with mu_s."""
+    pressure, growth = maximum(pressure, 0.0), maximum(sin_phi_limit - sin_phi, 0.0)
+    excess, most = stiffening * shear_return, growth * pressure
+    slow = stiffening * shear * inertial_step * ti.sqrt(pressure)
+    # (e + m + k)^2 - 4 m e without a difference of large numbers.
+    square = (excess - most) * (excess - most) + slow * (slow + 2.0 * (excess + most))
     share = 2.0 * excess / maximum(excess + most + slow + ti.sqrt(square), TINY)
     return ti.select(pressure > 0.0, sin_phi + growth * share, sin_phi)

@@ -153,12 +153,22 @@ def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
 
 
 @ti.func
-def strengths_at_rate(s1, s3, strengths: ti.template(), lame, shear, features: ti.template()):
+def strengths_at_rate(s1, s2, s3, strengths: ti.template(), lame, shear, features: ti.template()):
     """sin phi [-] and T [Pa] at the rate of shear of a step, from `strengths` as `return_principal` takes them."""
     if ti.static(features.inertial):
         sin_phi, sin_psi, strength, limit, sin_phi_limit, inertial_step = strengths
+        t1, _, t3, _, upper, lower = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, features.dilates)
+        high, low = ti.select(upper, 0.5 * (s1 + s2), s1), ti.select(lower, 0.5 * (s2 + s3), s3)
+        shear_return = maximum(0.5 * (high - low - t1 + t3), 0.0)
+        edge = ti.select(upper, 0.0 * s1 - 1.0, ti.select(lower, 0.0 * s1 + 1.0, 0.0 * s1))
+        stiffening = 1.0 + edge / 3.0 * sin_phi
+        if ti.static(features.dilates):
+            on_plane_bulge = (lame + shear) / shear
+            on_edge_bulge = (4.0 * lame + shear * (8.0 / 3.0)) / (shear * (3.0 + edge * sin_psi))
+            bulge = sin_psi * ti.select(upper | lower, on_edge_bulge, on_plane_bulge)
+            stiffening = stiffening + bulge * sin_phi
         now = sin_phi_at_rate(
-            s1, s3, sin_phi, sin_psi, strength, sin_phi_limit, inertial_step, lame, shear, features.dilates
+            0.0 - 0.5 * (t1 + t3), shear_return, stiffening, sin_phi, sin_phi_limit, inertial_step, shear
         )
         if ti.static(features.cohesive):
             # The apex of the steeper cone lies at a lower tension.
@@ -180,7 +190,7 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
     s_i - s_j grows or changes its sign.
     """
     dilates = ti.static(features.dilates)
-    sin_phi, limit = strengths_at_rate(s1, s3, strengths, lame, shear, features)
+    sin_phi, limit = strengths_at_rate(s1, s2, s3, strengths, lame, shear, features)
     sin_psi, strength = strengths[1], strengths[2]
     t1, t2, t3, _, _, _ = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
     open_ = t1 + t2 + t3 >= 0.0

@@ -1,6 +1,6 @@
 """A layer on an incline that has no ends, for tests: three periods in a box, the outer two copies of the middle one.
 
-After every frame the middle period is wrapped and copied; in a frame what the ends of the box disturb does not reach it.
+After every frame the middle period is wrapped and copied; what the ends of the box disturb does not reach it in one.
 """
 
 import math
@@ -29,7 +29,7 @@ STEPS = 12
 
 
 class EndlessLayer:
-    """A layer on a rough floor at `slope_deg`, in static equilibrium, that moves along x by `velocity` [m/s] of y [m]."""
+    """A layer on a rough floor at `slope_deg`, in static equilibrium."""
 
     def __init__(self, material: Material, slope_deg: float, **settings: Any) -> None:
         cell = DEPTH / CELLS

@@ -70,7 +70,7 @@ class SlidingBlock:
         slope = math.radians(scene.slope_deg)
         mu = coefficient(scene.floor_friction) if friction is None else friction
         return SlidingBlock(
-            acceleration=scene.gravity * max(0.0, math.sin(slope) - coefficient * math.cos(slope)),
+            acceleration=scene.gravity * max(0.0, math.sin(slope) - mu * math.cos(slope)),
         )
 
     def displacement(self, time: float) -> float:
