@@ -17,8 +17,10 @@ from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
 
 Array = NDArray[Any]
 
-CONSTANTS = 6
-"""sin phi, sin psi, 2 c cos phi, T, lambda, mu."""
+STRENGTHS = 6
+"""As `mpm.physics.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth."""
+CONSTANTS = STRENGTHS + 2
+"""Then lambda, mu."""
 
 
 def trial_after(stress: Any, a: Any, lame: Any, shear: Any, dimension: int) -> Any:
@@ -35,6 +37,7 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
     real = ti.f32 if features.precision == "f32" else ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
     stresses, gradients, dimension = features.stresses, features.dimension**2, features.dimension
+    count = STRENGTHS if features.inertial else 4
 
     @ti.kernel
     def forwards(x: blocks, y: blocks):
@@ -43,8 +46,8 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             increment = midpoint_increment([x[at + stresses + k] for k in ti.static(range(gradients))], dimension)
             p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
             old = [x[at + k] for k in ti.static(range(stresses))]
-            trial = trial_stress(old, increment, p[4], p[5], dimension)
-            new = plastic_return(trial, [p[0], p[1], p[2], p[3]], p[4], p[5], features)
+            trial = trial_stress(old, increment, p[6], p[7], dimension)
+            new = plastic_return(trial, [p[k] for k in ti.static(range(count))], p[6], p[7], features)
             for k in ti.static(range(stresses)):
                 y[e * stresses + k] = new[k]
 
@@ -55,10 +58,11 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             old = [x[at + k] for k in ti.static(range(stresses))]
             a = [x[at + stresses + k] for k in ti.static(range(gradients))]
             p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
-            elastic = ti.static([Pullback(trial_after, (old, a, p[4], p[5]), (dimension,))])[0]
+            elastic = ti.static([Pullback(trial_after, (old, a, p[6], p[7]), (dimension,))])[0]
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
+            strengths = [p[k] for k in ti.static(range(count))]
             trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
-                bar, elastic.values, [p[0], p[1], p[2], p[3]], p[4], p[5], bar[0], bar[0], features
+                bar, elastic.values, strengths, p[6], p[7], bar[0], bar[0], features
             )
             found = ti.static(elastic(trial_bar))
             for k in ti.static(range(stresses)):
@@ -66,10 +70,10 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             for k in ti.static(range(gradients)):
                 result[at + stresses + k] = found[1][k]
             at = at + stresses + gradients
-            for k in ti.static(range(4)):
+            for k in ti.static(range(count)):
                 result[at + k] = strengths_bar[k]
             for k in ti.static(range(2)):
-                result[at + 4 + k] = moduli_bar[k] + found[2 + k]
+                result[at + STRENGTHS + k] = moduli_bar[k] + found[2 + k]
 
     return forwards, backwards
 

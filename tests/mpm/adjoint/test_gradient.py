@@ -28,6 +28,7 @@ SOFTENING = Material(
     residual_cohesion=100.0,
     residual_tension_cutoff=20.0,
 )
+FAST_SHEAR = {"friction_limit_deg": 45.0, "grain_diameter": 5.0e-3, "inertial_number": 0.2}
 LEAVING = (
     Mass(lower=(0.785, 0.0), size=(0.2, 0.2), velocity=(2.0, 0.0)),
     Mass(lower=(0.01, 0.0), size=(0.1, 0.2), velocity=(-2.0, -0.3)),
@@ -79,6 +80,12 @@ SCENES = {
     "dilating sand": plane(dataclasses.replace(SAND, dilation_deg=10.0), masses=FALLING, duration=0.04),
     "weak soil": plane(WEAK, masses=FALLING, duration=0.04),
     "sand before a baffle": plane(SAND, masses=FALLING, baffles=(BEHIND,), duration=0.04),
+    "friction of the rate": plane(dataclasses.replace(WEAK, dilation_deg=5.0, **FAST_SHEAR), slope_deg=20.0),
+    "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.03),
+    "sand, friction of the rate": plane(dataclasses.replace(SAND, **FAST_SHEAR), masses=FALLING, duration=0.04),
+    "3D sand, friction of the rate": room(
+        dataclasses.replace(SAND, angle="slope", **FAST_SHEAR | {"friction_limit_deg": 38.0}), masses=THROWN_3D
+    ),
     "3D sand": room(SAND, masses=THROWN_3D, duration=0.03),
     "3D weak soil": room(WEAK, masses=THROWN_3D, duration=0.03),
     "baffle": plane(**BAFFLED, duration=0.04),
@@ -94,6 +101,7 @@ FAST = ("2D",)
 MATERIAL = {
     **{"friction_deg": 1e-2, "young": 1e3, "poisson": 1e-4, "density": 1.0, "cohesion": 1.0, "tension_cutoff": 1e-1},
     **{"dilation_deg": 1e-2, "residual_friction_deg": 1e-2, "residual_cohesion": 1.0, "softening_length": 1e-6},
+    **{"friction_limit_deg": 1e-2, "inertial_number": 1e-4, "grain_diameter": 1e-6, "grain_density": 1.0},
 }
 SETTINGS = {"floor_friction": 1e-3, "wall_friction": 1e-3, "gravity": 1e-2, "slope_deg": 1e-2, "damping": 1e-4}
 
@@ -134,7 +142,12 @@ def derivatives(
         change = moved(name, direction)
         yield name, float((ours * direction).sum()), lambda h, change=change: value(scene, change(h)), step
     for name, step in MATERIAL.items():
-        if getattr(scene.material, name) and not (name == "young" and any(each.release for each in scene.masses)):
+        inertial = name in ("inertial_number", "grain_density") and not scene.material.friction_limit_deg
+        if (
+            getattr(scene.material, name)
+            and not inertial
+            and not (name == "young" and any(each.release for each in scene.masses))
+        ):
 
             def with_material(h: float, name: str = name) -> float:
                 material = dataclasses.replace(scene.material, **{name: getattr(scene.material, name) + h})
