@@ -11,10 +11,11 @@
 | `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
 | `solids[I].friction` | - | Coulomb coefficient of solid I |
 | `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
+| `friction_limit_deg`, `inertial_number` | deg, - | of mu(I), of the material, shared or of `masses[I]` |
 | `masses[I].k0` | - | ratio of the initial stresses of mass I |
 | `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
 
-The last three rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
+The last four rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
@@ -37,6 +38,7 @@ from inverse.parameters.kind import (
     Extent,
     Height,
     Kind,
+    RateOfShear,
     Residual,
     Vector,
     Velocity,
@@ -50,6 +52,8 @@ _MATERIAL = (
     Constant(form="young", unit="Pa", digits=0, step=1.0e5, order=0),
     Residual(form="residual_friction_deg", unit="deg", digits=2, step=0.5, order=1),
     Residual(form="residual_cohesion", unit="Pa", digits=1, step=10.0, order=1),
+    RateOfShear(form="friction_limit_deg", unit="deg", digits=2, step=0.5, order=1),
+    RateOfShear(form="inertial_number", unit="-", digits=3, step=0.02, order=1),
 )
 _COEFFICIENTS = {
     "floor_friction": inputs.floor_friction,

@@ -200,6 +200,15 @@ class Residual(Constant):
         return float(getattr(holder, self.key.removeprefix("residual_")) if known is None else known)
 
 
+class RateOfShear(Constant):
+    """A number of mu(I), where friction grows with the rate of shear."""
+
+    def check(self, scene: Scene) -> None:
+        super().check(scene)
+        if self.material(scene).friction_limit_deg is None:
+            raise InputError("expected a material with a friction_limit_deg, its friction does not grow with the rate")
+
+
 class Extent(Kind):
     """Extent of a baffle [m]: upwards from its foot, else about its centre."""
 

@@ -13,7 +13,9 @@ from inverse.problem import read_problem
 COLUMN = read_problem("friction-tall-42").scene
 SOFT = dataclasses.replace(
     COLUMN,
-    material=dataclasses.replace(COLUMN.material, softening_length=0.05),
+    material=dataclasses.replace(
+        COLUMN.material, softening_length=0.05, friction_limit_deg=50.0, grain_diameter=1.0e-3
+    ),
     masses=(dataclasses.replace(COLUMN.masses[0], k0=0.5, size=(0.2, 0.4)),),
     baffles=(Baffle(lower=(0.6, 0.0), size=(0.05, 0.1)),),
 )
@@ -25,6 +27,8 @@ SOFT = dataclasses.replace(
         ("young", 5.0e6, "Pa"),
         ("residual_friction_deg", 25.0, "deg"),
         ("residual_cohesion", 20.0, "Pa"),
+        ("friction_limit_deg", 55.0, "deg"),
+        ("inertial_number", 0.4, "-"),
         ("masses[0].k0", 0.8, "-"),
         ("masses[0].height", 0.3, "m"),
     ],
@@ -45,6 +49,7 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
     [
         ("baffle_friction", "there are none"),
         ("residual_cohesion", "softening_length"),
+        ("inertial_number", "friction_limit_deg"),
         ("masses[0].k0", "k0 is a number"),
     ],
 )
