@@ -33,7 +33,7 @@ of its width. Cells must be smaller than G softening_length / (peak - residual s
 The step uses the strength of the plastic strain at its start.
 
 **Which angle.** "triaxial": phi of Mohr and Coulomb itself. "slope": measured on the plane that shears, as by a tilted
-table, a heap, an avalanche or a direct shear box. Where stress and strain rate share their axes (Davis 1968)
+table, a pile, an avalanche or a direct shear box. Where stress and strain rate share their axes (Davis 1968)
 
     tan(angle) = sin phi cos psi / (1 - sin phi sin psi),   so   sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
 
