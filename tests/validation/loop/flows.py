@@ -44,6 +44,7 @@ def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
         velocity0=np.zeros((len(x), 2), np.float32),
         friction=np.full(len(x), scene.material.friction, np.float32),
         scene=scene,
+        summary={"remarks": ["the sand still moves"]},
     )
 
 

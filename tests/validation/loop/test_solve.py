@@ -20,7 +20,7 @@ from validation.loop.solve import solve
 RESULT_KEYS = {
     *("problem", "verdict", "unknowns", "certainty", "answers", "combinations", "check", "discrepancy", "truth"),
     *("error_pct", "observation", "loss", "mpm_runs", "iterations", "sampling", "surrogate", "seconds"),
-    "peak_memory_mib",
+    *("remarks", "peak_memory_mib"),
 }
 
 
@@ -182,6 +182,8 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     report = (out / "report.md").read_text()
     assert "The MPM confirms" in report
+    assert result["remarks"] == ["the sand still moves"]
+    assert "At the answer: the sand still moves." in report
     for picture in ("deposit.png", "posterior.png"):
         assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
