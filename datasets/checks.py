@@ -141,12 +141,12 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
         parts = turn if isinstance(turn, tuple) else (turn,)
         ok = len(parts) in {2: (1,), 3: (1, 3)}[dimension] and all(map(usual, parts))
         require(ok, f"{key}.angular_velocity", "a finite number in rad/s, in 3D that or 3 components", list(parts))
-    for name, given in (("k0", k0), ("release", release)):
-        box = given is None or mass.kind == "box"
-        require(box, f"{key}.{name}", f"none of a {mass.kind}, which is no box", repr(given))
+    box = release is None or mass.kind == "box"
+    require(box, f"{key}.release", f"none of a {mass.kind}, which is no box", repr(release))
     if isinstance(k0, str):
         require(k0 == "elastic", f"{key}.k0", "a ratio of stresses or 'elastic'", repr(k0))
     elif k0 is not None:
+        require(mass.kind in ("box", "layer"), f"{key}.k0", f"'elastic' of a {mass.kind}, no box and no layer", k0)
         require(0.0 <= k0 <= FARTHEST, f"{key}.k0", "a ratio of at least 0", k0)
     if isinstance(release, str):
         require(release == "settled", f"{key}.release", "a time in s or 'settled'", repr(release))

@@ -13,7 +13,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from datasets.particles import Particles
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 from mpm.arrays.layout import Contact
 from mpm.output.smoothing import support
 from mpm.solids.obstacles import initial_contacts, obstacles_in
@@ -39,6 +39,11 @@ def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArra
     return matrix(found.weight), sparse.vstack(slopes).tocsr(), nodes
 
 
+def clings(mass: Mass) -> bool:
+    """Whether rough ground holds `mass` along itself: all but geostatic boxes, whose sides smooth barriers hold."""
+    return mass.kind == "layer" or isinstance(mass.k0, str)
+
+
 class ContactOperator:
     """Contact of the particles `chosen` of a scene; n nodes, D dimensions, M of N chosen particles touch a solid."""
 
@@ -57,8 +62,8 @@ class ContactOperator:
         here = found[self.touching]
         self.delta, self.adhesion = here[:, Contact.DELTA], here[:, Contact.ADHESION]
         self.normal = here[:, Contact.NORMAL : Contact.NORMAL + dimension]
-        elastic = np.array([isinstance(mass.k0, str) for mass in scene.masses])[particles.mass[chosen]]
-        self.friction = np.where(elastic[self.touching], here[:, Contact.FRICTION], 0.0)
+        rough = np.array([clings(mass) for mass in scene.masses])[particles.mass[chosen]]
+        self.friction = np.where(rough[self.touching], here[:, Contact.FRICTION], 0.0)
         self.share = particles.volume[chosen][self.touching] * self.delta
         lever = here[:, Contact.DISTANCE, None] * self.normal
         foot = weights.tocsr()[self.touching]

@@ -16,9 +16,9 @@ displacements u through the gradient that the kernel uses,
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it would
 have to be pulled, nor across a barrier (`mpm.initial.barriers`); under an elastic mass a rough floor holds it
-altogether. A geostatic mass stands between smooth barriers on all its lateral faces. Solids push as in
-`mpm.physics.contact`, by whose law they are part of C_p and of K, with shear tractions where they are rough and the
-mass elastic.
+altogether. A geostatic box stands between smooth barriers on all its lateral faces; a geostatic layer is held by rough
+ground as an elastic mass is. Solids push as in `mpm.physics.contact`, by whose law they are part of C_p and of K, with
+shear tractions where they are rough and hold a mass. Where bodies touch them K has a little inertia (`INERTIA`).
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
 violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves
@@ -44,7 +44,7 @@ from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers, inside
-from mpm.initial.grid_operators import ContactOperator, gradient_matrices
+from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +68,9 @@ SOFTENED, SOFTEST = 0.1, 1.0e-3
 """Factor on theta of a particle that yields, and its least value."""
 ACCURACY = 1.0e-2
 """Relative residual of a solution; what is left belongs to the next one."""
+INERTIA = 0.01
+"""Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
+cannot hold fall there, in place of loading these particles without bound."""
 WEAK = 0.4
 """Of the largest nodal mass: lighter nodes are solved for directly."""
 SHIFT = 1.0e-9
@@ -104,19 +107,19 @@ def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
         if mass.k0 is None or isinstance(mass.k0, str):
             continue
         selected = particles.mass == number
-        vertical = -overburden(scene, mass, positions[selected])
+        vertical = -overburden(scene, mass, positions[selected], particles.depth[selected])
         stress[selected] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
     return stress
 
 
-def overburden(scene: Scene, mass: Mass, positions: Floats) -> Floats:
-    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n].
+def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
+    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
 
     It counts masses that rest on it without a gap and have a `k0` themselves: others bear nothing yet, and so press on
     nothing.
     """
     gravity = -scene.gravity_vector[1]
-    top = np.full(len(positions), mass.lower[1] + mass.size[1])
+    top = positions[:, 1] + depth if mass.kind == "layer" else np.full(len(positions), mass.lower[1] + mass.size[1])
     load = scene.material_of(mass).density * (top - positions[:, 1])
     level = [axis for axis in range(scene.dimension) if axis != 1]
     for above in sorted(scene.masses, key=lambda each: each.lower[1]):
@@ -154,6 +157,10 @@ class Equilibrium:
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
+        height = float(np.ptp(positions[chosen, 1])) + scene.domain.cell
+        slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
+        touches = len(self.contact.touching) > 0
+        self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
     def boundaries(
         self, scene: Scene, weights: Any, mass: NDArray[np.int32]
@@ -173,9 +180,9 @@ class Equilibrium:
         free[walls != 0] = False
         rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
-            if isinstance(each.k0, str) and self.friction > 0.0:
+            if clings(each) and self.friction > 0.0:
                 rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
-            if each.k0 is not None and (each.release is not None or not isinstance(each.k0, str)):
+            if each.k0 is not None and (each.release is not None or not clings(each)):
                 for barrier in barriers(scene, each):
                     self.behind_barriers[inside(barrier.nodes, self.nodes), barrier.axis] = True
         free[self.behind_barriers] = False
@@ -263,13 +270,13 @@ class Equilibrium:
         return np.asarray(change + pressure[:, None, None] * np.eye(3))
 
     def stiffness(self, displacements: Floats) -> Floats:
-        """K u [N], shape [n, D], zero where a node is held."""
+        """(K + inertia) u [N], shape [n, D], zero where a node is held."""
         change = self.elastic(displacements)
         flux = (self.volume[:, None, None] * change)[:, : self.dimension, : self.dimension]
         force = self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension)
         shear = self.contact.shear_traction(displacements, self.theta * self.shear)
         force -= self.contact.force(self.contact.normal_stress(change), shear)
-        return np.where(self.free, force, 0.0)
+        return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
         """`stress` without tension beyond the limit, then scaled towards its mean until Mohr-Coulomb admits it.
@@ -301,7 +308,7 @@ class Equilibrium:
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear
-        diagonal += self.contact.diagonal(*contact)
+        diagonal += self.contact.diagonal(*contact) + self.inertia
         inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
         parts = [matrix[:, self.direct].tocsr() for matrix in each]
         used = np.flatnonzero(np.diff(parts[0].indptr))
@@ -317,6 +324,7 @@ class Equilibrium:
             ]
         ).tocsr()
         block = block + self.contact.block(*contact, self.direct)
+        block = block + sparse.diags_array(np.tile(self.inertia[self.direct, 0], dimension))
         # Components of a node side by side: the factorisation then orders nodes, not components.
         order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()
