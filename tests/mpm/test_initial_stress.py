@@ -130,19 +130,26 @@ def test_strength_that_grows_with_depth_bears_a_column() -> None:
 
 
 SILT = Material(friction_deg=30.0, cohesion=2.0e4, young=2.0e7)
+STONE = Material(friction_deg=30.0, cohesion=1.0e5, young=6.0e7, density=2400.0)
 WEDGE = ((0.0, 0.0), (8.0, 0.0), (4.0, 5.0), (0.0, 5.0))
 CAP = ((0.5, 5.0), (3.0, 5.0), (2.5, 6.0), (1.0, 6.0))
 HILL = Solid(kind="terrain", points=((0.0, 4.0), (3.0, 4.0), (9.0, 1.0), (12.0, 1.0)), friction=0.8)
 
 
 def on_ground(*masses: Mass, **changes: object) -> Scene:
-    scene = Scene(domain=Domain(size=(12.0, 7.0), cell=0.25), material=SILT, masses=masses, duration=0.5)
-    return dataclasses.replace(scene, floor_friction=1.0, frame_dt=0.01, **changes)  # type: ignore[arg-type]
+    settings = {"domain": Domain(size=(12.0, 7.0), cell=0.25), "duration": 0.5, "frame_dt": 0.01} | changes
+    return Scene(material=SILT, masses=masses, floor_friction=1.0, **settings)  # type: ignore[arg-type]
 
 
 STANDING = {
     "polygon": (on_ground(Mass(kind="polygon", vertices=WEDGE, k0="elastic")), 1.0e-9),
-    "stacked": (on_ground(*(Mass(kind="polygon", vertices=v, k0="elastic") for v in (WEDGE, CAP))), 1.0e-9),
+    "two materials": (
+        on_ground(
+            Mass(kind="polygon", vertices=WEDGE, k0="elastic"),
+            Mass(kind="polygon", vertices=CAP, k0="elastic", material=STONE),
+        ),
+        1.0e-9,
+    ),
     # Particles at the surface of the ground cannot all be balanced there.
     "layer on a slope": (on_ground(Mass(kind="layer", thickness=1.5, k0=0.5), solids=(HILL,)), 0.015),
 }
