@@ -18,7 +18,7 @@ from datasets import checks as checks
 from datasets.errors import InputError
 from datasets.library import read_scene, write_scene
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid, Stage
 from datasets.trajectory import Trajectory, read_trajectory
 
 __version__ = "0.1.0"
@@ -30,6 +30,7 @@ __all__ = [
     "Material",
     "Scene",
     "Solid",
+    "Stage",
     "Trajectory",
     "read_scene",
     "read_trajectory",

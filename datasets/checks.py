@@ -1,11 +1,12 @@
 """What a scene must fulfil to be simulated, each key with what is expected of it. A new scene runs these checks."""
 
+import dataclasses
 import math
 import warnings
 
 from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES
-from datasets.geometry.shapes import FARTHEST, check_solid, check_vector, require, usual
+from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, require, usual
 from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene
 
 MOST_CELLS = 2**31 - 1
@@ -118,6 +119,7 @@ def check(scene: Scene) -> None:
     count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
     require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
     check_fields(scene)
+    check_stages(scene)
     from datasets.geometry.placement import check_overlaps
 
     check_overlaps(scene)
@@ -148,17 +150,46 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
     elif k0 is not None:
         require(mass.kind in ("box", "layer"), f"{key}.k0", f"'elastic' of a {mass.kind}, no box and no layer", k0)
         require(0.0 <= k0 <= FARTHEST, f"{key}.k0", "a ratio of at least 0", k0)
-    if isinstance(release, str):
-        require(release == "settled", f"{key}.release", "a time in s or 'settled'", repr(release))
-    elif release is not None:
-        frames = release / scene.frame_dt
-        expected = f"a positive whole number of frames of {scene.frame_dt:g} s"
-        require(whole(frames), f"{key}.release", expected, release)
-        early = round(frames) < scene.frames - 1
-        require(early, f"{key}.release", f"a time before the end at {scene.duration:g} s", release)
     if release is not None:
+        check_time(scene, release, f"{key}.release")
         still = not any(velocity or ())
         require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
+
+
+def check_time(scene: Scene, time: float | str, key: str) -> None:
+    """Raise InputError unless something can happen then: at the end of a frame before the last, or once settled."""
+    if isinstance(time, str):
+        require(time == "settled", key, "a time in s or 'settled'", repr(time))
+        return
+    frames = time / scene.frame_dt
+    require(whole(frames), key, f"a positive whole number of frames of {scene.frame_dt:g} s", time)
+    require(round(frames) < scene.frames - 1, key, f"a time before the end at {scene.duration:g} s", time)
+
+
+def check_stages(scene: Scene) -> None:
+    """Raise InputError for stages that are out of order, are for no mass or place, or make no material."""
+    materials = {scene.material_of(mass) for mass in scene.masses}
+    for index, stage in enumerate(scene.stages):
+        key, dimension = f"stages[{index}]", scene.dimension
+        check_time(scene, stage.time, f"{key}.time")
+        before = scene.stages[index - 1].time if index else 0.0
+        later = isinstance(stage.time, str) or (not isinstance(before, str) and stage.time > before)
+        require(later, f"{key}.time", "times in ascending order, then 'settled'", f"{stage.time} after {before!r}")
+        masses = range(len(scene.masses))
+        require(stage.mass is None or stage.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", stage.mass)
+        for name, other in (("lower", "size"), ("size", "lower")):
+            vector = getattr(stage, name)
+            paired = vector is not None or getattr(stage, other) is None
+            require(paired, f"{key}.{name}", f"lower and size together, {other} is given", "none")
+            if vector is not None:
+                check_vector(vector, f"{key}.{name}", dimension)
+        if stage.outline is not None:
+            check_rows(stage.outline, f"{key}.outline", dimension - 1, least=dimension)
+        require(bool(stage.values), key, "a constant of the material that changes", "none")
+        try:
+            materials |= {dataclasses.replace(material, **stage.values) for material in materials}
+        except InputError as error:
+            raise InputError(error.message, key=error.key.replace("material", key, 1)) from None
 
 
 def check_fields(scene: Scene) -> None:

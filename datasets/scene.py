@@ -171,6 +171,40 @@ class Solid(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Stage(Record):
+    """What the material of some particles becomes at a time: it stands first, then it loses its strength.
+
+    For example:
+
+        Stage(time="settled", cohesion=0.0)
+        Stage(time=2.0, mass=1, outline=((4.0,), (6.0,)), friction_deg=18.0)  # 2D: from x = 4 to 6 m
+    """
+
+    time: float | str
+    """When it begins [s], or "settled": when nothing moves any more since the stage before."""
+    mass: int | None = None
+    """Index of the one mass whose particles it is for; all where absent."""
+    lower: Vector | None = None
+    """Lower corner of a box [m]: it is for particles that began in it."""
+    size: Vector | None = None
+    """Extent of this box [m]."""
+    outline: Rows | None = None
+    """The same in plan: corners x, z of a polygon, in 2D two x [m]."""
+    friction_deg: float | None = None
+    """From then on the material's; as it was where absent, and so the others."""
+    dilation_deg: float | None = None
+    cohesion: float | None = None
+    strength_gradient: float | None = None
+    tension_cutoff: float | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The constants that it changes."""
+        names = ("friction_deg", "dilation_deg", "cohesion", "strength_gradient", "tension_cutoff")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scene(Record):
     """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
 
@@ -187,6 +221,8 @@ class Scene(Record):
     masses: tuple[Mass, ...]
     fields: tuple[Field, ...] = ()
     """What varies over the particles at the start: friction, velocities (`datasets.field`)."""
+    stages: tuple[Stage, ...] = ()
+    """When material changes, one after the other."""
     baffles: tuple[Baffle, ...] = ()
     solids: tuple[Solid, ...] = ()
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""

@@ -14,6 +14,7 @@ from mpm.arrays.batch import Array, Batch
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.arrays.table import VIEWS
+from mpm.initial.stages import begin_stages, call_end, next_stage
 from mpm.kernel import Phase
 
 RETURNED = (
@@ -58,12 +59,18 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
                 device["step_control"].from_numpy(step_control)
             call_kernel(Phase.STEP, last=largest)
         batch.offsets[:, Offset.STEPS] += steps
+        call_end(batch, frame)
         device["offsets"].from_numpy(batch.offsets)
         call_kernel(Phase.RECORD, first=frame)
         batch.computed = frame
         if not batch.in_kernel and any(batch.recording.slot(frame, each.frames) is not None for each in batch.scenes):
             batch.state[...] = device["state"].to_numpy().reshape(batch.state.shape)
             batch.keep(frame)
+        if any(next_stage(batch, index) for index in range(len(batch.scenes))):
+            batch.state[...] = device["state"].to_numpy().reshape(batch.state.shape)
+            batch.energy[...] = device["energy"].to_numpy().reshape(batch.energy.shape)
+            begin_stages(batch)
+            device["state"].from_numpy(batch.state.reshape(-1))
         bar.update()
     for name in RETURNED:
         arguments[name][...] = device[name].to_numpy().reshape(arguments[name].shape)

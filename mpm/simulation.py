@@ -28,6 +28,7 @@ from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import FRAMES_PER_CALL, Offset, Precision
 from mpm.device import run_on_device
 from mpm.footprint import footprint, require_memory
+from mpm.initial.stages import begin_stages, call_end
 from mpm.kernel import Phase, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import trajectory
@@ -211,8 +212,8 @@ def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bo
 def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
-    A call ends where particles are sorted, in the same frames wherever a run was interrupted, and where a frame is kept
-    that the kernel does not record.
+    A call ends where particles are sorted, in the same frames wherever a run was interrupted, where a frame is kept
+    that the kernel does not record, and where a stage may begin.
     """
     end = max(scene.frames for scene in batch.scenes)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
@@ -222,6 +223,7 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
         last = min(first + most, first + FRAMES_PER_CALL - since_sorted, end)
         if (every := batch.recording.every) > 0 and not batch.in_kernel:
             last = min(last, first + every - (first - 1) % every)
+        last = min(last, call_end(batch, first))
         for index, particles in enumerate(batch.particles):
             if since_sorted == 0 and len(particles.positions) >= SORTED:
                 batch.sort(index)
@@ -229,6 +231,7 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1
         batch.keep(first)
+        begin_stages(batch)
         bar.update(last - first)
 
 

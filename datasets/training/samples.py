@@ -82,6 +82,7 @@ def check_known(scene: Scene, who: str, where: str = "") -> None:
     densities = {scene.material_of(mass).density for mass in scene.masses}
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
+        (bool(scene.stages), "stages", "a material that stays as it is"),
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
         (len(densities) > 1, "masses", "masses of one density"),
     ]

@@ -106,6 +106,8 @@ class Tape:
         if any(features_of([scene], precision, record=LAST) != features for scene in scenes):
             raise InputError("expected scenes of one kind: each has what every other has, contact, damping, ...")
         check(features)
+        if any(scene.stages for scene in scenes):
+            raise InputError("expected a scene without stages, of which the adjoint has no reverse", key="stages")
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
         self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)

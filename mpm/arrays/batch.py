@@ -137,6 +137,8 @@ class Batch:
         self.computed = 0
         self.record = [self.empty_record(index) for index in range(len(scenes))]
         """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
+        self.staged = np.zeros((len(scenes), max(1, *(len(each.stages) for each in scenes))), np.int32)
+        """The frame in which each stage of each scene began, 0 where it has not."""
         for index in range(len(scenes)):
             self.fill(index)
 

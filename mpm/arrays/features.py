@@ -179,12 +179,14 @@ def features_of(
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
+    stages = [stage for scene in scenes for stage in scene.stages]
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
         damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(material.cohesive for material in materials),
-        dilates=any(material.dilation_deg > 0.0 for material in materials),
+        cohesive=any(each.cohesive for each in materials)
+        or any(stage.cohesion or stage.strength_gradient for stage in stages),
+        dilates=any(each.dilation_deg for each in materials) or any(stage.dilation_deg for stage in stages),
         softens=any(material.softening_length is not None for material in materials),
         inertial=any(material.friction_limit_deg is not None for material in materials),
         volume_correction=any(remembers_gaps(scene) for scene in scenes),
@@ -202,10 +204,11 @@ def features_of(
 
 
 def varies(scene: Scene) -> bool:
-    """Whether a scene has several materials, or particles of several volumes, frictions or strengths."""
+    """Whether a scene has several materials or stages, or particles of several volumes, frictions or strengths."""
     materials = {scene.material_of(mass) for mass in scene.masses}
     return (
         len(materials) > 1
+        or len(scene.stages) > 0
         or len(set(mass_particle_volumes(scene).tolist())) > 1
         or any(field.quantity == FRICTION for field in scene.fields)
         or any(material.strength_gradient > 0.0 for material in materials)

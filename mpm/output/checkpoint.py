@@ -121,6 +121,7 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         "impulse": impulse[: (frame + 1) * solids].reshape(frame + 1, solids, impulse.shape[1]),
         "retained": batch.retained,
         "settling": batch.settling,
+        **({"staged": batch.staged} if batch.scenes[0].stages else {}),
         # Those in a file stay there.
         **({name: each[:kept] for name, each in batch.record[0].items()} if batch.file is None else {}),
     }

@@ -63,10 +63,10 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
 
     Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
-    it was computed; `release_time` [s], when each mass was let go, where barriers hold one; where asked for the
-    momentum that the sides of the box and the barriers have taken up to each frame [N s], `side_impulse` of each and
-    their sum `wall_impulse`; `outflow` [kg] through each open side; `wall_s` of all scenes that ran together,
-    compilation apart.
+    it was computed; `release_time` [s], when each mass was let go, where barriers hold one; `stage_time` [s], when each
+    stage began, None where it did not; where asked for the momentum that the sides of the box and the barriers have
+    taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`; `outflow` [kg] through each open
+    side; `wall_s` of all scenes that ran together, compilation apart.
     """
     if (failed := failure(batch, index)) is not None:
         return failed
@@ -115,6 +115,12 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     end_time = summary["end_time"]
     kinetic = energies[:, Energy.KINETIC]
     summary["remarks"] = remarks(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
+    if scene.stages:
+        begun = batch.staged[index, : len(scene.stages)]
+        summary["stage_time"] = [frame * scene.frame_dt or None for frame in begun.tolist()]
+        if not begun.all():
+            waiting = f"stages[{np.count_nonzero(begun)}] did not begin: by t = {end_time:g} s"
+            summary["remarks"].append(f"{waiting} the scene had not settled")
     return Trajectory(
         positions=positions,
         time=np.array(kept, np.float64) * scene.frame_dt,
