@@ -1,0 +1,164 @@
+"""The factor of safety of a slope, by reduction of its strength.
+
+    found = safety_factor(read_scene("slope.toml"))
+    found.factor, found.stands, found.moves        # 1.36, of which 1.35 and 1.37 were tried
+
+The factor F of Bishop (1955) is that by which tan(phi) and c may be divided before the slope moves (Zienkiewicz,
+Humpheson & Lewis 1975; Griffiths & Lane, Geotechnique 49, 1999). Each run begins under the weight of the bodies, in
+equilibrium within the reduced strength as far as there is one (`mpm.initial.stress`), and goes on for a TIME
+sqrt(H / g), H their height, with local DAMPING, which moves no limit of equilibrium. It **moves** if a hundredth of the
+particles is then farther than MOVED elastic settlements
+
+    u = rho g H^2 / (2 M),     M the modulus of one-dimensional compression,
+
+from where it began. A slope that stands yields here and there and gets 1 to 4 u away; beyond its limit it is tens of u.
+
+**What a run changes.** One particle a cell and no jitter: four particles ask more of the incompressible flow of a cell
+than its nodes can give, and the slope seems stronger the coarser it is (Nagtegaal, Parks & Rice 1974). Stiffness, on
+which no limit load depends, such that u = SETTLEMENT H, so that what moves is seen early. Tension cutoff and residual
+strength are reduced as c is, dilation stays below phi; friction of floor and solids is theirs, initial velocities,
+stages and barriers are left out.
+
+**Error over cells** (`tests/mpm/test_safety.py`): cells over the height, factor found over the published one, seconds of
+two threads.
+"""
+
+import dataclasses
+import math
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.field import FRICTION
+from datasets.material import Material
+from datasets.scene import Mass, Scene
+from mpm.arrays.layout import Precision
+from mpm.output.request import Recording, height
+from mpm.simulation import simulate_many
+
+TIME = 6.0
+"""Of a run, over sqrt(H / g)."""
+DAMPING = 0.3
+"""Local damping [-]."""
+MOVED = 5.0
+"""Displacement of a slope that moves, in elastic settlements; about its logarithm between what stands and what fails."""
+SHARE = 0.01
+"""Of the particles that must have moved so far."""
+SETTLEMENT = 4.0e-4
+"""Elastic settlement over the height."""
+FRAMES = 100
+"""Of a run: so often the step follows the speed."""
+FIRST = (0.5, 0.8, 1.25, 2.0)
+"""Factors of the first batch; as many are in every other one."""
+WIDEST = 64.0
+"""Factor, or one over it, beyond which no limit is looked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Safety:
+    """A factor of safety, and the runs that it comes from."""
+
+    factor: float
+    """Geometric mean of the two between which the slope begins to move."""
+    stands: float
+    """The largest factor at which it stands."""
+    moves: float
+    """The smallest at which it moves."""
+    displacements: dict[float, float]
+    """Of each factor tried: how far a hundredth of the particles got at least [elastic settlements]."""
+    cells: float
+    """Over the height of the bodies."""
+    seconds: float
+
+
+def safety_factor(
+    scene: Scene, *, tolerance: float = 0.01, precision: Precision = "f32", threads: int | None = None
+) -> Safety:
+    """The factor of safety of a scene, to a relative `tolerance`; runs of len(FIRST) factors side by side.
+
+    Raises InputError for one without gravity, or that stands, or moves, whatever its strength.
+    """
+    if scene.gravity <= 0.0:
+        raise InputError("expected gravity above 0, nothing moves without", key="gravity")
+    begin, found, factors = time.perf_counter(), dict[float, float](), FIRST
+    stands, moves = 0.0, math.inf
+    while not (stands > 0.0 and moves <= stands * (1.0 + tolerance) ** 2):
+        with warnings.catch_warnings():
+            # That no stress within a strength too low balances gravity is what is looked for.
+            warnings.filterwarnings("ignore", message="no initial stress")
+            scenes = [reduced(scene, factor) for factor in factors]
+            flows = simulate_many(scenes, record=Recording(frames=FRAMES), precision=precision, threads=threads)
+        for factor, flow in zip(factors, flows, strict=True):
+            distance = np.linalg.norm(flow.positions[-1] - flow.positions[0], axis=1)
+            found[factor] = float(np.quantile(distance, 1.0 - SHARE)) / (SETTLEMENT * height(scene))
+        moves = min((factor for factor, far in found.items() if far > MOVED), default=math.inf)
+        stands = max((factor for factor, far in found.items() if far <= MOVED and factor < moves), default=0.0)
+        if stands >= WIDEST or moves <= 1.0 / WIDEST:
+            said = f"stands at {stands:g} times less" if stands else f"moves at {1.0 / moves:g} times its"
+            raise InputError(f"expected a scene with a factor of safety, this one {said} strength", key="masses")
+        if math.isinf(moves) or not stands:
+            scale = FIRST[-1] / FIRST[0] * FIRST[1] / FIRST[0]
+            factors = tuple(factor * scale if stands else factor / scale for factor in factors)
+        else:
+            steps = np.arange(1, len(FIRST) + 1) / (len(FIRST) + 1)
+            factors = tuple((stands * (moves / stands) ** steps).tolist())
+    return Safety(
+        factor=math.sqrt(stands * moves),
+        stands=stands,
+        moves=moves,
+        displacements=dict(sorted(found.items())),
+        cells=height(scene) / scene.domain.cell,
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def reduced(scene: Scene, factor: float) -> Scene:
+    """The scene of a run: its strength over `factor`, under its own weight from the start."""
+    tall, bodies = height(scene), [scene.material_of(mass) for mass in scene.masses]
+    settlement = max(each.density * scene.gravity * tall / (2.0 * each.density * each.wave_speed**2) for each in bodies)
+    frame_dt = TIME * math.sqrt(tall / scene.gravity) / FRAMES
+
+    def weaker(material: Material) -> Material:
+        return weakened(dataclasses.replace(material, young=material.young * settlement / SETTLEMENT), factor)
+
+    def standing(mass: Mass) -> Mass:
+        own = None if mass.material is None else weaker(mass.material)
+        k0 = "elastic" if mass.k0 is None else mass.k0
+        return dataclasses.replace(mass, material=own, k0=k0, velocity=None, angular_velocity=None, release=None)
+
+    angles = [field for field in scene.fields if field.quantity == FRICTION]
+    return dataclasses.replace(
+        scene,
+        material=weaker(scene.material),
+        masses=tuple(standing(mass) for mass in scene.masses),
+        fields=tuple(
+            dataclasses.replace(field, values=tuple(flatter(angle, factor) for angle in field.values))
+            for field in angles
+        ),
+        stages=(),
+        particles_per_axis=1,
+        jitter=0.0,
+        damping=DAMPING,
+        frame_dt=frame_dt,
+        duration=frame_dt * FRAMES,
+    )
+
+
+def flatter(angle: float, factor: float) -> float:
+    """The angle [deg] whose tangent is that of `angle` [deg] over `factor`."""
+    return math.degrees(math.atan(math.tan(math.radians(angle)) / factor))
+
+
+def weakened(material: Material, factor: float) -> Material:
+    """`material` with its strength divided by `factor`: tan(phi), c, tension cutoff, and what remains of them."""
+    angles, strengths = ("friction_deg", "residual_friction_deg"), ("cohesion", "strength_gradient", "tension_cutoff")
+    values = {name: value for name in angles if (value := getattr(material, name)) is not None}
+    values = {name: flatter(value, factor) for name, value in values.items()}
+    for name in (*strengths, "residual_cohesion", "residual_tension_cutoff"):
+        if (value := getattr(material, name)) is not None:
+            values[name] = value / factor
+    dilation = min(material.dilation_deg, values["friction_deg"])
+    return dataclasses.replace(material, dilation_deg=dilation, **values)
