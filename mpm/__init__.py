@@ -25,6 +25,7 @@ except ImportError as error:
 
 if TYPE_CHECKING:
     from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
+    from mpm.safety import safety_factor
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
 
 _RECORDINGS = ("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording")
@@ -36,6 +37,7 @@ __all__ = [
     "WITH_FIELDS",
     "Recording",
     "ScenesFailed",
+    "safety_factor",
     "simulate",
     "simulate_each",
     "simulate_many",
@@ -46,7 +48,8 @@ def __getattr__(name: str) -> Any:
     """Import on first use: processes that only read scenes or resolutions need no Taichi."""
     if name not in __all__:
         raise AttributeError(f"module 'mpm' has no attribute {name!r}")
-    return getattr(import_module("mpm.output.request" if name in _RECORDINGS else "mpm.simulation"), name)
+    home = "output.request" if name in _RECORDINGS else "safety" if name == "safety_factor" else "simulation"
+    return getattr(import_module(f"mpm.{home}"), name)
 
 
 def __dir__() -> list[str]:

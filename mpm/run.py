@@ -1,5 +1,6 @@
 """python -m mpm.run SCENE --out DIR: simulate one scene with the MPM."""
 
+import dataclasses
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,6 +14,7 @@ from datasets.forces import spoken, write_forces
 from datasets.library import read_scene
 from datasets.particles import particle_count
 from datasets.processes import stopping
+from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
@@ -37,8 +39,9 @@ def command(
     vtk: bool = False,
     forces: bool = False,
     hdf5: bool = False,
+    safety: bool = False,
 ) -> int:
-    """Simulate a scene and write its trajectory and a summary.
+    """Simulate a scene and write its trajectory and a summary, or with --safety find its factor of safety.
 
     Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which the same command goes on, the same to the bit as without the
     break.
@@ -70,10 +73,22 @@ def command(
     hdf5
         Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not fit
         into memory, unless fields are recorded too.
+    safety
+        Find the factor by which the strength may be divided before the slope moves, in some twelve runs of the scene on
+        its cells, and write DIR/safety.json in place of a trajectory.
     """
     # Imported here: --help needs no compiler.
     from mpm.simulation import Interrupted, Options, simulate
 
+    if safety:
+        others = {"arch": arch != "cpu", "tolerance": tolerance, "every": every, "last-frame": last_frame}
+        others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
+        if key := next((name for name, given in others.items() if given), ""):
+            raise InputError("expected none beside --safety, which takes --out and --precision alone", key=f"--{key}")
+        try:
+            return write_safety(read_scene(scene), out, precision or "f32")
+        except InputError as error:
+            raise error if error.where else error.at(scene) from None
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))
@@ -137,6 +152,19 @@ def command(
     )
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)
+    return 0
+
+
+def write_safety(scene: Scene, out: Path, precision: Precision) -> int:
+    """Find the factor of safety of a scene; write it, and say it in a line."""
+    from mpm.safety import safety_factor
+
+    found = safety_factor(scene, precision=precision, progress=True)
+    write_json(out / "safety.json", dataclasses.asdict(found))
+    print(
+        f"factor of safety {found.factor:.3f}: stands at {found.stands:.3f}, moves at {found.moves:.3f}; "
+        f"{found.cells:.3g} cells over the height, {len(found.displacements)} runs in {found.seconds:.1f} s"
+    )
     return 0
 
 

@@ -1,0 +1,97 @@
+"""The factor of safety of slopes with published ones."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from datasets.errors import InputError
+from datasets.field import Field
+from datasets.library import write_scene
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from mpm import safety_factor
+from mpm.run import command
+from mpm.safety import reduced
+
+HEIGHT, DENSITY = 10.0, 2000.0
+WEIGHT = DENSITY * 9.81 * HEIGHT
+
+
+def slope(steepness_deg: float, friction_deg: float, cohesion: float, cells: int) -> Scene:
+    """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
+    run = HEIGHT / math.tan(math.radians(steepness_deg))
+    corners = ((0.0, 0.0), (1.2 * HEIGHT + run, 0.0), (1.2 * HEIGHT, HEIGHT), (0.0, HEIGHT))
+    cell = HEIGHT / cells
+    length, tall = (cell * math.ceil(extent / cell) for extent in (1.8 * HEIGHT + run, 1.2 * HEIGHT))
+    return Scene(
+        domain=Domain(size=(length, tall), cell=cell),
+        material=Material(
+            friction_deg=friction_deg,
+            dilation_deg=friction_deg,
+            cohesion=cohesion,
+            density=DENSITY,
+            tension_cutoff=1.0e9,
+        ),
+        masses=(Mass(kind="polygon", vertices=corners),),
+        floor_friction=10.0,
+    )
+
+
+PUBLISHED = {
+    # Taylor (1937), phi = 0; exact bounds of gamma H / c of a vertical cut are 3.7765 and 3.7776 (Pastor et al. 2009)
+    "Taylor, 60 degrees": (slope(60.0, 0.0, 0.191 * WEIGHT, 20), 1.0),
+    "vertical cut": (slope(89.99, 0.0, WEIGHT / 3.777, 20), 1.0),
+    # Bishop & Morgenstern (1960), example 1 of Griffiths & Lane (1999): 1 to 2, c / (gamma H) = 0.05; psi = phi
+    "Bishop and Morgenstern": (slope(math.degrees(math.atan(0.5)), 20.0, 0.05 * WEIGHT, 20), 1.380),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_slopes_within_three_percent(name: str) -> None:
+    scene, factor = PUBLISHED[name]
+    found = safety_factor(scene)
+    assert found.factor == pytest.approx(factor, rel=0.03)
+    assert found.stands < found.factor < found.moves < 1.021 * found.stands
+
+
+def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A coarse slope twice as strong as it needs to be."""
+    write_scene(slope(60.0, 0.0, 2.0 * 0.191 * WEIGHT, 5), tmp_path / "slope.toml")
+    assert command(str(tmp_path / "slope.toml"), out=tmp_path, safety=True) == 0
+    found = json.loads((tmp_path / "safety.json").read_text())
+    assert found["factor"] == pytest.approx(2.0, rel=0.15)
+    assert f"factor of safety {found['factor']:.3f}: stands at" in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"--vtk: expected none beside --safety"):
+        command(str(tmp_path / "slope.toml"), out=tmp_path, safety=True, vtk=True)
+
+
+def test_all_strength_is_reduced_and_nothing_else() -> None:
+    soil = Material(
+        friction_deg=30.0, cohesion=100.0, dilation_deg=25.0, tension_cutoff=9.0, softening_length=0.1,
+        residual_cohesion=10.0, residual_friction_deg=20.0,
+    )  # fmt: skip
+    angles = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(45.0,))
+    scene = dataclasses.replace(slope(60.0, 30.0, 1.0, 10), material=soil, fields=(angles,))
+    half = reduced(scene, 2.0)
+    assert half.material.friction == pytest.approx(0.5 * soil.friction)
+    assert half.material.residual.friction == pytest.approx(0.5 * soil.residual.friction)
+    assert half.material.dilation_deg == half.material.friction_deg
+    residual = half.material.residual_cohesion
+    assert (half.material.cohesion, residual, half.material.tension_cutoff) == (50.0, 5.0, 4.5)
+    assert math.tan(math.radians(half.fields[0].values[0])) == pytest.approx(0.5)
+    assert half.masses[0].k0 == "elastic"
+
+
+def test_what_has_no_factor_of_safety_is_refused() -> None:
+    scene = slope(60.0, 0.0, WEIGHT, 4)
+    with pytest.raises(InputError, match="gravity: expected gravity above 0"):
+        safety_factor(dataclasses.replace(scene, gravity=0.0))
+    level = dataclasses.replace(scene, masses=(Mass(lower=(0.0, 0.0), size=(scene.domain.size[0], 5.0)),))
+    with pytest.raises(
+        InputError, match=r"masses: expected a scene with a factor of safety, this one stands at 81.92 times less"
+    ):
+        safety_factor(level)
