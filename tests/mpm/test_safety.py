@@ -84,6 +84,9 @@ def test_all_strength_is_reduced_and_nothing_else() -> None:
     assert (half.material.cohesion, residual, half.material.tension_cutoff) == (50.0, 5.0, 4.5)
     assert math.tan(math.radians(half.fields[0].values[0])) == pytest.approx(0.5)
     assert half.masses[0].k0 == "elastic"
+    tilted = dataclasses.replace(soil, angle="slope", friction_limit_deg=40.0, grain_diameter=0.001)
+    steep = reduced(dataclasses.replace(scene, material=tilted, fields=()), 2.0).material
+    assert steep.friction == pytest.approx(0.5 * tilted.friction)
 
 
 def test_what_has_no_factor_of_safety_is_refused() -> None:
