@@ -302,7 +302,7 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
     with figure(path, columns=max(1, len(compared)), size=(5.0, 4.0)) as axes:
         for number, each in enumerate(compared):
             axis = pane(axes, 0, number)
-            for by, marker in zip(By, "os^D*", strict=True):
+            for by, marker in zip(By, "os^Dv*", strict=True):
                 for one in each.searches:
                     if one.by is by:
                         # A surrogate's own losses are not the MPM's: its answer alone is shown.
