@@ -150,6 +150,12 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
     elif k0 is not None:
         require(mass.kind in ("box", "layer"), f"{key}.k0", f"'elastic' of a {mass.kind}, no box and no layer", k0)
         require(0.0 <= k0 <= FARTHEST, f"{key}.k0", "a ratio of at least 0", k0)
+    if mass.gate is not None:
+        held = release is not None
+        require(held, f"{key}.gate", "a release at which the gate begins to rise", "none")
+        require(mass.gate.speed > 0.0, f"{key}.gate.speed", "a positive speed in m/s", mass.gate.speed)
+        tau = mass.gate.time_constant
+        require(tau >= 0.0, f"{key}.gate.time_constant", "a time of at least 0 s", tau)
     if release is not None:
         check_time(scene, release, f"{key}.release")
         still = not any(velocity or ())

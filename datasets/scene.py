@@ -60,6 +60,26 @@ class Domain(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Gate(Record):
+    """How the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after the time t.
+
+    For example:
+
+        Mass(lower=(0.0, 0.0), size=(0.2, 0.1), release=0.1, gate=Gate(speed=0.7, time_constant=0.13))
+    """
+
+    speed: float
+    """v [m/s], in the end."""
+    time_constant: float = 0.0
+    """tau [s]; 0: v from the start."""
+
+    def risen(self, time: float) -> float:
+        """How high its foot is [m] at `time` [s] after the release: v (t - tau (1 - exp(-t / tau)))."""
+        tau = self.time_constant
+        return self.speed * (time + tau * math.expm1(-time / tau) if tau > 0.0 else time)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mass(Record):
     """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
 
@@ -98,6 +118,8 @@ class Mass(Record):
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; none where absent."""
     release: float | str | None = None
     """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
+    gate: Gate | None = None
+    """How these barriers then rise; they are gone at once where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:

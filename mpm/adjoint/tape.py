@@ -52,9 +52,11 @@ SPARE = 1.25
 
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    if features.volume_correction and features.softens and features.cohesive:
-        what = "volume_correction of a cohesive material that softens"
-        raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
+    corrected = features.volume_correction and features.softens and features.cohesive
+    unknown = {"volume_correction of a cohesive material that softens": corrected, "a gate": features.gates}
+    for what, there in unknown.items():
+        if there:
+            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
 
 
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:

@@ -50,6 +50,8 @@ class Features(Record):
     """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
+    gates: bool = False
+    """Barriers rise when they open."""
     until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
     register: int = REGISTER
@@ -196,6 +198,7 @@ def features_of(
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
+        gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         until_rest=record.until_rest,
         shared=shared,
         gpu=gpu,

@@ -165,6 +165,8 @@ class Retained(Column):
     RELEASE = auto()  # the frame in which its barriers open; 0: when it has settled
     SETTLED_FRAMES = auto()  # frames in a row in which it was settled
     OPENED = auto()  # the frame in which its barriers opened; 0 while they are closed
+    FOOT = auto()  # the lowest row of nodes that opened barriers still hold: where a gate's foot is
+    TOP = auto()  # the row beyond their highest one
 
 
 class Settling(Column):
@@ -181,6 +183,9 @@ class Settling(Column):
     EARLIER_X = auto()  # momentum in the frame before
     EARLIER_Y = auto()
     EARLIER_Z = auto()
+    GATE_SPEED = auto()  # [m/s]; 0: the barriers are gone at once
+    GATE_TIME = auto()  # its time constant [s]
+    GATE_FOOT = auto()  # where it stands [m]
 
 
 def component(i: int, j: int, dimension: int) -> int:

@@ -2,7 +2,7 @@
 
 A barrier is a smooth vertical wall at a lateral face of a mass: the nodes from the face to `BEYOND` cells outside of it
 have no velocity across it. These are all nodes beyond the face in the support of the mass's own particles, so none of
-it passes. A face that lies on a wall of the box needs no barrier.
+it passes. A face that lies on a wall of the box needs no barrier. Where the mass has a gate all of its barriers rise.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.particles import Particles
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.scene import TOLERANCE, Gate, Mass, Scene
 from mpm.arrays.layout import PADDING, Barrier, Settling
 from mpm.physics.barriers import ENERGY, FORCE
 
@@ -97,11 +97,16 @@ def barrier_tables(
         retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
+        gate = mass.gate or Gate(speed=0.0)
+        retained[-1] += [0, max((int(nodes[1, 1]) for axis, nodes in found if axis < len(Barrier)), default=0)]
         known = {
             Settling.RATE: np.pi * material.wave_speed / height,
             Settling.PARTICLE: material.density * float(particles.volume[own[0]]),
             Settling.MOST_KINETIC: ENERGY * 0.5 * weight * speed**2,
             Settling.MOST_IMPULSE: FORCE * weight * scene.gravity * scene.frame_dt,
+            Settling.GATE_SPEED: gate.speed,
+            Settling.GATE_TIME: gate.time_constant,
+            Settling.GATE_FOOT: mass.lower[1],
         }
         settling.append([known.get(column, 0.0) for column in Settling])
     return held, retained, settling

@@ -10,11 +10,15 @@ that this mode is damped critically. It has settled when in two frames in a row 
 that of the whole mass at the speed g H / c, which gravity gives it in one passage of the wave, and its momentum changes
 by at most FORCE of its weight times the frame. All of it is decided where frames are recorded; scenes where no mass is
 held compile none of it.
+
+Barriers without a gate are gone when they open. A gate rises with the speed v (1 - exp(-t / tau)): at the time t after
+that its foot is z(t) = v (t - tau (1 - exp(-t / tau))) above that of the mass, and the barriers hold the nodes above
+it. It is smooth like them, and moves once a frame, by its place in the middle of the next one.
 """
 
 import taichi as ti
 
-from mpm.arrays.layout import Barrier, Offset, Retained, Settling
+from mpm.arrays.layout import PADDING, Barrier, Offset, Retained, Setting, Settling
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
@@ -33,7 +37,12 @@ def apply_barriers(v, node, scene, dt, arrays: ti.template()):
     first = arrays.offsets[scene, Offset.BARRIER]
     for line in range(first, first + arrays.offsets[scene, Offset.BARRIERS]):
         mass = arrays.barriers[line, Barrier.RETAINED]
-        if arrays.retained[mass, Retained.OPENED] == 0:
+        closed = arrays.retained[mass, Retained.OPENED] == 0
+        if ti.static(features.gates):
+            # Damping ends when the gate begins to rise.
+            above = node[1] >= arrays.retained[mass, Retained.FOOT]
+            closed = closed or (above and arrays.barriers[line, Barrier.AXIS] < ti.static(len(Barrier)))
+        if closed:
             among = 1
             for k in ti.static(range(features.dimension)):
                 if (
@@ -106,6 +115,24 @@ def open_barriers(scene, frame, arrays: ti.template()):
             release = arrays.retained[line, Retained.RELEASE]
             if frame == release or (release == 0 and calm >= SETTLED_FRAMES):
                 arrays.retained[line, Retained.OPENED] = frame
+        if ti.static(arrays.features.gates):
+            raise_gate(scene, line, frame, arrays)
+
+
+@ti.func
+def raise_gate(scene, line, frame, arrays: ti.template()):
+    """Set the lowest row of nodes that the opened barriers of a retained mass hold in the frame after `frame`."""
+    opened = arrays.retained[line, Retained.OPENED]
+    if opened > 0:
+        speed, tau = arrays.settling[line, Settling.GATE_SPEED], arrays.settling[line, Settling.GATE_TIME]
+        frame_dt, cell = arrays.settings[scene, Setting.FRAME_DT], arrays.settings[scene, Setting.CELL]
+        row = arrays.retained[line, Retained.TOP]
+        if speed > 0.0:
+            time = (frame - opened + 0.5) * frame_dt
+            risen = speed * (time - tau * (1.0 - ti.exp(0.0 - time / ti.max(tau, 1.0e-9))))
+            height = (arrays.settling[line, Settling.GATE_FOOT] + risen) / cell
+            row = ti.min(row, ti.cast(ti.ceil(height), ti.i32) + PADDING)
+        arrays.retained[line, Retained.FOOT] = row
 
 
 @ti.func
@@ -115,7 +142,10 @@ def free_since(scene, arrays: ti.template()):
     first = arrays.offsets[scene, Offset.RETAINED]
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
         opened = arrays.retained[line, Retained.OPENED]
-        if opened == 0:
+        closed = opened == 0
+        if ti.static(arrays.features.gates):
+            closed = closed or arrays.retained[line, Retained.FOOT] < arrays.retained[line, Retained.TOP]
+        if closed:
             opened = NEVER
         latest = ti.max(latest, opened)
     return latest

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Domain, Gate, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
+from mpm.adjoint.gradient import gradient
 
 CELL = 0.02
 SAND = Material(friction_deg=30.0)
@@ -103,3 +105,42 @@ def test_masses_have_their_own_times() -> None:
     # The free one falls meanwhile.
     falling = flow.velocities[20, particles.mass == 2, 1].mean()
     assert falling == pytest.approx(-9.81 * 0.05, rel=0.01)
+
+
+def test_the_foot_of_a_gate_by_its_speed() -> None:
+    assert Gate(speed=0.7).risen(0.2) == pytest.approx(0.14)
+    # By a sum over small times of v (1 - exp(-t / tau)).
+    gate, times = Gate(speed=0.7, time_constant=0.13), (np.arange(1000) + 0.5) * 0.2e-3
+    assert gate.risen(0.2) == pytest.approx(float(np.sum(0.7 * (1.0 - np.exp(-times / 0.13))) * 0.2e-3), rel=1e-6)
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("scene", [SCENE, pytest.param(SCENE_3D, marks=pytest.mark.slow)], ids=["2D", "3D"])
+def test_a_gate_holds_what_is_above_its_foot(scene: Scene) -> None:
+    gate = Gate(speed=2.0, time_constant=0.03)
+    mass = dataclasses.replace(scene.masses[0], gate=gate)
+    flow = simulate(with_masses(scene, mass), precision="f64", threads=1, record=WITH_FIELDS)
+    gone = simulate(scene, precision="f64", threads=1, record=WITH_FIELDS)
+    assert flow.summary["release_time"] == [mass.release]
+    assert mass.release is not None
+    opened = round(mass.release / scene.frame_dt)
+    assert (flow.positions[: opened + 1] == gone.positions[: opened + 1]).all()
+    right = mass.lower[0] + mass.size[0]
+    for frame in range(opened + 1, scene.frames):
+        x, foot = flow.positions[frame], gate.risen(float(flow.time[frame]) - mass.release)
+        # A particle feels the nodes up to one and a half cells away.
+        held = x[:, 1] > foot + 1.5 * CELL
+        assert (x[held, 0] < right + 0.01 * CELL).all()
+        assert (x[held, 0] > mass.lower[0] - 0.01 * CELL).all()
+    # It flows out beneath, less than without a gate.
+    standing, out, free = (x[:, 0].max() for x in (flow.positions[opened], flow.positions[-1], gone.positions[-1]))
+    assert standing + 0.02 * CELL < out < free - 0.02 * CELL
+    with pytest.raises(InputError, match="it has no reverse of a gate yet"):
+        gradient(with_masses(scene, mass), lambda x, v: (0.0, np.zeros_like(x), None))  # type: ignore[arg-type]
+
+
+@pytest.mark.double
+def test_a_fast_gate_is_none() -> None:
+    fast = with_masses(SCENE, dataclasses.replace(COLUMN, gate=Gate(speed=1000.0)))
+    flow, gone = (simulate(scene, precision="f64", threads=1) for scene in (fast, SCENE))
+    assert (flow.positions == gone.positions).all()
