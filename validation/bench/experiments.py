@@ -1,5 +1,6 @@
 """`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.measures import Positions
-from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from mpm import AT_REST
 from validation.experiments.experiment import (
     FOLDER,
@@ -18,6 +18,7 @@ from validation.experiments.experiment import (
     Measured,
     MeasuredScene,
     Quantity,
+    Reading,
     Shipped,
     read_experiments,
 )
@@ -28,26 +29,30 @@ from validation.runs import Run, RunStore
 
 CLOSE = 2.0
 """Spreads within which a number agrees."""
-LADDER_DEG = (20.0, 24.0, 28.0, 32.0, 36.0)
+LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
 QUICK = "aluminium-rods"
+RECORDED = 5
+"""Frames from one to the next of a flow that is measured over time."""
 
-Simulate = Callable[[Sequence[Scene]], Sequence[Positions]]
-"""Scenes to their deposits [m], each of shape [N, D]."""
-Deposits = Mapping[tuple[str, str, float], Callable[[Measured], float]]
-"""What is measured of a deposit [m], by experiment, case and angle [deg]."""
+Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
+"""Runs to their flows, as `validation.runs.RunStore.run`."""
+Flows = Mapping[tuple[str, str, Reading], Callable[[Measured], float]]
+"""What is measured of a flow [m], by experiment, case and reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A measured number beside the computed one, at an angle of friction that was measured independently."""
+    """A measured number beside the computed one."""
 
     experiment: str
     case: MeasuredScene
     measured: Measured
-    angle: Angle
+    name: str
+    """Of the angle."""
+    reading: Reading
     coarse: float
-    """Computed on the coarse cells [m]."""
+    """Computed on the coarse cells [m]; nan where there was no such run."""
     fine: float
     """On the fine cells [m]; the coarse one's for another angle than the first."""
 
@@ -55,6 +60,12 @@ class Score:
     def label(self) -> str:
         """Experiment, case and quantity."""
         return f"{self.experiment}, {self.case.name}, {self.measured.quantity}"
+
+    @property
+    def angle(self) -> str:
+        """Such as 22.0° (repose, μ(I))."""
+        read = [self.name, *(["μ(I)"] if self.reading.rate else []), *({self.reading.angle} - {"slope"})]
+        return f"{self.reading.deg:.1f}° ({', '.join(read)})"
 
     @property
     def error(self) -> float:
@@ -80,12 +91,7 @@ class Inferred:
     deg: float
     """On the fine cells [deg]."""
     half_width_deg: float
-    """By the measurement's spread [deg]."""
-
-    @property
-    def label(self) -> str:
-        """Experiment and case."""
-        return f"{self.experiment}, {self.case.name}"
+    """By CLOSE times the measurement's spread [deg]."""
 
     @property
     def difference_deg(self) -> float:
@@ -104,9 +110,11 @@ class Findings:
 
     shipped: tuple[Shipped, ...]
     scores: tuple[Score, ...]
-    """At the first angle of each experiment."""
+    """At the first angle of each experiment, or at the inferred one where it has none."""
     others: tuple[Score, ...]
     """At its other angles, on the coarse cells."""
+    predicted: tuple[Score, ...]
+    """What no measured number was found for, at all angles."""
     inferred: tuple[Inferred, ...]
 
 
@@ -116,79 +124,99 @@ def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> 
     quick: the aluminium rods alone. Raises InputError for an experiment that cannot be read.
     """
     shipped = [each for each in read_experiments(experiments) if each.name == QUICK or not quick]
-    findings = compute(shipped, partial(deposits_of, RunStore(keep)))
+    findings = compute(shipped, RunStore(keep).run)
     draw(out / "experiments.png", findings)
     return page(findings, quick=quick).write(out / "experiments.md")
-
-
-def deposits_of(store: RunStore, scenes: Sequence[Scene]) -> list[Positions]:
-    """The deposits [m] of scenes, each of shape [N, D], at rest or at their end."""
-    return [flow.positions[-1] for flow in store.run([Run(scene=scene, record=AT_REST) for scene in scenes])]
 
 
 def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     """Run everything: every case over the ladder on its coarse cells, and once on its fine ones."""
     pairs = [(each, case) for each in shipped for case in each.experiment.cases]
-    tried = {each.name: sorted({*LADDER_DEG, *(angle.deg for angle in each.experiment.angles)}) for each in shipped}
-    coarse = run([(each, case, 0, deg) for each, case in pairs for deg in tried[each.name]], simulate)
+    asked = [
+        (each, case, reading)
+        for each, case in pairs
+        for reading in dict.fromkeys((*(ladder(each) if case.extent.known else ()), *each.experiment.readings))
+    ]
+    coarse = run(asked, 0, simulate)
     crossings = {
         (each.name, case.name): crossing(
-            {deg: coarse[each.name, case.name, deg](case.extent) for deg in tried[each.name]}, case.extent.value
+            {one.deg: coarse[each.name, case.name, one](case.extent) for one in ladder(each)}, case.extent.value
         )
         for each, case in pairs
+        if case.extent.known
     }
-    # On the fine cells at the angle that was measured, else at the one that the coarse cells imply.
-    firsts = {
-        (each.name, case.name): each.experiment.angles[0].deg
-        if each.experiment.angles
-        else crossings[each.name, case.name][0]
+    # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
+    firsts = [
+        (each, case, reading)
         for each, case in pairs
-    }
-    known = [(each, case) for each, case in pairs if not math.isnan(firsts[each.name, case.name])]
-    fine = run([(each, case, 1, firsts[each.name, case.name]) for each, case in known], simulate)
+        for reading in each.experiment.readings[:1]
+        or [dataclasses.replace(ladder(each)[0], deg=crossings[each.name, case.name][0])]
+        if not math.isnan(reading.deg)
+    ]
+    fine = run(firsts, 1, simulate)
+    scores: list[Score] = []
+    others: list[Score] = []
+    for each, case, first in firsts:
+        angles = each.experiment.angles
+        names = [angle.name for angle in angles] or ["inferred"]
+        for reading, name in zip(each.experiment.readings or [first], names, strict=True):
+            known = coarse.get((each.name, case.name, reading), no_number)
+            best = fine[each.name, case.name, first] if reading == first else known
+            (scores if reading == first else others).extend(
+                Score(
+                    experiment=each.name,
+                    case=case,
+                    measured=measured,
+                    name=name,
+                    reading=reading,
+                    coarse=known(measured),
+                    fine=best(measured),
+                )
+                # An inferred angle says nothing of the number that it was inferred from.
+                for measured in case.measured[0 if angles else 1 :]
+            )
     inferred = [
         Inferred(
             experiment=each.name,
             case=case,
             angles=each.experiment.angles,
             coarse_deg=coarse_deg,
-            deg=first + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
-            half_width_deg=abs(case.extent.spread / slope),
+            deg=first.deg + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
+            half_width_deg=abs(CLOSE * case.extent.spread / slope),
         )
-        for each, case in known
-        for first, (coarse_deg, slope) in [(firsts[each.name, case.name], crossings[each.name, case.name])]
+        for each, case, first in firsts
+        if case.extent.known
+        for coarse_deg, slope in [crossings[each.name, case.name]]
     ]
-    scores = {
-        number: tuple(
-            Score(
-                experiment=each.name,
-                case=case,
-                measured=measured,
-                angle=angle,
-                coarse=coarse[each.name, case.name, angle.deg](measured),
-                fine=(coarse if number else fine)[each.name, case.name, angle.deg](measured),
-            )
-            for each, case in pairs
-            for angle in each.experiment.angles[number : None if number else 1]
-            for measured in case.measured
-        )
-        for number in (0, 1)
-    }
     return Findings(
         shipped=tuple(shipped),
-        scores=scores[0],
-        others=scores[1],
+        scores=tuple(each for each in scores if each.measured.known),
+        others=tuple(each for each in others if each.measured.known),
+        predicted=tuple(each for each in (*scores, *others) if not each.measured.known),
         inferred=tuple(inferred),
     )
 
 
-def run(asked: Sequence[tuple[Shipped, MeasuredScene, int, float]], simulate: Simulate) -> Deposits:
-    """Cases on their coarse (0) or fine (1) cells at angles of friction [deg]."""
-    scenes = [each.scene(case.scene, each.cells(case)[number], deg) for each, case, number, deg in asked]
-    return {
-        (each.name, case.name, deg): partial(quantity, scene=scene, positions=deposit)
-        for (each, case, _, deg), scene, deposit in zip(asked, scenes, simulate(scenes), strict=True)
-    }
+def no_number(measured: Measured) -> float:
+    """What a run that was not made gives."""
+    return math.nan
+
+
+def ladder(shipped: Shipped) -> list[Reading]:
+    """The readings over which the slope of a front is found: as the first of an experiment, at other angles."""
+    known = [*shipped.experiment.readings, Reading(math.nan, rate=shipped.experiment.grains is not None)]
+    return [dataclasses.replace(known[0], deg=deg) for deg in LADDER_DEG]
+
+
+def run(asked: Sequence[tuple[Shipped, MeasuredScene, Reading]], number: int, simulate: Simulate) -> Flows:
+    """Cases on their coarse (0) or fine (1) cells, by readings."""
+    runs = []
+    for each, case, reading in asked:
+        timed = any(measured.times for measured in case.measured)
+        record = dataclasses.replace(AT_REST, frames=RECORDED) if timed else AT_REST
+        runs.append(Run(scene=each.scene(case.scene, each.cells(case)[number], reading), record=record))
+    flows = zip(asked, simulate(runs), strict=True)
+    return {(each.name, case.name, reading): partial(quantity, flow=flow) for (each, case, reading), flow in flows}
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
@@ -200,9 +228,7 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     pairs = list(itertools.pairwise(angles))
     inside = [(a, b) for a, b in pairs if fronts[a] >= target >= fronts[b]]
     a, b = inside[0] if inside else (pairs[0] if fronts[angles[0]] < target else pairs[-1])
-    # Over neighbours that are close the scatter of a jitter would be much of the difference.
-    below, above = (a, b) if b - a >= 0.5 * (LADDER_DEG[1] - LADDER_DEG[0]) else (angles[0], angles[-1])
-    slope = (fronts[above] - fronts[below]) / (above - below)
+    slope = (fronts[b] - fronts[a]) / (b - a)
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
@@ -220,9 +246,12 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
         licence. A number was read in a source or is worked out from such numbers; where sources disagree the band
         between them is the target, its half width the spread. Scenes are computed until they rest, undamped, one jitter
         each, on coarse and on fine cells; nothing is fitted. The error is (computed - measured) / spread on the fine
-        cells; bold where it is beyond {CLOSE:g}, with the reason below. Where both an avalanche and a repose angle were
-        measured, the first is the one to compute with, as Rousseau et al. (2023) find for Drucker-Prager continua; the
-        error at the other one is of the coarse cells.
+        cells; bold where it is beyond {CLOSE:g}, with the reason below.
+
+        One rule for all: an angle is [that of a slope](how-to/angle.md). At the repose angle a flow stops: it is μ_s,
+        and friction grows with the inertial number by the numbers of glass beads. At an avalanche angle grains begin
+        to flow: it is the friction of all of the flow. The repose angle comes first; the error at the other one is of
+        the coarse cells. An inferred angle is that of the next table.
     """)
     text.section("At the measured angle")
     text.table(
@@ -230,13 +259,13 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
             {
                 "experiment": each.experiment,
                 "case": f"{each.case.name}, {each.measured.quantity}",
-                "angle": f"{each.angle.deg:.1f}° ({each.angle.name})",
+                "angle": each.angle,
                 "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
-                "coarse cells [m]": f"{each.coarse:.4f}",
+                "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
                 "fine cells [m]": f"{each.fine:.4f}",
                 "error [spreads]": f"{each.error:+.1f}" if each.agrees else f"**{each.error:+.1f}**",
                 "at the other angle": ", ".join(
-                    f"{other.error:+.1f} at {other.angle.deg:.1f}°"
+                    f"{other.error:+.1f} at {other.angle}"
                     for other in findings.others
                     if (other.label, other.measured) == (each.label, each.measured)
                 ),
@@ -249,8 +278,8 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
     text.text("\n".join(reasons))
     text.section("The angle from the front")
     text.text("""
-        The angle at which the front is the measured one, floor included where it is as rough as the grains: from the
-        run on the fine cells by the slope of those on the coarse ones. ± is by the measurement's spread, without the
+        The slope's angle at which the front is the measured one, with all else as above: from the run on the fine
+        cells by the slope of those on the coarse ones. ± is by two spreads of the measurement, without the
         discrepancy of the model.
     """)
     text.table(
@@ -266,6 +295,21 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
             for each in findings.inferred
         ]
     )
+    if findings.predicted:
+        text.section("Predicted, not compared")
+        text.text("No measured number was found in a public text.")
+        text.table(
+            [
+                {
+                    "experiment": each.experiment,
+                    "case": f"{each.case.name}, {each.measured.quantity}",
+                    "angle": each.angle,
+                    "coarse cells [m]": f"{each.coarse:.3f}",
+                    "fine cells [m]": f"{each.fine:.3f}" if each.fine != each.coarse else "",
+                }
+                for each in findings.predicted
+            ]
+        )
     text.section("The experiments")
     text.text("""
         `validation/experiments/NAME/experiment.toml` has what each number is from, its spread, and what the authors do
@@ -306,17 +350,16 @@ def conclusion(findings: Findings) -> list[str]:
         same = [each for each in scores if (each.experiment, each.case.name) in cases]
         first = rms([(each.coarse - each.measured.value) / each.measured.spread for each in same])
         other = rms([each.error for each in findings.others])
-        names = [" or ".join(sorted({each.angle.name for each in some})) for some in (same, findings.others)]
         lines.append(
-            f"Where two angles were measured, the {names[0]} angle leaves {first:.1f} spreads rms, the {names[1]} angle"
-            f" {other:.1f}, on the coarse cells."
+            f"Where there are two readings, the first leaves {first:.1f} spreads rms, the other one {other:.1f}, on the"
+            " coarse cells."
         )
     return lines
 
 
 def draw(path: Path, findings: Findings) -> None:
     """Lengths over the measured ones, a row each."""
-    scores = [each for each in findings.scores if each.measured.quantity is not Quantity.PROFILE]
+    scores = [each for each in findings.scores if each.measured.single]
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:

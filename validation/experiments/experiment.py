@@ -19,11 +19,17 @@ from datasets.scene import Domain, Scene
 FOLDER = Path(__file__).parent
 
 
+REPOSE = "repose"
+"""Name of the angle at which a flow stops: mu_s of mu(I)."""
+
+
 class Status(StrEnum):
     """Where a number comes from; one from memory alone is not used."""
 
     READ = "read"
     WORKED_OUT = "worked out"
+    PREDICTED = "predicted"
+    """From the computation alone: no measured number was found."""
 
 
 class Quantity(StrEnum):
@@ -33,6 +39,7 @@ class Quantity(StrEnum):
     RADIUS = "radius"
     HEIGHT = "height"
     PROFILE = "profile"
+    RADII = "radii"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +48,8 @@ class Angle(Record):
 
     name: str
     """Such as avalanche or repose."""
+    angle: str = "slope"
+    """How it is read: as `datasets.material.Material.angle`."""
     lower_deg: float
     """Smallest value in the sources [deg]."""
     upper_deg: float
@@ -67,21 +76,49 @@ class Angle(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Grains(Record):
+    """How friction grows with the inertial number (`mpm.physics.inertial`)."""
+
+    friction_growth: float
+    """mu_2 - mu_s [-]."""
+    inertial_number: float
+    """I_0 [-]."""
+    grain_diameter: float
+    """[m]."""
+    grain_density: float
+    """[kg/m^3]."""
+    source: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a scene is computed with."""
+
+    deg: float
+    """Angle of friction [deg]."""
+    angle: str = "slope"
+    """How it is read."""
+    rate: bool = False
+    """Whether friction grows with the inertial number."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Measured(Record):
     """A measured number, or a measured profile."""
 
     quantity: Quantity
     """front: x [m] that 99.5 % of the particles are behind, or where the deposit first gets thinner than
     `thicker_than`; radius: the same share by distance from the vertical axis; height: of the surface [m] next to the
-    wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0."""
+    wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0; radii: that
+    of the radius over time."""
     value: float = 0.0
     """[m], from the wall x = 0."""
-    spread: float
+    spread: float = 0.0
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
-    spread_from: str
+    spread_from: str = ""
     """Where the spread comes from."""
     status: Status
-    source: str
+    source: str = ""
     explanation: str = ""
     """Why the computation may differ: printed where it does, by more than twice the spread."""
     thicker_than: float | None = None
@@ -95,17 +132,35 @@ class Measured(Record):
     """Where the heights of a profile were measured [m], ascending."""
     heights: tuple[float, ...] = ()
     """Of the surface at `x` [m]."""
+    times: tuple[float, ...] = ()
+    """When radii were measured [s]."""
+    radii: tuple[float, ...] = ()
+    """At `times` [m]."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a measured number."""
+        return self.status is not Status.PREDICTED
+
+    @property
+    def single(self) -> bool:
+        """Whether it is one number, not a difference from many."""
+        return self.quantity not in (Quantity.PROFILE, Quantity.RADII)
 
     def __post_init__(self) -> None:
+        if not self.known:
+            return
         if self.spread <= 0.0:
             raise InputError(f"expected a positive length in m, got {self.spread:g}", key="spread")
         if self.quantity is Quantity.HEIGHT and self.within is None:
             raise InputError("expected a value, a height needs one", key="within")
         if self.quantity is Quantity.PROFILE and not len(self.x) == len(self.heights) > 1:
             raise InputError(f"expected as many heights as x, {len(self.x)}, and two or more", key="heights")
+        if self.quantity is Quantity.RADII and not len(self.times) == len(self.radii) > 1:
+            raise InputError(f"expected as many radii as times, {len(self.times)}, and two or more", key="radii")
         if any(later <= earlier for earlier, later in itertools.pairwise(self.x)):
             raise InputError("expected lengths that ascend", key="x")
-        if self.quantity is not Quantity.PROFILE and self.value <= 0.0:
+        if self.single and self.value <= 0.0:
             raise InputError(f"expected a positive length in m, got {self.value:g}", key="value")
 
 
@@ -148,18 +203,25 @@ class Experiment(Record):
     what: str
     source: str
     licence: str
-    floor: float | str
-    """Coulomb coefficient of the floor [-], or "material": a floor as rough as the grains, tan(phi)."""
     angles: tuple[Angle, ...] = ()
     """The material's own; the first is the one to compute with. None: an angle is inferred, nothing is predicted."""
+    grains: Grains | None = None
+    """How their friction grows with the rate; nothing is known of it where absent."""
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
     cases: tuple[MeasuredScene, ...]
     assumptions: tuple[Assumption, ...] = ()
 
-    def __post_init__(self) -> None:
-        if isinstance(self.floor, str) and self.floor != "material":
-            raise InputError(f"expected a coefficient or 'material', got {self.floor!r}", key="floor")
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """What its angles are computed with, by one rule.
+
+        At the repose angle a flow stops: it is mu_s, and friction grows with the rate where that is known. At any other
+        one, an avalanche's, grains begin to flow: it is the friction of all of the flow.
+        """
+        return tuple(
+            Reading(each.deg, each.angle, each.name == REPOSE and self.grains is not None) for each in self.angles
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,15 +236,20 @@ class Shipped:
         """Grid cells of a case, the coarse and the fine one [m]."""
         return case.cells or self.experiment.cells
 
-    def scene(self, file: str, cell: float, friction_deg: float) -> Scene:
-        """The scene of `file` on another cell [m], of grains at another angle of friction [deg], floor included."""
-        scene = read_scene(str(self.folder / file)).with_friction_deg(friction_deg)
-        floor = self.experiment.floor
-        return dataclasses.replace(
-            scene,
-            domain=Domain(size=scene.domain.size, cell=cell),
-            floor_friction=math.tan(math.radians(friction_deg)) if isinstance(floor, str) else floor,
-        )
+    def scene(self, file: str, cell: float, reading: Reading) -> Scene:
+        """The scene of `file` on another cell [m], of grains of the friction of `reading`."""
+        scene = read_scene(str(self.folder / file))
+        material = dataclasses.replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
+        if reading.rate and (grains := self.experiment.grains) is not None:
+            limit = math.tan(math.radians(reading.deg)) + grains.friction_growth
+            material = dataclasses.replace(
+                material,
+                friction_limit_deg=math.degrees(math.atan(limit)),
+                inertial_number=grains.inertial_number,
+                grain_diameter=grains.grain_diameter,
+                grain_density=grains.grain_density,
+            )
+        return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
 
 
 def read_experiment(folder: Path) -> Shipped:

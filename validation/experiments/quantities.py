@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from datasets.measures import FRONT_QUANTILE, Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from validation.experiments.experiment import Measured, Quantity
 
 Floats = NDArray[np.float64]
@@ -16,11 +17,14 @@ SURFACE_QUANTILE = 0.99
 """Of the particles' heights in a strip: the surface without the fate of single particles."""
 
 
-def quantity(measured: Measured, scene: Scene, positions: Positions) -> float:
-    """The quantity of `measured` [m] in the deposit of `scene` at `positions` [m], shape [N, D]."""
+def quantity(measured: Measured, flow: Trajectory) -> float:
+    """The quantity of `measured` [m] in the deposit of a flow, its last frame; of radii in all of its frames."""
+    scene, positions = flow.scene, flow.positions[-1]
     if measured.quantity is Quantity.RADIUS:
-        x = positions.astype(np.float64)
-        return float(np.quantile(np.hypot(x[:, 0], x[:, -1]), FRONT_QUANTILE))
+        return radius(positions)
+    if measured.quantity is Quantity.RADII:
+        computed = np.interp(measured.times, flow.time, [radius(each) for each in flow.positions])
+        return float(np.sqrt(np.mean((computed - measured.radii) ** 2)))
     if measured.quantity is Quantity.HEIGHT:
         assert measured.within is not None, "a measured height has been checked"
         return surface_at_wall(scene, positions, measured.within)
@@ -30,6 +34,12 @@ def quantity(measured: Measured, scene: Scene, positions: Positions) -> float:
         return front(positions)
     stations = profile_stations(scene, STATION * scene.domain.cell)
     return edge(stations, mean_profile(scene, positions, stations, measured.beside_walls), measured.thicker_than)
+
+
+def radius(positions: Positions) -> float:
+    """Distance from the vertical axis [m] that FRONT_QUANTILE of the particles are within; positions: shape [N, D]."""
+    x = positions.astype(np.float64)
+    return float(np.quantile(np.hypot(x[:, 0], x[:, -1]), FRONT_QUANTILE))
 
 
 def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_walls: float | None = None) -> Floats:
