@@ -7,33 +7,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.particles import particle_count
-from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from validation.bench.experiments import compute, crossing, page
 from validation.experiments.experiment import (
     Angle,
     Assumption,
     Experiment,
+    Grains,
     Measured,
     MeasuredScene,
     Quantity,
+    Reading,
     Shipped,
     Status,
     read_experiment,
     read_experiments,
 )
+from validation.runs import Run
 
 SHIPPED = read_experiments()
-PLAUSIBLE_DEG = 25.0
+PLAUSIBLE = Reading(25.0, rate=True)
 EXPERIMENT = """
 title = "A wedge"
 what = "Its front falls by 10 mm a degree."
 source = "this test"
 licence = "MIT"
-floor = "material"
 cells = [0.02, 0.01]
 
 [[angles]]
@@ -50,6 +51,13 @@ upper_deg = 20.0
 status = "worked out"
 source = "this test"
 
+[grains]
+friction_growth = 0.26
+inertial_number = 0.3
+grain_diameter = 0.001
+grain_density = 2400.0
+source = "this test"
+
 [[cases]]
 name = "wedge"
 scene = "wedge.toml"
@@ -62,6 +70,14 @@ spread_from = "this test"
 status = "read"
 source = "this test"
 explanation = "The wedge is imaginary."
+
+[[cases]]
+name = "unseen"
+scene = "wedge.toml"
+
+[[cases.measured]]
+quantity = "front"
+status = "predicted"
 
 [[assumptions]]
 what = "everything"
@@ -93,14 +109,16 @@ def front_of(friction_deg: float) -> float:
     return 0.5 - 0.01 * (friction_deg - 25.0)
 
 
-def deposits(scenes: Sequence[Scene]) -> list[NDArray[np.float32]]:
+def deposits(runs: Sequence[Run]) -> list[Trajectory]:
     """Wedges whose 99.5 % quantile of x is `front_of` their angle; on cells of 20 mm 2 % less."""
     found = []
-    for scene in scenes:
+    for scene in [each.scene for each in runs]:
         factor = 0.98 if scene.domain.cell > 0.015 else 1.0
         # Evenly spaced from 0: the quantile at a share q is at q times the largest.
         x = np.linspace(0.0, factor * front_of(scene.material.friction_deg) / 0.995, PARTICLES)
-        found.append(np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1).astype(np.float32))
+        wedge = np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1)[None]
+        rest, friction = np.zeros_like(wedge[0]), np.ones(PARTICLES)
+        found.append(Trajectory(positions=wedge, time=np.array([0.1]), velocity0=rest, friction=friction, scene=scene))
     return found
 
 
@@ -121,11 +139,14 @@ def test_scenes_are_undamped_and_hold_what_was_measured(shipped: Shipped) -> Non
         coarse, fine = shipped.cells(case)
         assert fine < coarse
         for cell in (coarse, fine):
-            scene = shipped.scene(file, cell, PLAUSIBLE_DEG)
+            scene = shipped.scene(file, cell, PLAUSIBLE)
             assert scene.damping == 0.0
-            assert scene.material.friction_deg == PLAUSIBLE_DEG
+            assert (scene.material.friction_deg, scene.material.angle) == (PLAUSIBLE.deg, "slope")
             assert scene.material.cohesion == 0.0
-            assert scene.floor_friction == pytest.approx(math.tan(math.radians(PLAUSIBLE_DEG)))
+            assert scene.floor_friction == "rough"
+            if shipped.experiment.grains is not None:
+                # tan(25 deg) + 0.26
+                assert scene.material.friction_limit_deg == pytest.approx(36.0, abs=0.02)
             assert 500 < particle_count(scene) < 60_000
         for measured in case.measured:
             # The box must not be what stops the flow.
@@ -152,7 +173,6 @@ def changed(shelf: Path, old: str, new: str) -> Path:
         ('status = "read"', 'status = "recalled"', "status"),
         ("lower_deg = 24.5", "lower_deg = 34.5", "lower_deg"),
         ('quantity = "front"', 'quantity = "height"', "within"),
-        ('floor = "material"', 'floor = "rough"', "floor"),
         ("value = 0.52", "value = -0.52", "value"),
     ],
 )
@@ -167,7 +187,7 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
 def test_the_page_on_formats_names_every_key() -> None:
     page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
-    for kind in (Experiment, Angle, MeasuredScene, Measured, Assumption):
+    for kind in (Experiment, Angle, Grains, MeasuredScene, Measured, Assumption):
         for each in dataclasses.fields(kind):
             assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
     for status in Status:
@@ -179,16 +199,18 @@ def test_the_page_on_formats_names_every_key() -> None:
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
     findings = compute(read_experiments(shelf), deposits)
     (score,) = findings.scores
-    assert score.angle.name == "avalanche"
+    assert score.angle == "25.0° (avalanche)"
     assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-6)
     assert score.error == pytest.approx(-4.0, abs=1e-3)
     assert not score.agrees
     (other,) = findings.others
+    assert other.angle == "20.0° (repose, μ(I))"
+    assert [each.fine for each in findings.predicted] == pytest.approx([0.5, 0.98 * 0.55], abs=1e-6)
     assert other.error == pytest.approx((0.98 * 0.55 - 0.52) / 0.005, abs=1e-3)
     (found,) = findings.inferred
-    # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; 5 mm are half a degree.
+    # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; twice 5 mm are a degree.
     assert found.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)
-    assert found.half_width_deg == pytest.approx(0.005 / 0.0098, rel=1e-3)
+    assert found.half_width_deg == pytest.approx(2.0 * 0.005 / 0.0098, rel=1e-3)
     assert found.coarse_deg == pytest.approx(25.0 - (0.52 / 0.98 - 0.5) / 0.01, abs=1e-3)
     assert found.difference_deg == pytest.approx(-2.04, abs=0.01)
     assert not found.agrees
@@ -207,8 +229,6 @@ def test_a_front_that_no_angle_gives_has_a_slope_alone() -> None:
     assert math.isnan(crossing(fronts, 0.7)[0])
     assert crossing(fronts, 0.7)[1] == pytest.approx(-0.0125)
     assert crossing(fronts, 0.3)[1] == pytest.approx(-0.00625)
-    # Runs close to each other: the slope is that of the whole.
-    assert crossing({20.0: 0.6, 20.5: 0.599, 28.0: 0.5}, 0.5995)[1] == pytest.approx(-0.0125)
 
 
 def test_the_page_follows_the_numbers(shelf: Path) -> None:
@@ -216,5 +236,6 @@ def test_the_page_follows_the_numbers(shelf: Path) -> None:
     assert "0 of 1 lengths are within 2 times their spread; rms 4.0 spreads, at most -4.0 (wedge" in text.conclusion
     assert "Fronts come 3.8 % too short" in text.conclusion
     assert "-2.0° from the measured one" in text.conclusion
-    assert "the avalanche angle leaves 6.0 spreads rms, the repose angle 3.8, on" in text.conclusion
+    assert "the first leaves 6.0 spreads rms, the other one 3.8, on" in text.conclusion
+    assert "| unseen, front | 20.0° (repose, μ(I)) |" in str(text)
     assert "- wedge, wedge, front: The wedge is imaginary." in str(text)

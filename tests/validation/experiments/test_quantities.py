@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
 from validation.experiments.experiment import Measured, Quantity, Status
 from validation.experiments.quantities import edge, quantity
 
@@ -17,6 +19,13 @@ BLOCK = Scene(
     jitter=0.0,
 )
 AT_START = initial_particles(BLOCK).positions
+
+
+def flow(*positions: NDArray[np.floating]) -> Trajectory:
+    """A trajectory of BLOCK with these frames, a second from one to the next."""
+    rest, friction = np.zeros_like(positions[0]), np.ones(len(positions[0]))
+    time = np.arange(len(positions), dtype=np.float64)
+    return Trajectory(positions=np.stack(positions), time=time, velocity0=rest, friction=friction, scene=BLOCK)
 
 
 def number(kind: Quantity, **other: object) -> Measured:
@@ -33,9 +42,9 @@ def number(kind: Quantity, **other: object) -> Measured:
 
 
 def test_height_of_the_surface_and_front_by_share_and_by_thickness() -> None:
-    assert quantity(number(Quantity.HEIGHT, within=0.05), BLOCK, AT_START) == pytest.approx(0.1)
-    assert quantity(number(Quantity.FRONT), BLOCK, AT_START) == pytest.approx(0.4, abs=0.006)
-    thin = quantity(number(Quantity.FRONT, thicker_than=0.05), BLOCK, AT_START)
+    assert quantity(number(Quantity.HEIGHT, within=0.05), flow(AT_START)) == pytest.approx(0.1)
+    assert quantity(number(Quantity.FRONT), flow(AT_START)) == pytest.approx(0.4, abs=0.006)
+    thin = quantity(number(Quantity.FRONT, thicker_than=0.05), flow(AT_START))
     assert thin == pytest.approx(0.4, abs=0.006)
 
 
@@ -51,7 +60,10 @@ def test_edge_is_linear_between_stations_and_ends_with_the_deposit() -> None:
 def test_radius_is_about_the_vertical_axis() -> None:
     angles = np.linspace(0.0, np.pi / 2.0, 1001)
     circle = np.stack([0.3 * np.cos(angles), np.zeros(1001), 0.3 * np.sin(angles)], axis=1)
-    assert quantity(number(Quantity.RADIUS), BLOCK, circle) == pytest.approx(0.3)
+    assert quantity(number(Quantity.RADIUS), flow(circle)) == pytest.approx(0.3)
+    # From 0.3 to 0.6 m within a second; one radius of two is 50 mm off.
+    measured = number(Quantity.RADII, times=(0.5, 1.0), radii=(0.4, 0.6))
+    assert quantity(measured, flow(circle, 2.0 * circle)) == pytest.approx(0.05 / np.sqrt(2.0))
 
 
 def test_profile_is_held_against_the_rows() -> None:
@@ -65,7 +77,7 @@ def test_profile_is_held_against_the_rows() -> None:
         heights=(0.1, 0.12, 0.1, 0.0),
     )
     # One row of four is 20 mm off.
-    assert quantity(measured, BLOCK, AT_START) == pytest.approx(0.01, rel=1e-3)
+    assert quantity(measured, flow(AT_START)) == pytest.approx(0.01, rel=1e-3)
 
 
 @pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
