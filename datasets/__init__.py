@@ -18,12 +18,13 @@ from datasets import checks as checks
 from datasets.errors import InputError
 from datasets.library import read_scene, write_scene
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Gate, Mass, Scene, Solid, Stage
+from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid, Stage
 from datasets.trajectory import Trajectory, read_trajectory
 
 __version__ = "0.1.0"
 __all__ = [
     "Baffle",
+    "Channel",
     "Domain",
     "Gate",
     "InputError",

@@ -103,6 +103,11 @@ def check(scene: Scene) -> None:
             )
             expected = f"a box inside the domain {list(domain.size)}"
             require(inside, key, expected, f"{list(box.lower)} + {list(box.size)}")
+    if scene.channel is not None:
+        require(dimension == 2, "channel", "none in 3D, where the box or solids are the walls", "one")
+        require(0.0 < scene.channel.width <= FARTHEST, "channel.width", "a positive length in m", scene.channel.width)
+        angle = scene.channel.friction_deg
+        require(0.0 <= angle < 90.0, "channel.friction_deg", "an angle in [0, 90) degrees", angle)
     sides = DOMAIN_SIDES[: 2 * dimension]
     for index, side in enumerate(scene.open_sides):
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))

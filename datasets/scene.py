@@ -149,6 +149,28 @@ class Baffle(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Channel(Record):
+    """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth.
+
+    Per volume of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane.
+
+    For example:
+
+        Channel(width=0.06, friction_deg=10.0)
+    """
+
+    width: float
+    """Distance between the walls [m]."""
+    friction_deg: float
+    """Angle of friction of the walls [deg], in [0, 90); its tangent is Coulomb's coefficient."""
+
+    @property
+    def grip(self) -> float:
+        """Friction per volume over the pressure on the walls [1/m]."""
+        return 2.0 * math.tan(math.radians(self.friction_deg)) / self.width
+
+
+@dataclass(frozen=True, kw_only=True)
 class Solid(Record):
     """A fixed rigid body; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
 
@@ -248,6 +270,8 @@ class Scene(Record):
     baffles: tuple[Baffle, ...] = ()
     solids: tuple[Solid, ...] = ()
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
+    channel: Channel | None = None
+    """Side walls of a scene in 2D; none where absent."""
     open_sides: tuple[str, ...] = ()
     """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: float = 1.0

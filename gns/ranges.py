@@ -114,6 +114,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "baffle_friction": Quantity(
             [coefficient(scene.baffle_friction if each.friction is None else each.friction) for each in baffles]
         ),
+        "channel": lengths([scene.channel.width] if scene.channel else ()),
         "ground_friction": Quantity(roughness),
         "ground_deg": Quantity(steepness, "deg", below=False),
         "ground_relief": lengths(elevation, below=False),

@@ -55,15 +55,23 @@ def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
 
 
 @ti.func
+def with_friction_reverse(bar, v, limit):
+    """Bars of (v, limit) from that of `mpm.physics.boundary.with_friction`, shape [D] and a number."""
+    speed, limit_bar = v.norm(), 0.0 * limit
+    if speed > limit:
+        across = v.dot(bar) / speed
+        bar = bar - (limit / speed) * (bar - (across / speed) * v)
+        limit_bar = 0.0 - across
+    else:
+        bar = 0.0 * bar
+    return bar, limit_bar
+
+
+@ti.func
 def after_contact_reverse(bar, v, normal, friction):
     """Bars of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`, shape [D] twice and a number."""
     into = v.dot(normal)
     along = v - into * normal
-    speed, limit = along.norm(), 0.0 - friction * into
-    along_bar, limit_bar = 0.0 * bar, 0.0 * into
-    if speed > limit:
-        across = along.dot(bar) / speed
-        along_bar = bar - (limit / speed) * (bar - (across / speed) * along)
-        limit_bar = 0.0 - across
+    along_bar, limit_bar = with_friction_reverse(bar, along, 0.0 - friction * into)
     into_bar = 0.0 - friction * limit_bar - normal.dot(along_bar)
     return along_bar + into_bar * normal, into_bar * v - into * along_bar, 0.0 - into * limit_bar

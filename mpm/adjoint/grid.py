@@ -23,11 +23,12 @@ with -kappa and -v times that of the change.
 
 import taichi as ti
 
-from mpm.adjoint.boundary import before_wall, wall_reverse
+from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
+from mpm.physics.contact import after_solid
 from mpm.physics.grid import SLOW, TINY, node_of, own_box, put_node, shares_row
 
 SUMS = 6
@@ -91,12 +92,21 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     if ti.static(features.barriers):
         # Barriers take components away and damp: what they do to a velocity they do to its bar.
         new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
-    mass_bar = zero
-    if ti.static(features.contact):
+    mass_bar, side_bar = zero, zero
+    if ti.static(features.contact or features.channel):
         strides = node_strides(scene, arrays)
         n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
         stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
-        new_bar, mass_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
+        if ti.static(features.channel):
+            braked = stopped
+            if ti.static(features.contact):
+                braked = after_solid(stopped, n, arrays)
+            new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * node[features.side_friction] * per_mass)
+            side_bar = dt * per_mass * limit_bar
+            mass_bar = 0.0 - node[features.side_friction] * per_mass * side_bar
+        if ti.static(features.contact):
+            new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
+            mass_bar = mass_bar + solid_bar
     star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, index, box_cells(scene, arrays), scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
@@ -121,6 +131,8 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     result = 0.0 * node
     # With volume correction particles see the mass of nodes itself.
     result[dimension] = mass_bar + bar[dimension]
+    if ti.static(features.channel):
+        result[features.side_friction] = side_bar
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass

@@ -18,6 +18,7 @@ from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse,
 from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting
 from mpm.physics.boundary import is_wall
+from mpm.physics.channel import side_friction
 from mpm.physics.transfer import contributions, prepare_contributions, property_of, spline, volume_of
 
 
@@ -41,6 +42,9 @@ def update_block_reverse(
     per_dx = 1.0 / dx
     values = scratch + features.values
     arrays.scratch[values + size] = 0.0 * arrays.state[first]
+    if ti.static(features.channel):
+        for k in ti.static(range(1 + size)):
+            arrays.scratch[values + k * features.node + features.side_friction] = 0.0 * arrays.state[first]
     f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(size))]
     for k in ti.static(range(size)):
         low = ti.floor(f[k] - 0.5)
@@ -113,13 +117,14 @@ def update_block_reverse(
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
 
-def given_of(velocity, affine, stress, volume, density, pushed, dx, features):
+def given_of(velocity, affine, stress, volume, density, pushed, grip, dx, features):
     """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
     mass, here = volume * density, [0.0 for _ in velocity]
     momentum, slopes, pull, forces = contributions(
         velocity, affine, stress, mass, volume, pushed, here, dx, 1.0 / dx, features
     )
-    return momentum, mass, pull, slopes, forces
+    braked = [side_friction(stress, volume, grip)] if features.channel else []
+    return momentum, mass, pull, braked, slopes, forces
 
 
 @ti.func
@@ -142,7 +147,8 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * size * int(features.contact)))]
-    numbers = ti.static((velocity, affine, stress, volume, density, pushed))
+    grip = arrays.settings[scene, Setting.GRIP]
+    numbers = ti.static((velocity, affine, stress, volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
     places = ti.static(
@@ -155,7 +161,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     bars = [arrays.scratch[sums + k] for k in ti.static(range(features.used))] + [
         per_dx * arrays.scratch[sums + n] for n in ti.static(places)
     ]
-    velocity_bar, affine_bar, stress_bar, volume_bar, density_bar, pushed_bar = ti.static(given(bars))
+    velocity_bar, affine_bar, stress_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
@@ -169,6 +175,8 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     add_bars(own + features.velocity, velocity_bar, arrays)
     add_bars(own + features.affine, affine_bar, arrays)
     add_bars(own + features.stress, stress_bar, arrays)
+    if ti.static(features.channel):
+        arrays.sums[worker, ti.static(int(Setting.GRIP))] += lane_sum(present * grip_bar, arrays)
     add_property_bar(block, Property.VOLUME, volume_bar, arrays)
     add_property_bar(block, Property.DENSITY, density_bar, arrays)
     if ti.static(features.contact):

@@ -38,6 +38,8 @@ class Features(Record):
     """A scene has several materials, or particles of several volumes or frictions."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
+    channel: bool = False
+    """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
     outflow: bool = False
     """A side of the box lets particles out."""
     strain_recorded: bool = False
@@ -140,6 +142,7 @@ def parts(features: Features) -> list[dict[str, int]]:
             "momentum": size,
             "mass": 1,
             "force": size,
+            "side_friction": int(features.channel),
             "used": 0,
         },
         # The change of a node's velocity stands in place of its force, which is done with.
@@ -194,6 +197,7 @@ def features_of(
         volume_correction=any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
+        channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
         strain_recorded="plastic_strain" in record.fields,
         walls_recorded=record.wall_forces,

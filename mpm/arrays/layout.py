@@ -39,6 +39,7 @@ class Setting(Column):
     SEARCH_DISTANCE = auto()  # distance from solids up to which it has to be known [m]
     FACE_DISTANCE = auto()  # distance from solids beyond which cells have no faces [m]
     DAMPING = auto()  # [-]
+    GRIP = auto()  # friction of the side walls per volume over the pressure on them, 2 mu / W [1/m]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0
     GAP_RATE = auto()  # at which a gap follows the grid's density [1/s]
     WAVE_SPEED = auto()  # the fastest of the scene's materials [m/s]

@@ -57,6 +57,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.SEARCH_DISTANCE: search_distance(scene),
         Setting.FACE_DISTANCE: search_distance(scene) + scene.domain.cell,
         Setting.DAMPING: scene.damping,
+        Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
         Setting.CORRECTED: float(remembers_gaps(scene)),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),

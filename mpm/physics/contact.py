@@ -248,6 +248,18 @@ def apply_solids(v, mass, n, worker, arrays: ti.template()):
 
 
 @ti.func
+def after_solid(v, n, arrays: ti.template()):
+    """Velocity `v` [m/s] as `apply_solids` leaves it, without its impulse."""
+    features = arrays.features
+    line = arrays.fixed_nodes[n] - 1
+    if line >= 0:
+        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
+        if v.dot(normal) < 0.0:
+            v = after_contact(v, normal, arrays.node_contacts[line, features.dimension])
+    return v
+
+
+@ti.func
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
 

@@ -17,6 +17,7 @@ from mpm.arrays.access import box_cells, node_strides
 from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_wall_impulse, apply_walls
+from mpm.physics.channel import after_side_walls
 from mpm.physics.contact import apply_solids
 
 TINY = 1.0e-30
@@ -192,6 +193,8 @@ def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
         strides = node_strides(scene, arrays)
         n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
         v_star = apply_solids(v_star, mass, n, worker, arrays)
+    if ti.static(features.channel):
+        v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):
         v_behind = apply_barriers(v_star, index, scene, dt, arrays)
         if ti.static(features.walls_recorded):

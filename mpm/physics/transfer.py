@@ -33,6 +33,7 @@ import taichi as ti
 
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker, component
+from mpm.physics.channel import side_friction
 from mpm.physics.contact import prepare_contact
 
 
@@ -80,14 +81,14 @@ def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template
 def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
     """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
 
-    A particle gives each node the same mass but for the weight: its slope is zero.
+    A particle gives each node the same mass and side friction but for the weight: their slopes are zero.
     """
     features = arrays.features
     first = scratch + features.values + group * features.node
     return ti.Vector(
         [
             arrays.scratch_lanes[(first + k) * features.lanes + lane]
-            if k < features.used and (group == 0 or k != features.dimension)
+            if k < features.used and (group == 0 or (k != features.dimension and k <= 2 * features.dimension))
             else 0.0
             for k in ti.static(range(features.node))
         ]
@@ -173,6 +174,9 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
             arrays.scratch[at] = slopes[i * features.dimension + j]
             arrays.scratch[at + features.force] = forces[i * features.dimension + j]
     arrays.scratch[values + features.dimension] = mass
+    if ti.static(features.channel):
+        grip = arrays.settings[scene, Setting.GRIP]
+        arrays.scratch[values + features.side_friction] = side_friction(stress, volume, grip)
 
 
 @ti.func

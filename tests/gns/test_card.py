@@ -16,7 +16,7 @@ from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Channel, Domain, Mass, Scene, Solid
 from gns import card, checkpoint
 from gns.card import Card
 from gns.library import models, shipped
@@ -126,6 +126,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "k0": lambda: with_mass(k0=0.5),
     "barriers": lambda: with_mass(release=0.2),
     "volume_correction": lambda: dataclasses.replace(COLUMN, volume_correction=True),
+    "channel": lambda: dataclasses.replace(COLUMN, channel=Channel(width=0.1, friction_deg=10.0)),
     "ground_deg": lambda: on(0.05),
     "slope_length": lambda: dataclasses.replace(COLUMN, slope_deg=20.0, domain=Domain(size=(4.0, 1.0), cell=0.01)),
     "masses": lambda: dataclasses.replace(

@@ -9,7 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene import Baffle, Channel, Mass, Scene, Solid
 from mpm.adjoint.gradient import Gradient, gradient
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
 
@@ -92,6 +92,7 @@ SCENES = {
     "3D baffle": room(masses=CUBE, baffles=(PILLAR,), baffle_friction=0.3, duration=0.015),
     "ground": plane(masses=ABOVE, solids=(GROUND,), volume_correction=False, duration=0.03),
     "thrown": plane(masses=THROWN, solids=(SLOPE,), volume_correction=False, duration=0.03),
+    "channel with a baffle": plane(WEAK, **BAFFLED, channel=Channel(width=0.1, friction_deg=20.0), slope_deg=20.0),
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
 FAST = ("2D",)
@@ -114,6 +115,12 @@ def paths_of(scene: Scene) -> dict[str, tuple[Callable[[float], Scene], float]]:
     def ground(**changes: Any) -> Scene:
         return dataclasses.replace(scene, solids=(dataclasses.replace(GROUND, **changes),))
 
+    def channel(h: float) -> Scene:
+        assert scene.channel is not None
+        return dataclasses.replace(scene, channel=dataclasses.replace(scene.channel, width=0.1 + h))
+
+    if scene.channel:
+        return {"width": (channel, 1e-4)}
     if scene.baffles:
         lower, size, turned = scene.baffles[0].lower, scene.baffles[0].size, scene.baffles[0].turned_deg
         return {

@@ -1,0 +1,70 @@
+"""Side walls of a channel in 2D: a block between them, and sand as it flows between walls in 3D."""
+
+import dataclasses
+import math
+
+import pytest
+
+from datasets.errors import InputError
+from datasets.material import Material
+from datasets.scene import Channel, Domain, Mass, Scene
+from mpm import LAST, simulate
+from tests.mpm.scenes import box
+from validation.bench.stability.exact_solutions import centre_displacement
+
+BLOCK = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.3, young=1.0e7)
+"""Too strong to yield: an elastic solid."""
+
+
+@pytest.mark.parametrize(("friction_deg", "floor"), [(0.0, 0.1), (20.0, 0.1), (20.0, 0.0), (60.0, 0.1)])
+def test_a_block_slides_between_walls(friction_deg: float, floor: float) -> None:
+    """a = g sin - mu_f g cos - (2 mu_w / W) nu g cos h / 2, at least 0: -sigma_zz is nu times the weight above."""
+    slope, height, width, duration = math.radians(20.0), 0.2, 0.08, 0.3
+    channel = Channel(width=width, friction_deg=friction_deg)
+    scene = box(
+        Mass(lower=(0.1, 0.0), size=(0.3, height)),
+        material=BLOCK,
+        slope_deg=20.0,
+        floor_friction=floor,
+        channel=channel,
+        duration=duration,
+        jitter=0.0,
+    )
+    walls = channel.grip * BLOCK.poisson * 0.5 * height
+    exact = 9.81 * max(0.0, math.sin(slope) - (floor + walls) * math.cos(slope))
+    slid = centre_displacement(simulate(scene))[-1, 0]
+    assert slid == pytest.approx(0.5 * exact * duration**2, abs=0.01 * 0.5 * 9.81 * duration**2)
+
+
+@pytest.mark.slow
+def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
+    """The front of a column in a channel six cells wide, within 3 % of that in 3D; without walls it goes further."""
+    width, sand, angle = 0.12, Material(friction_deg=30.0, young=1.0e6), 15.0
+    rest = {"floor_friction": 0.5, "duration": 0.5, "frame_dt": 0.005, "material": sand}
+    flat = Scene(domain=Domain(size=(1.2, 0.4), cell=0.02), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)),), **rest)
+    deep = Scene(
+        domain=Domain(size=(1.2, 0.4, width), cell=0.02),
+        masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, width)),),
+        wall_friction=math.tan(math.radians(angle)),
+        **rest,
+    )
+    walled = dataclasses.replace(flat, channel=Channel(width=width, friction_deg=angle))
+    fronts = [float(simulate(each, record=LAST).summary["front"]) for each in (flat, walled, deep)]
+    print(fronts)
+    assert fronts[1] == pytest.approx(fronts[2], rel=0.03)
+    assert fronts[0] > 1.06 * fronts[2]
+
+
+@pytest.mark.parametrize(
+    ("key", "channel", "size"),
+    [
+        ("channel", {"width": 0.1, "friction_deg": 20.0}, (1.0, 1.0, 1.0)),
+        ("channel.width", {"width": 0.0, "friction_deg": 20.0}, (1.0, 1.0)),
+        ("channel.friction_deg", {"width": 0.1, "friction_deg": 90.0}, (1.0, 1.0)),
+    ],
+)
+def test_what_is_no_channel_is_refused(key: str, channel: dict[str, float], size: tuple[float, ...]) -> None:
+    mass = Mass(lower=(0.0,) * len(size), size=(0.2,) * len(size))
+    with pytest.raises(InputError) as caught:
+        box(mass, domain=Domain(size=size, cell=0.02), channel=Channel(**channel))
+    assert caught.value.key == key
