@@ -3,10 +3,12 @@
 import dataclasses
 import math
 import warnings
+from typing import Any
 
 from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES
 from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, require, usual
+from datasets.material import ANGLES
 from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene
 
 MOST_CELLS = 2**31 - 1
@@ -198,7 +200,8 @@ def check_stages(scene: Scene) -> None:
             check_rows(stage.outline, f"{key}.outline", dimension - 1, least=dimension)
         require(bool(stage.values), key, "a constant of the material that changes", "none")
         try:
-            materials |= {dataclasses.replace(material, **stage.values) for material in materials}
+            values: dict[str, Any] = dict(stage.values)
+            materials |= {dataclasses.replace(material, **values) for material in materials}
         except InputError as error:
             raise InputError(error.message, key=error.key.replace("material", key, 1)) from None
 
@@ -227,6 +230,9 @@ def check_fields(scene: Scene) -> None:
         require(lowest > 0.0 and highest < 90.0, f"{key}.values", "angles in (0, 90) degrees", (lowest, highest))
         for number in masses if field.mass is None else (field.mass,):
             material = scene.material_of(scene.masses[number])
+            steepest = ANGLES[material.angle]
+            expected = f"angles below {steepest:g} degrees where the angle is {material.angle!r}"
+            require(highest < steepest, f"{key}.values", expected, highest)
             smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
             message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
             require(lowest >= smallest, f"{key}.values", message, lowest)

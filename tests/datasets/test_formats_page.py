@@ -17,7 +17,7 @@ from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.records import from_mapping
-from datasets.scene import Baffle, Domain, Gate, Mass, Scene, Solid
+from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid
 from datasets.training.statistics import MOVING_SPEED, metadata, motion_statistics
 from datasets.trajectory import Trajectory
 
@@ -34,7 +34,7 @@ def rows_of(title: str) -> list[list[str]]:
     return [line.split("|") for line in section(title).splitlines() if line.startswith("|")]
 
 
-@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Gate, Field, Baffle, Solid])
+@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Gate, Field, Channel, Baffle, Solid])
 def test_every_key_of_a_scene(kind: type) -> None:
     rows = rows_of("Scene (TOML)")
     if kind is Mass:
@@ -42,7 +42,7 @@ def test_every_key_of_a_scene(kind: type) -> None:
     if kind is Solid:
         rows = rows_of("Solids and bodies (TOML)")
     for field in dataclasses.fields(kind):
-        if field.name in ("domain", "masses", "fields", "baffles", "solids"):
+        if field.name in ("domain", "masses", "fields", "baffles", "solids", "stages", "channel"):
             assert f"[{field.name}]" in PAGE
             continue
         (row, *_) = [row for row in rows if f"`{field.name}`" in row[1]]
