@@ -31,7 +31,7 @@ PICKLE_ERRORS = {"PickleError", "UnpicklingError"}
 RESTRICTED = {
     "datasets/exchange/geoelements.py": {"Unpickler", "allow_pickle=True"},
 }
-"""The module that may name more: an unpickler that can make arrays alone, and the writer of a format that is pickled."""
+"""The module that may name more: an unpickler that can make arrays alone, and what writes pickled sets."""
 UNSAFE = {"allow_pickle=True", "weights_only=False"}
 """Arguments that would let a file run code; both are off by default."""
 LONGEST = 400
