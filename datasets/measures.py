@@ -1,6 +1,6 @@
-"""What a deposit is judged by: runout, front, toe and height profile; and a flow by its energy.
+"""What a deposit is judged by: runout, front, toe and height profile.
 
-Every function takes the positions of one moment [m], shape [N, D]; those of energies take any number of moments.
+Every function takes the positions of one moment [m], shape [N, D].
 """
 
 import math
@@ -87,21 +87,3 @@ def transport_distance(
     """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
     apart = equal_shares(positions, volume) - equal_shares(others, other_volume)
     return float(np.sqrt(np.mean(apart**2)))
-
-
-def kinetic_energy(velocities: Positions, mass: float | NDArray[np.floating]) -> NDArray[np.float64]:
-    """Kinetic energy [J, in 2D per metre of width] of velocities [m/s], shape [..., N, D]; returns shape [...].
-
-    mass: of the particles [kg, in 2D per metre of width], one for all or shape [N].
-    """
-    square = np.square(velocities, dtype=np.float64).sum(axis=-1)
-    return np.asarray(0.5 * (mass * square).sum(axis=-1))
-
-
-def potential_energy(positions: Positions, mass: float | NDArray[np.floating], gravity: float) -> NDArray[np.float64]:
-    """Potential energy above the floor [J, in 2D per metre of width], positions of shape [..., N, D]; shape [...].
-
-    mass: as in `kinetic_energy`; gravity: [m/s^2].
-    """
-    height = positions[..., 1].astype(np.float64)
-    return np.asarray(gravity * (mass * height).sum(axis=-1))

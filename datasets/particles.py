@@ -201,12 +201,11 @@ def initial_volumes(scene: Scene) -> NDArray[np.float64]:
 def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
     """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count].
 
-    Where a trajectory from elsewhere has other particles than `initial_particles` makes, each has the nominal volume of
-    the lattice, `scene.particle_volume`.
+    Of other particles than those that `initial_particles` makes (another code's) only the mean is known: that of the
+    masses over their number.
     """
-    if particle_count(scene) != count:
-        return np.full(count, scene.particle_volume)
-    return initial_volumes(scene)
+    own = initial_volumes(scene)
+    return own if len(own) == count else np.full(count, own.sum() / count)
 
 
 def warn_if_unresolved(scene: Scene) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.errors import InputError
 from datasets.files import json_object
-from datasets.particles import initial_volumes, particle_count
+from datasets.particles import particle_volumes
 from datasets.scene import Scene
 
 Floats = NDArray[np.float32]
@@ -80,16 +80,10 @@ class Trajectory:
 
     @property
     def volumes(self) -> NDArray[np.float64]:
-        """Initial volume of each particle [m^D], shape [N]: as given, else that of the scene's own particles.
-
-        Of other particles than these (another code's) only the mean is known: the scene's volume over their number.
-        """
-        count = self.positions.shape[1]
+        """Initial volume of each particle [m^D], shape [N]: as given, else `particle_volumes` of the scene."""
         if self.volume is not None:
             return self.volume.astype(np.float64)
-        if particle_count(self.scene) == count:
-            return initial_volumes(self.scene)
-        return np.full(count, initial_volumes(self.scene).sum() / count)
+        return particle_volumes(self.scene, self.positions.shape[1])
 
     @property
     def frame_dt(self) -> float:

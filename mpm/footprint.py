@@ -86,8 +86,7 @@ def footprint(
     kept = 1 + (record.slot(scene.frames - 1, scene.frames) or 0)
     solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
     # What is smoothed is there twice.
-    widths = {"velocity": dimension, "stress": features.stresses}
-    numbers = dimension + 2 * sum(widths.get(name, 1) for name in record.fields)
+    numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0)
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     return Footprint(
         particles=count,

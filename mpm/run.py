@@ -19,7 +19,7 @@ from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.request import FIELDS, Recording
+from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, workers_for
 
@@ -99,7 +99,7 @@ def command(
     fields = fields or vtk
     record = Recording(
         frames="last" if last_frame else "all" if every is None else every,
-        fields=frozenset(FIELDS if fields else ()),
+        fields=fields,
         wall_forces=fields or forces,
         until_rest=until_rest,
     )

@@ -91,7 +91,7 @@ def simulate(
 ) -> Trajectory:
     """Run one scene, a large one on all threads.
 
-        trajectory = simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity"})))
+        trajectory = simulate(scene, record=Recording(frames=10, fields=True))
         trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
 
     stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: such a one,

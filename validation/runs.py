@@ -49,7 +49,8 @@ class Run:
             if getattr(self.scene, each.name) != each.default
         ]
         record = [(each.name, getattr(self.record, each.name)) for each in dataclasses.fields(self.record)]
-        record = [(name, sorted(value) if isinstance(value, frozenset) else value) for name, value in record]
+        # Runs without fields keep the names under which they are on disk.
+        record = [(name, value or [] if name == "fields" else value) for name, value in record]
         text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

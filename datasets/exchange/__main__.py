@@ -22,8 +22,7 @@ def command(
 ) -> None:
     """Write a dataset of Talus in the layout of geoelements/gns, or one of theirs as a dataset of Talus.
 
-    One trajectory is in memory at a time. Running the same command again finishes what is missing. Their files are
-    read without executing anything they hold.
+    One trajectory is in memory at a time. Their files are read without executing anything they hold.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ def command(
         With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz and
         metadata.json.
     out
-        Folder of the result; empty, or begun by the same command.
+        Folder of the result; empty.
     to
         Layout to write.
     from_

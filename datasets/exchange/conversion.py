@@ -1,4 +1,4 @@
-"""A dataset of Talus in the layout of geoelements/gns and back: one trajectory in memory, interruptions finished.
+"""A dataset of Talus in the layout of geoelements/gns and back: one trajectory in memory.
 
 Their files know no scene: all trajectories of theirs get the one that the user gives, which says box, obstacles and
 material.
@@ -6,8 +6,6 @@ material.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +20,9 @@ from datasets.files import read_json, write_json
 from datasets.measures import front, runout, toe
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
-from datasets.training.statistics import metadata, motion_statistics
-from datasets.trajectory import Trajectory, open_trajectory, stored_scene, trajectory_files
+from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
+from datasets.trajectory import Trajectory, open_trajectory, trajectory_files
 
-RECORD = "exchange.json"
-"""What a conversion is from, written first, so that the same command can finish it."""
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
 """Keys of `metadata.json` that theirs shares with ours."""
 CLOSE = 1.0e-6
@@ -46,18 +42,17 @@ class ForeignMetadata(Record):
 
 
 def export(dataset: Path, out: Path) -> None:
-    """Write the dataset folder `dataset` to `out` in their layout; what an earlier, interrupted call wrote is kept.
+    """Write the dataset folder `dataset` to the folder `out` in their layout.
 
-    Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything else.
+    Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything.
     """
     files = {split: trajectory_files(dataset / split.value) for split in Split}
     described = described_as_theirs(dataset, files)
-    begin(out, {"to": "geoelements", "source": str(dataset)})
+    check_empty(out)
     for split, paths in files.items():
-        path = out / f"{split.value}.npz"
-        if paths and not path.exists():
+        if paths:
             bar = tqdm(paths, desc=split.value, unit="trajectory", dynamic_ncols=True)
-            geoelements.write(path, ((each.stem, Trajectory.load(each)) for each in bar))
+            geoelements.write(out / f"{split.value}.npz", ((each.stem, Trajectory.load(each)) for each in bar))
     write_json(out / "metadata.json", described)
 
 
@@ -102,15 +97,15 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
 
 
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
-    """Write the dataset in `source`, in their layout, to `out`; what an earlier call wrote is kept.
+    """Write the dataset in `source`, in their layout, to the folder `out`.
 
     scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError, also where `out` holds
-    anything else.
+    anything.
     """
     content = read_metadata(source / "metadata.json")
-    record = {"from": "geoelements", "source": str(source), "scene": scene.to_json(), "up": up}
+    check_empty(out)
     entries: list[Entry] = []
-    radius = None
+    statistics, radius = MotionStatistics.from_samples(*np.empty((2, 0, scene.dimension))), None
     for split in Split:
         path = source / f"{split.value}.npz"
         if not path.exists():
@@ -123,24 +118,20 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         except InputError as error:
             raise error.at(str(source / "metadata.json")) from None
         radius = radius or foreign.default_connectivity_radius
-        names = geoelements.names(path)
-        begin(out, record)
-        files = {name: out / split.value / f"{index:05d}.npz" for index, name in enumerate(names)}
-        missing = {name for name, file in files.items() if not file.exists()}
-        flows = geoelements.read(path, missing) if missing else iter(())
-        for name, sand in tqdm(flows, desc=split.value, total=len(missing), unit="trajectory", dynamic_ncols=True):
+        flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
+        for index, (name, sand) in enumerate(flows):
             try:
-                trajectory_of(sand, scene, foreign, up).save(files[name])
+                flow = trajectory_of(sand, scene, foreign, up)
             except InputError as error:
                 raise InputError(error.message, where=str(path), key=name) from None
-        entries += [Entry(split=split, name=file.stem, scene=stored_scene(file)) for file in files.values()]
+            flow.save(out / split.value / f"{index:05d}.npz")
+            entries.append(Entry(split=split, name=f"{index:05d}", scene=flow.scene))
+            if split is entries[0].split:
+                statistics += motion_statistics(flow.positions, flow.frame_dt)
     if not entries or radius is None:
         raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
-    first = [out / each.split.value / f"{each.name}.npz" for each in entries if each.split is entries[0].split]
-    ours = map(Trajectory.load, tqdm(first, desc="statistics", unit="trajectory", dynamic_ncols=True))
-    statistics = reduce(add, (motion_statistics(flow.positions, flow.frame_dt) for flow in ours))
     content = metadata("geoelements", entries, connectivity_radius=radius, seed=None, statistics=statistics)
-    write_json(out / "metadata.json", {**content, "exchange": record})
+    write_json(out / "metadata.json", {**content, "exchange": {"from": "geoelements", "source": str(source), "up": up}})
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
@@ -174,16 +165,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
     return data
 
 
-def begin(out: Path, record: dict[str, Any]) -> None:
-    """Claim the folder `out` for the conversion that `record` describes.
-
-    Raises InputError where it holds something else: nothing is overwritten.
-    """
-    path = out / RECORD
-    if path.exists():
-        if read_metadata(path) != record:
-            raise InputError("expected the conversion that this folder was begun with, found another", where=str(path))
-    elif out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
-        raise InputError("expected an empty folder, or one that this conversion has begun", where=str(out))
-    else:
-        write_json(path, record)
+def check_empty(out: Path) -> None:
+    """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
+    if out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
+        raise InputError("expected an empty folder", where=str(out))

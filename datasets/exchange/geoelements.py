@@ -10,7 +10,7 @@ import math
 import pickle
 import pickletools
 import zipfile
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import keys, member, open_npz, read_header, read_member
+from datasets.arrays import keys, open_npz, read_member
 from datasets.errors import InputError
 from datasets.files import reading, replacing
 from datasets.scene import Baffle
@@ -75,26 +75,15 @@ def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
                 np.lib.format.write_array(stream, objects, allow_pickle=True)
 
 
-def names(path: Path) -> list[str]:
-    """The trajectories of a split, in order, without reading them. Raises InputError."""
-    with open_npz(path, "a whole NPZ") as archive:
-        if ALL not in keys(archive):
-            return keys(archive)
-        with reading(path, "an array of trajectories", ALL), archive.open(member(archive, ALL)) as stream:
-            (count,), *_ = read_header(stream)
-            return [f"{index:05d}" for index in range(count)]
-
-
-def read(path: Path, requested: Container[str]) -> Iterator[tuple[str, Sand]]:
-    """The sand of the trajectories of a split whose names are `requested`; never executes a pickle.
+def read(path: Path) -> Iterator[tuple[str, Sand]]:
+    """The sand of the trajectories of a split by name; never executes a pickle.
 
     One is in memory at a time unless they are one array. Raises InputError, which names the file and the trajectory.
     """
     with open_npz(path, "a whole NPZ") as archive:
         whole = read_member(archive, ALL, WHAT, unpickled) if ALL in keys(archive) else None
-        for index, name in enumerate(names(path)):
-            if name not in requested:
-                continue
+        names = keys(archive) if whole is None else [f"{index:05d}" for index in range(len(whole))]
+        for index, name in enumerate(names):
             parts = read_member(archive, name, WHAT, unpickled) if whole is None else whole[index]
             with reading(path, WHAT, name):
                 positions, types, material = (*parts, None)[:3]

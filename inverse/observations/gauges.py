@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.particles import particle_volumes, released_volume
+from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from inverse.observations.observation import Observation, Values
 from inverse.observations.table import require_inside
@@ -57,8 +57,6 @@ class Gauges(Observation):
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         volumes = particle_volumes(self.scene, len(positions))
-        # Of particles from elsewhere only the mean volume is known, as in a profile.
-        volumes = volumes * (released_volume(self.scene) / volumes.sum())
         return np.asarray(self.smooth(torch.from_numpy(positions), torch.from_numpy(volumes)).numpy())
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:

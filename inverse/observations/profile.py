@@ -20,7 +20,7 @@ from torch import Tensor
 from datasets import measures
 from datasets.errors import InputError
 from datasets.geometry.ground import elevation
-from datasets.particles import particle_volumes, released_volume
+from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from inverse.observations.measured_profile import MeasuredProfile, profile_of
 from inverse.observations.observation import Measurement, Observation, Values, at_times
@@ -66,7 +66,7 @@ class Profile(Observation):
             self.stations = to_the_wall(rows, length)
         units = np.eye(len(self.fine))
         self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
-        self.volume, self.width = released_volume(scene), math.prod(scene.domain.size[2:])
+        self.width = math.prod(scene.domain.size[2:])
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
@@ -92,9 +92,7 @@ class Profile(Observation):
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
         volumes = particle_volumes(self.scene, len(positions))
-        # Of particles from elsewhere only the mean volume is known: that of the masses over their number.
-        share = volumes * (self.volume / (volumes.sum() * self.width))
-        return np.asarray(self.sampling @ measures.height_profile(positions, share, self.fine))
+        return np.asarray(self.sampling @ measures.height_profile(positions, volumes / self.width, self.fine))
 
     def of_heights(self, heights: Values) -> Values:
         """The observation [M] of a profile [m] at `stations`."""

@@ -223,26 +223,19 @@ class Batch:
             found = {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
         else:
             found = {"positions": np.zeros((kept, count, features.dimension), np.float32)}
-        fields = self.recording.fields
-        if "velocity" in fields:
-            found["velocity"] = np.zeros((kept, count, features.dimension), np.float32)
-        if "stress" in fields:
+        if self.recording.fields:
+            found["velocities"] = np.zeros((kept, count, features.dimension), np.float32)
             found["stress"] = np.zeros((kept, count, features.stresses), np.float32)
-        elif "pressure" in fields:
-            found["pressure"] = np.zeros((kept, count), np.float32)
-        if "plastic_strain" in fields:
             found["plastic_strain"] = np.zeros((kept, count), np.float32)
         return found
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
         features, numbers, order = self.features, self.numbers(index), self.order_of(index)
-        xx, yy, zz = numbers[features.stress :][:3]
         present = {
             "positions": numbers[: features.dimension],
-            "velocity": numbers[features.velocity :][: features.dimension],
+            "velocities": numbers[features.velocity :][: features.dimension],
             "stress": numbers[features.stress :][: features.stresses],
-            "pressure": 0.0 - xx / 3.0 - yy / 3.0 - zz / 3.0,
             "plastic_strain": numbers[features.plastic_strain],
         }
         for name, array in self.record[index].items():

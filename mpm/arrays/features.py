@@ -199,7 +199,7 @@ def features_of(
         contact=any(scene.baffles or scene.solids for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
-        strain_recorded="plastic_strain" in record.fields,
+        strain_recorded=record.fields,
         walls_recorded=record.wall_forces,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),

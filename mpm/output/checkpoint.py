@@ -82,7 +82,7 @@ class Checkpoint:
 
     def save(self, path: Path) -> None:
         """Write an NPZ of plain arrays and JSON strings."""
-        recording = dataclasses.asdict(self.recording) | {"fields": sorted(self.recording.fields)}
+        recording = dataclasses.asdict(self.recording)
         run = {name: getattr(self, name) for name in RUN}
         texts = {"scene": self.scene.to_json(), "recording": json.dumps(recording), "run": json.dumps(run)}
         write_npz(path, {key: np.array(text) for key, text in texts.items()} | self.arrays)

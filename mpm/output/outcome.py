@@ -45,16 +45,12 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
-    """The fields that were asked for of scene `index`, by the names of `datasets.trajectory.Trajectory`."""
-    scene, particles, asked = batch.scenes[index], batch.particles[index], batch.recording.fields
-    positions = batch.recorded(index)
+    """The fields of scene `index` where they were asked for, by the names of `datasets.trajectory.Trajectory`."""
     fields: dict[str, Any] = {name: each for name, each in batch.record[index].items() if name != "positions"}
-    for name in fields.keys() & {"stress", "pressure"}:
-        fields[name] = smoothed(fields[name], positions, particles.volume, scene)
-    if {"stress", "pressure"} <= asked:
+    if fields:
+        volume, scene = batch.particles[index].volume, batch.scenes[index]
+        fields["stress"] = smoothed(fields["stress"], batch.recorded(index), volume, scene)
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
-    if "velocity" in asked:
-        fields["velocities"] = fields.pop("velocity")
     return fields
 
 

@@ -26,10 +26,6 @@ from datasets.material import Material
 from datasets.records import Record
 from datasets.scene import Scene
 
-FieldName = Literal["velocity", "stress", "pressure", "plastic_strain"]
-
-FIELDS: tuple[FieldName, ...] = ("velocity", "stress", "pressure", "plastic_strain")
-"""All that can be recorded of a particle besides its position."""
 REST = 1.0e-3
 """Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
 BALANCED = 0.01
@@ -44,7 +40,7 @@ REST_ENERGY = 5.0e-7
 class Recording(Record):
     """A request: memory is allocated, and code compiled, for this alone.
 
-        simulate(scene, record=Recording(frames=10, fields=frozenset({"velocity", "stress"}), wall_forces=True))
+        simulate(scene, record=Recording(frames=10, fields=True, wall_forces=True))
 
     The series of the summary (energies, impulse on the walls) have a value at every `frame_dt` of the scene, whichever
     frames keep their positions; the impulse on solids is recorded in the frames that are kept wherever there are
@@ -53,9 +49,9 @@ class Recording(Record):
 
     frames: Literal["all", "last"] | int = "all"
     """Which frames keep positions and fields: all, the last alone, or every k-th from the first on and the last."""
-    fields: frozenset[FieldName] = frozenset()
-    """What is recorded of every particle besides its position; stress and pressure are smoothed through the grid
-    (`mpm.output.smoothing`)."""
+    fields: bool = False
+    """Whether velocity, stress, pressure and plastic strain of every particle are recorded besides its position; stress
+    and pressure are smoothed through the grid (`mpm.output.smoothing`)."""
     wall_forces: bool = False
     """Whether the momentum that each side of the box has taken is recorded."""
     until_rest: bool = False
@@ -63,14 +59,11 @@ class Recording(Record):
     last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fields", frozenset(self.fields))
         if isinstance(self.frames, str):
             if self.frames not in ("all", "last"):
                 raise InputError(f"expected all, last or every how many, got {self.frames!r}", key="frames")
         elif self.frames < 1:
             raise InputError(f"expected every first frame or more seldom, got every {self.frames}th", key="frames")
-        if unknown := self.fields - set(FIELDS):
-            raise InputError(f"expected any of {', '.join(FIELDS)}, got {', '.join(sorted(unknown))}", key="fields")
 
     @property
     def every(self) -> int:
@@ -98,8 +91,8 @@ LAST = Recording(frames="last")
 """The deposit alone."""
 AT_REST = Recording(frames="last", until_rest=True)
 """The deposit alone, of a run that ends when it rests."""
-WITH_FIELDS = Recording(fields=frozenset({"velocity", "pressure", "plastic_strain"}), wall_forces=True)
-"""All frames with velocity, pressure and plastic strain, and the forces on the walls."""
+WITH_FIELDS = Recording(fields=True, wall_forces=True)
+"""All frames with all fields, and the forces on the walls."""
 
 
 def height(scene: Scene) -> float:

@@ -79,7 +79,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scene": ("scene.toml", read_scene),
     "trajectory": ("flow.npz", read_trajectory),
     "long trajectory": ("flow.h5", read_trajectory),
-    "object arrays": ("train.npz", lambda path: list(geoelements.read(path, geoelements.names(path)))),
+    "object arrays": ("train.npz", lambda path: list(geoelements.read(path))),
     "table": ("dem.csv", lambda path: read_columns(path, ("x", "z", "y"))),
     "mesh": ("ball.stl", mesh_scene),
 }

@@ -1,4 +1,4 @@
-"""python -m datasets.exchange: there and back, finished after an interruption; nothing overwritten or executed."""
+"""python -m datasets.exchange: there and back; nothing overwritten or executed."""
 
 import json
 import os
@@ -78,40 +78,12 @@ def test_there_and_back(tmp_path: Path, dimension: int) -> None:
     assert (after["definition"], after["exchange"]["from"]) == ("geoelements", "geoelements")
 
 
-@pytest.mark.parametrize("back", [False, True])
-def test_an_interrupted_conversion_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, back: bool) -> None:
-    arguments: list[object] = [toy_dataset(tmp_path / "ours", 2), *TO]
-    if back:
-        exchange(*arguments, "--out", tmp_path / "theirs")
-        arguments = [tmp_path / "theirs", *FROM, "--scene", scene_file(tmp_path, 2)]
-    assert exchange(*arguments, "--out", tmp_path / "whole") == 0
-    name, calls = "save" if back else "load", 0
-    function: Any = getattr(Trajectory, name)
-
-    def stopped(*given: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == 3:
-            raise KeyboardInterrupt
-        return function(*given)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Trajectory, name, stopped if back else staticmethod(stopped))
-        assert exchange(*arguments, "--out", tmp_path / "broken") == 130
-    assert not (tmp_path / "broken" / "metadata.json").exists()
-    assert 1 < len(contents(tmp_path / "broken")) < len(contents(tmp_path / "whole"))
-    for _ in range(2):
-        assert exchange(*arguments, "--out", tmp_path / "broken") == 0
-        assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
-
-
 def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = toy_dataset(tmp_path / "ours", 2)
     assert "empty folder" in refused(capsys, ours, *TO, "--out", ours)
     exchange(ours, *TO, "--out", tmp_path / "theirs")
     before = contents(tmp_path / "theirs")
-    other = toy_dataset(tmp_path / "other", 2)
-    assert "begun with" in refused(capsys, other, *TO, "--out", tmp_path / "theirs")
+    assert "empty folder" in refused(capsys, ours, *TO, "--out", tmp_path / "theirs")
     assert contents(tmp_path / "theirs") == before
     toy(3).save(ours / "train" / "toy-0009.npz")
     assert "toy-0009.npz" in refused(capsys, ours, *TO, "--out", tmp_path / "mixed")
@@ -194,7 +166,7 @@ def objects(*parts: Any) -> bytes:
 
 def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
     content = objects(POSITIONS, TYPES).replace(b"numpy._core.", b"numpy.core.")
-    ((_, (positions, friction)),) = geoelements.read(stored(tmp_path / "train.npz", content, 2), {"data"})
+    ((_, (positions, friction)),) = geoelements.read(stored(tmp_path / "train.npz", content, 2))
     np.testing.assert_array_equal(positions, POSITIONS[:, TYPES == 6])
     assert friction is None
 
@@ -221,6 +193,6 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
 def test_what_is_no_trajectory_or_hostile(tmp_path: Path, content: bytes, count: int, expected: str) -> None:
     path = stored(tmp_path / "bad.npz", content, count)
     with pytest.raises(InputError) as caught:
-        list(geoelements.read(path, {"data"}))
+        list(geoelements.read(path))
     assert (caught.value.where, caught.value.key) == (str(path), "data")
     assert expected in caught.value.message

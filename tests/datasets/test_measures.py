@@ -6,8 +6,6 @@ import pytest
 from datasets.measures import (
     front,
     height_profile,
-    kinetic_energy,
-    potential_energy,
     runout,
     toe,
     transport_distance,
@@ -62,16 +60,3 @@ def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
     ahead = deposit.copy()
     ahead[deposit[:, 0] > 0.3, 0] += 0.2
     assert transport_distance(ahead, one, deposit, one) == pytest.approx(0.1, rel=0.02)
-
-
-def test_energies_of_points_that_fall() -> None:
-    time = np.linspace(0.0, 0.2, 5)
-    heights = 1.0 - 0.5 * 9.81 * time**2
-    positions = np.stack([np.zeros((5, 3)), np.repeat(heights[:, None], 3, axis=1)], axis=2)
-    velocities = np.zeros_like(positions)
-    velocities[..., 1] = -9.81 * time[:, None]
-    mass = np.array([1.0, 2.0, 3.0])
-    potential, kinetic = potential_energy(positions, mass, 9.81), kinetic_energy(velocities, mass)
-    assert potential[0] == pytest.approx(6.0 * 9.81)
-    np.testing.assert_allclose(potential + kinetic, potential[0])
-    assert kinetic_energy(velocities[-1], 2.0) == pytest.approx(0.5 * 6.0 * (9.81 * 0.2) ** 2)

@@ -12,9 +12,8 @@ from mpm import ALL, LAST, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision
 from mpm.footprint import PROCESS, footprint
-from mpm.output.request import FIELDS
 
-EVERYTHING = Recording(fields=frozenset(FIELDS), wall_forces=True)
+EVERYTHING = Recording(fields=True, wall_forces=True)
 
 
 @pytest.mark.parametrize(

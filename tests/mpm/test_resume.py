@@ -21,12 +21,11 @@ from mpm.arrays.batch import Batch
 from mpm.arrays.layout import FRAMES_PER_CALL, Precision
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
-from mpm.output.request import FIELDS
 from mpm.run import command
 from mpm.simulation import Interrupted, simulate_each
 from tests.mpm.scenes import COLUMN, box
 
-RECORD = Recording(frames=3, fields=frozenset(FIELDS), wall_forces=True)
+RECORD = Recording(frames=3, fields=True, wall_forces=True)
 OPEN = box(duration=0.28)
 FLOW = box(baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),), floor_friction=0.5, duration=0.28)
 
