@@ -4,25 +4,28 @@
 
 On the plane that shears the normal stress is the centre P = -(s1 + s3) / 2 of Mohr's circle and the shear stress its
 radius R = (s1 - s3) / 2, where nothing dilates; so sin phi is the measured ratio mu. gamma' is the plastic shear rate
-of that plane. `mpm.physics.mohr_coulomb` returns with slow friction mu_s to (P, R) by a plastic shear g_s in the step
-dt; with more friction (in MPM: Dunatunga & Kamrin 2015) the shear is g = gamma' dt < g_s, where
+of that plane, and where two stresses meet at an edge, their mean stands for both. In a step dt (in MPM: Dunatunga &
+Kamrin 2015) the return of `mpm.physics.mohr_coulomb` takes the trial (P, R) by the shear g = gamma' dt to
 
-    (1 + b mu_s) G (g_s - g) = (sin phi - mu_s) P,     b = dP / (G dg)
+    R - G g = (P + b G g) sin phi + c cos phi_s
 
-b says how P changes as the return goes on: by (lambda + G) sin psi / G on a plane; where two stresses meet at an edge,
-by -1/3 where they are the larger two and by 1/3 where the smaller two, and as they dilate. With w the share of the
-growth, sin phi = mu_s + (mu_2 - mu_s) w, and g = g_0 w / (1 - w), g_0 = dt I_0 sqrt(P / rho_s) / d, backward Euler is
+b says how P changes on the way: (lambda + G) sin psi / G on a plane; -1/3 at an edge where the larger two stresses meet
+and 1/3 where the smaller two do, and what their dilation adds. With w the share of the growth, sin phi = mu_s + (mu_2 -
+mu_s) w, and g = g_0 w / (1 - w), g_0 = dt I_0 sqrt(P / rho_s) / d, at the pressure of the slow return this is
 
-    m w^2 - (e + m + k) w + e = 0,     e = (1 + b mu_s) G g_s,  m = (mu_2 - mu_s) P,  k = (1 + b mu_s) G g_0
+    m w^2 - (e + m + k) w + e = 0,    e = R - P mu_s - c cos phi_s,   m = (mu_2 - mu_s) (P + b e / (1 + b mu_s)),
+                                      k = (1 + b mu_s) G g_0
 
 whose smaller root is in [0, 1] at any step: 0 where nothing yields, about e / k in slow shear and 1 in very fast shear.
-Under tension, P <= 0, there is no I and friction is that of slow shear.
+Under tension there is no I, and friction is that of slow shear.
 
 | symbol | variable |
 |---|---|
 | mu_s, mu_2 | sin_phi, sin_phi_limit |
+| 2 c cos phi_s | strength |
 | I_0 dt / (d sqrt(rho_s)) | inertial_step |
-| P, G g_s, 1 + b mu_s | pressure, shear_return, stiffening |
+| P, R; then P + b e / (1 + b mu_s) | trial_pressure, radius; pressure |
+| 1 + b mu_s, b / (1 + b mu_s) | stiffening, rise |
 | e, m, k, w | excess, most, slow, share |
 """
 
@@ -33,11 +36,45 @@ from mpm.physics.principal import TINY
 
 
 @ti.func
-def sin_phi_at_rate(pressure, shear_return, stiffening, sin_phi, sin_phi_limit, inertial_step, shear):
-    """sin phi [-] at the rate of shear of a step that returns by `shear_return` [Pa] to `pressure` [Pa] with mu_s."""
-    pressure, growth = maximum(pressure, 0.0), maximum(sin_phi_limit - sin_phi, 0.0)
-    excess, most = stiffening * shear_return, growth * pressure
-    slow = stiffening * shear * inertial_step * ti.sqrt(pressure)
+def sin_phi_at_rate(
+    s1,
+    s2,
+    s3,
+    upper,
+    lower,
+    sin_phi,
+    sin_psi,
+    strength,
+    sin_phi_limit,
+    inertial_step,
+    lame,
+    shear,
+    dilates: ti.template(),
+):
+    """sin phi [-] at the rate of shear at which a step returns the trial principal stresses s1 >= s2 >= s3 [Pa].
+
+    upper, lower: whether the slow return is to the edge where stresses 1 and 2, or 2 and 3, meet.
+    """
+    high, low = ti.select(upper, 0.5 * (s1 + s2), s1), ti.select(lower, 0.5 * (s2 + s3), s3)
+    trial_pressure, radius = 0.0 - 0.5 * (high + low), 0.5 * (high - low)
+    excess = maximum(radius - trial_pressure * sin_phi - 0.5 * strength, 0.0)
+    stiffening = ti.select(upper, 1.0 - sin_phi / 3.0, ti.select(lower, 1.0 + sin_phi / 3.0, 1.0))
+    rise = ti.select(upper, -1.0 / (3.0 - sin_phi), ti.select(lower, 1.0 / (3.0 + sin_phi), 0.0))
+    if ti.static(dilates):
+        bulk4 = 4.0 * lame + shear * (8.0 / 3.0)
+        b = ti.select(
+            upper,
+            bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0,
+            ti.select(
+                lower,
+                bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0,
+                (lame + shear) * sin_psi / shear,
+            ),
+        )
+        stiffening = 1.0 + b * sin_phi
+        rise = b / stiffening
+    pressure, growth = maximum(trial_pressure + rise * excess, 0.0), maximum(sin_phi_limit - sin_phi, 0.0)
+    most, slow = growth * pressure, stiffening * shear * inertial_step * ti.sqrt(pressure)
     # (e + m + k)^2 - 4 m e without a difference of large numbers.
     square = (excess - most) * (excess - most) + slow * (slow + 2.0 * (excess + most))
     share = 2.0 * excess / maximum(excess + most + slow + ti.sqrt(square), TINY)

@@ -157,18 +157,11 @@ def strengths_at_rate(s1, s2, s3, strengths: ti.template(), lame, shear, feature
     """sin phi [-] and T [Pa] at the rate of shear of a step, from `strengths` as `return_principal` takes them."""
     if ti.static(features.inertial):
         sin_phi, sin_psi, strength, limit, sin_phi_limit, inertial_step = strengths
-        t1, _, t3, _, upper, lower = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, features.dilates)
-        high, low = ti.select(upper, 0.5 * (s1 + s2), s1), ti.select(lower, 0.5 * (s2 + s3), s3)
-        shear_return = maximum(0.5 * (high - low - t1 + t3), 0.0)
-        edge = ti.select(upper, 0.0 * s1 - 1.0, ti.select(lower, 0.0 * s1 + 1.0, 0.0 * s1))
-        stiffening = 1.0 + edge / 3.0 * sin_phi
-        if ti.static(features.dilates):
-            on_plane_bulge = (lame + shear) / shear
-            on_edge_bulge = (4.0 * lame + shear * (8.0 / 3.0)) / (shear * (3.0 + edge * sin_psi))
-            bulge = sin_psi * ti.select(upper | lower, on_edge_bulge, on_plane_bulge)
-            stiffening = stiffening + bulge * sin_phi
+        dilates = ti.static(features.dilates)
+        excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
+        t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
         now = sin_phi_at_rate(
-            0.0 - 0.5 * (t1 + t3), shear_return, stiffening, sin_phi, sin_phi_limit, inertial_step, shear
+            s1, s2, s3, t2 > t1, t3 > t2, sin_phi, sin_psi, strength, sin_phi_limit, inertial_step, lame, shear, dilates
         )
         if ti.static(features.cohesive):
             # The apex of the steeper cone lies at a lower tension.

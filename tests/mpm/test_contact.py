@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from datasets.errors import InputError
 from datasets.geometry.nearest import nearest
 from datasets.geometry.surface import surface_of
 from datasets.material import Material
@@ -194,6 +195,31 @@ def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
     exact = 0.5 * GRAVITY * (np.sin(np.radians(25.0)) - 0.2 * np.cos(np.radians(25.0))) * 0.5**2
     assert moved[0] == pytest.approx(exact, rel=0.1)
     assert abs(moved[1]) < 0.03 * moved[0]
+
+
+def test_rough_surfaces_hold_what_touches_them() -> None:
+    """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
+    strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
+    scene = Scene(
+        domain=Domain(size=(0.6, 0.4), cell=CELL),
+        material=strong,
+        masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.1)),),
+        slope_deg=40.0,
+        floor_friction="rough",
+        duration=0.2,
+        frame_dt=0.01,
+    )
+    moved = [
+        float((flow.positions[-1] - flow.positions[0])[:, 0].mean())
+        for flow in (simulate(scene), simulate(dataclasses.replace(scene, floor_friction=0.3)))
+    ]
+    assert abs(moved[0]) < 0.01 * moved[1]
+    baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
+    surface = surface_of(dataclasses.replace(scene, baffles=(baffle,)))
+    assert surface is not None
+    assert np.isinf(surface.friction).all()
+    with pytest.raises(InputError, match="'rough', got 'glued'"):
+        dataclasses.replace(scene, wall_friction="glued")
 
 
 @pytest.mark.slow

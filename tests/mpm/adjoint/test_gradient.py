@@ -81,7 +81,7 @@ SCENES = {
     "weak soil": plane(WEAK, masses=FALLING, duration=0.04),
     "sand before a baffle": plane(SAND, masses=FALLING, baffles=(BEHIND,), baffle_friction=0.3, duration=0.04),
     "friction of the rate": plane(dataclasses.replace(WEAK, dilation_deg=5.0, **FAST_SHEAR), slope_deg=20.0),
-    "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR)),
+    "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.015),
     "3D sand, friction of the rate": room(
         dataclasses.replace(SAND, angle="slope", **FAST_SHEAR | {"friction_limit_deg": 38.0}), masses=THROWN_3D
     ),
