@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.field import Field
-from datasets.files import replacing
 from inverse.parameters.field import BAND, UnknownField
 
 Floats = NDArray[np.float64]
@@ -133,21 +131,3 @@ def arrays_of(fields: Sequence[FoundField]) -> dict[str, Floats]:
         own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays
         found |= {f"{index}_{name}": values for name, values in own.items()}
     return found
-
-
-def write_vti(found: FoundField, path: Path) -> None:
-    """A field and its widths on their nodes, for ParaView."""
-    # Imported here: VTK takes half a second to load.
-    import pyvista
-
-    grid, flat = found.unknown.grid, 3 - len(found.unknown.grid.nodes)
-    image = pyvista.ImageData(
-        dimensions=(*grid.nodes, *[1] * flat),
-        spacing=(*grid.spacing, *[1.0] * flat),
-        origin=(*grid.origin, *[0.0] * flat),
-    )
-    for name, values in found.arrays.items():
-        # VTK counts x fastest.
-        image.point_data[name] = np.asarray(values, np.float32).reshape(grid.nodes).ravel(order="F")
-    with replacing(path) as part:
-        image.save(part)

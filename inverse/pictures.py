@@ -1,4 +1,4 @@
-"""Pictures of what was found: parameters, posterior, fields, residuals."""
+"""Pictures of what was found: parameters, posterior, fields."""
 
 from pathlib import Path
 from typing import Any
@@ -147,18 +147,4 @@ def draw_curve(path: Path, found: FoundField, axis: int, label: str) -> None:
         panel.plot(along, line["truth"], color=COLOURS["target"], label="truth")
     panel.set(xlabel=f"{'xyz'[axis]} [m]", ylabel=label)
     panel.legend()
-    save(figure, path)
-
-
-def draw_residuals(path: Path, found: Found) -> None:
-    """What is shown at the answer less the target, of several observations, in standard deviations."""
-    figure, axis = plt.subplots(figsize=(WIDTH, 2.6), layout="constrained")
-    residual, label = found.predicted - found.target.values, f"{found.forward} less target"
-    axis.axhspan(-2.0, 2.0, color="#dddddd", zorder=0, label="two standard deviations")
-    axis.plot(np.arange(len(residual)), residual, ".", color=COLOURS[found.forward], label=label)
-    for part in getattr(found.target.observation, "parts", ()):
-        axis.axvline(part.numbers.start - 0.5, color="#888888", linewidth=0.6)
-        axis.text(part.numbers.start, axis.get_ylim()[1], part.name, fontsize=8, va="top")
-    axis.set(xlabel="number", ylabel="standard deviations", xlim=(-0.5, len(residual) - 0.5))
-    axis.legend()
     save(figure, path)

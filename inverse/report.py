@@ -40,9 +40,6 @@ def write(found: Found, folder: Path, command: str) -> None:
         pictures.draw_field(folder / f"{each.stem}.png", each)
         parts += [f"## {each.name}", identified(each), field_table(each), f"![{each.name}]({each.stem}.png)"]
     parts += ["## Comparison with the target", comparison(found), "![deposits](deposit.png)"]
-    if isinstance(found.target.observation, Joint):
-        pictures.draw_residuals(folder / "residuals.png", found)
-        parts.append("![residuals](residuals.png)")
     if notes := uncertainty(found):
         parts += ["## Uncertainty", *notes]
     if found.posterior is not None:

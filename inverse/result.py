@@ -8,7 +8,7 @@ import numpy as np
 
 from datasets.files import make_folder, replacing, write_json
 from datasets.library import write_scene
-from inverse.fields import arrays_of, write_vti
+from inverse.fields import arrays_of
 from inverse.found import Found
 
 if TYPE_CHECKING:
@@ -45,8 +45,6 @@ class Result(Found):
             with replacing(folder / "field.npz") as part:
                 np.savez(part, **arrays_of(self.fields))  # type: ignore[arg-type]
             write_scene(self.scene, folder / "scene.toml")
-            for found in self.fields:
-                write_vti(found, folder / f"{found.stem}.vti")
         write_json(folder / "result.json", self.as_json())
         report.write(self, folder, f"{self.command} {self.problem.asked or self.problem.name} --out {folder}")
 

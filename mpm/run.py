@@ -18,7 +18,7 @@ from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
 from mpm.footprint import footprint
-from mpm.output.checkpoint import Checkpoint
+from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, workers_for
@@ -109,8 +109,8 @@ def command(
     print(plan, flush=True)
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
-    if start is not None and (key := start.difference(given, record, precise)):
-        print(f"talus: {file}: {key}: that of another run; beginning anew", file=sys.stderr)
+    if start is not None and start.run != described(given, record, precise):
+        print(f"talus: {file}: of another scene, recording or precision; beginning anew", file=sys.stderr)
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions

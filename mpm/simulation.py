@@ -95,15 +95,14 @@ def simulate(
         trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
 
     stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: such a one,
-    from which the same run goes on; on as many threads, the same to the bit as one that was never interrupted. What is
-    recorded and the precision are the checkpoint's unless given. Raises WorkFailed if it blew up, InputError where
-    there is no GPU, or where the checkpoint is of another scene, recording or precision.
+    from which the same run goes on; on as many threads, the same to the bit as one that was never interrupted. Raises
+    WorkFailed if it blew up, InputError where there is no GPU, or where the checkpoint is of another scene, recording
+    or precision.
     """
     warn_if_unlikely(scene)
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
-    precision = options.get("precision") or (resume.precision if resume else "f32")
-    record = options.get("record") or (resume.recording if resume else ALL)
+    precision, record = options.get("precision", "f32"), options.get("record", ALL)
     workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
     if file is not None and record.fields:

@@ -6,10 +6,9 @@ its material properties follow.
 """
 
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar
 
-from mpm.arrays.features import Features, begins
+from mpm.arrays.features import Features, offset
 
 
 @dataclass(frozen=True)
@@ -27,10 +26,7 @@ class Layout:
 
     def __getattr__(self, name: str) -> int:
         """Where the part `name` begins of bars, history or scratch; see `parts`."""
-        found = None if name.startswith("_") else offsets(self.features).get(name)
-        if found is None:
-            raise AttributeError(name)
-        return found
+        return offset(parts, self.features, name)
 
 
 def parts(features: Features) -> list[dict[str, int]]:
@@ -52,9 +48,3 @@ def parts(features: Features) -> list[dict[str, int]]:
             "scratch": 0,
         },
     ]
-
-
-@cache
-def offsets(features: Features) -> dict[str, int]:
-    """Where each of the `parts` begins."""
-    return begins(parts(features))

@@ -1,6 +1,6 @@
 """What the scenes of a batch need: the kernels are compiled for exactly this."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
@@ -106,10 +106,7 @@ class Features(Record):
 
     def __getattr__(self, name: str) -> int:
         """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""
-        found = None if name.startswith("_") else offsets(self).get(name)
-        if found is None:
-            raise AttributeError(name)
-        return found
+        return offset(parts, self, name)
 
 
 def parts(features: Features) -> list[dict[str, int]]:
@@ -160,16 +157,19 @@ def parts(features: Features) -> list[dict[str, int]]:
     ]
 
 
+def offset(parts: Callable[[Features], list[dict[str, int]]], features: Features, name: str) -> int:
+    """Where one of the `parts` begins. Raises AttributeError for another name."""
+    found = None if name.startswith("_") else begins(parts, features).get(name)
+    if found is None:
+        raise AttributeError(name)
+    return found
+
+
 @cache
-def offsets(features: Features) -> dict[str, int]:
-    """Where each of the `parts` begins."""
-    return begins(parts(features))
-
-
-def begins(groups: Sequence[dict[str, int]]) -> dict[str, int]:
+def begins(parts: Callable[[Features], list[dict[str, int]]], features: Features) -> dict[str, int]:
     """Where parts of given lengths begin in their group; the last of one has none and says how long the group is."""
     found: dict[str, int] = {}
-    for group in groups:
+    for group in parts(features):
         found |= dict(zip(group, accumulate(group.values(), initial=0), strict=False))
     return found
 

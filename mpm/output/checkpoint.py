@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,7 @@ from numpy.typing import NDArray
 
 from datasets.arrays import read_arrays, write_npz
 from datasets.errors import InputError
-from datasets.files import json_object
-from datasets.records import from_mapping
+from datasets.files import reading
 from datasets.scene import Scene
 from mpm.arrays.layout import Offset, Precision
 from mpm.output.request import Recording
@@ -20,17 +20,16 @@ from mpm.output.request import Recording
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch
 
-RUN = ("precision", "frame", "steps", "wall_s")
-"""How far a run came, one text beside the scene and what is recorded."""
+SCALARS: dict[str, Callable[[Any], Any]] = {"run": str, "frame": int, "steps": int, "wall_s": float}
+"""What a checkpoint holds besides arrays, and of which type."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
     """A run of one scene up to a frame, in the precision of the solver, with all that it has recorded so far."""
 
-    scene: Scene
-    recording: Recording
-    precision: Precision
+    run: str
+    """Scene, recording and precision: `described`."""
     frame: int
     """The last frame that was computed."""
     steps: int
@@ -44,27 +43,20 @@ class Checkpoint:
     def from_batch(batch: "Batch", *, wall_s: float) -> "Checkpoint":
         """The state of a batch of one scene; views of its arrays."""
         return Checkpoint(
-            scene=batch.scenes[0],
-            recording=batch.recording,
-            precision=batch.features.precision,
+            run=described(batch.scenes[0], batch.recording, batch.features.precision),
             frame=batch.computed,
             steps=int(batch.offsets[0, Offset.STEPS]),
             wall_s=wall_s,
             arrays=arrays_of(batch, batch.computed),
         )
 
-    def difference(self, scene: Scene, recording: Recording, precision: Precision) -> str:
-        """The key in which a run differs from one that can go on from here; empty where it does not."""
-        key = difference(self.scene, scene) or difference(self.recording, recording)
-        return key or ("" if self.precision == precision else "precision")
-
     def restore(self, batch: "Batch") -> None:
         """Bring a batch of one scene, as it is at its start, to where this run ended.
 
-        Raises InputError, which names the key, where the run is one of another scene, recording or precision.
+        Raises InputError where the run is one of another scene, recording or precision.
         """
-        if key := self.difference(batch.scenes[0], batch.recording, batch.features.precision):
-            raise InputError("expected the run of the checkpoint; it differs", key=key)
+        if self.run != described(batch.scenes[0], batch.recording, batch.features.precision):
+            raise InputError("expected the run of the checkpoint, got another scene, recording or precision")
         for key, part in arrays_of(batch, self.frame).items():
             if key not in self.arrays:
                 raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
@@ -81,29 +73,23 @@ class Checkpoint:
         batch.offsets[0, Offset.STEPS], batch.computed = self.steps, self.frame
 
     def save(self, path: Path) -> None:
-        """Write an NPZ of plain arrays and JSON strings."""
-        recording = dataclasses.asdict(self.recording)
-        run = {name: getattr(self, name) for name in RUN}
-        texts = {"scene": self.scene.to_json(), "recording": json.dumps(recording), "run": json.dumps(run)}
-        write_npz(path, {key: np.array(text) for key, text in texts.items()} | self.arrays)
+        """Write an NPZ of plain arrays."""
+        write_npz(path, {name: np.array(getattr(self, name)) for name in SCALARS} | self.arrays)
 
     @staticmethod
     def load(path: Path) -> "Checkpoint":
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file."""
-        arrays: dict[str, Any] = read_arrays(path, what="a checkpoint")
-        try:
-            texts = {key: str(arrays.pop(key)) if key in arrays else "{}" for key in ("scene", "recording", "run")}
-            run = json_object(texts["run"])
-            if set(run) != set(RUN):
-                raise InputError("expected a checkpoint of this version of Talus", key="run")
-            return Checkpoint(
-                scene=Scene.from_json(texts["scene"]),
-                recording=from_mapping(Recording, json_object(texts["recording"])),
-                arrays=arrays,
-                **run,
-            )
-        except InputError as error:
-            raise error.at(str(path)) from None
+        arrays = read_arrays(path, what="a checkpoint")
+        if not SCALARS.keys() <= arrays.keys():
+            raise InputError("expected a checkpoint of this version of Talus", where=str(path))
+        with reading(path, "a checkpoint"):
+            scalars: dict[str, Any] = {name: kind(arrays.pop(name)) for name, kind in SCALARS.items()}
+        return Checkpoint(arrays=arrays, **scalars)
+
+
+def described(scene: Scene, recording: Recording, precision: Precision) -> str:
+    """What decides the result of a run, as JSON."""
+    return json.dumps([scene.to_json(), dataclasses.asdict(recording), precision])
 
 
 def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
@@ -125,17 +111,3 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         # Those in a file stay there.
         **({name: each[:kept] for name, each in batch.record[0].items()} if batch.file is None else {}),
     }
-
-
-def difference(one: Any, other: Any, key: str = "") -> str:
-    """The first key, such as `masses[0].size`, in which two values differ; empty where they are equal."""
-    if one == other:
-        return ""
-    parts: list[tuple[str, Any, Any]] = []
-    if dataclasses.is_dataclass(one) and type(one) is type(other):
-        names = [each.name for each in dataclasses.fields(one)]
-        parts = [(f"{key}.{name}".lstrip("."), getattr(one, name), getattr(other, name)) for name in names]
-    elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
-        pairs = zip(one, other, strict=True)
-        parts = [(f"{key}[{n}]", *pair) for n, pair in enumerate(pairs) if dataclasses.is_dataclass(pair[0])]
-    return next(filter(None, (difference(a, b, inner) for inner, a, b in parts)), key)

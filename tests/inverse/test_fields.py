@@ -243,10 +243,8 @@ def test_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
         mean = arrays["0_mean"]
     np.testing.assert_allclose(read_scene(out / "scene.toml").fields[0].values, mean, rtol=1e-12)
     report = (out / "report.md").read_text()
-    for name in ("velocity_x.png", "residuals.png"):
-        assert name in report
-        assert (out / name).stat().st_size > 1000
-    assert (out / "velocity_x.vti").exists()
+    assert "velocity_x.png" in report
+    assert (out / "velocity_x.png").stat().st_size > 1000
 
 
 @pytest.mark.slow
