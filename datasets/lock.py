@@ -5,7 +5,6 @@ free. What stands in the file beside it is for people: who holds the folder.
 """
 
 import errno
-import json
 import os
 import shlex
 import socket
@@ -18,10 +17,10 @@ from pathlib import Path
 from filelock import FileLock, Timeout, UnixFileLock
 
 from datasets.command_line import WorkFailed
-from datasets.files import make_folder, remove_parts, write_json
+from datasets.files import make_folder, remove_parts, write_text
 
 LOCK = ".talus-lock"
-HOLDER = ".talus-lock.json"
+HOLDER = ".talus-lock.txt"
 """Files in a folder while a process writes into it."""
 NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EINVAL}
 """Errors of file systems that have no locks."""
@@ -47,9 +46,8 @@ def locked(folder: Path) -> Iterator[Path]:
         remove_parts(folder)
         command = " ".join(["python", *map(shlex.quote, sys.argv)])
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-        write_json(
-            folder / HOLDER, {"host": socket.gethostname(), "pid": os.getpid(), "since": now, "command": command}
-        )
+        who = f"process {os.getpid()} on {socket.gethostname()} writes here since {now} ({command})"
+        write_text(folder / HOLDER, who)
         yield folder
         remove_parts(folder)
     finally:
@@ -62,7 +60,6 @@ def locked(folder: Path) -> Iterator[Path]:
 
 def _holder(folder: Path) -> str:
     """Who holds `folder`."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        holder = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
-        return "process {pid} on {host} writes here since {since} ({command})".format(**holder)
+    with suppress(OSError, ValueError):
+        return (folder / HOLDER).read_text(encoding="utf-8")
     return "another process writes here"

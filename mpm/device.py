@@ -63,7 +63,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
         device["offsets"].from_numpy(batch.offsets)
         call_kernel(Phase.RECORD, first=frame)
         batch.computed = frame
-        if not batch.in_kernel and any(batch.recording.slot(frame, each.frames) is not None for each in batch.scenes):
+        if not batch.in_kernel and any(frame in batch.kept(index) for index in range(len(batch.scenes))):
             batch.state[...] = device["state"].to_numpy().reshape(batch.state.shape)
             batch.keep(frame)
         if any(next_stage(batch, index) for index in range(len(batch.scenes))):

@@ -83,7 +83,7 @@ def footprint(
         math.prod(nodes) * workers * (real * features.node + (16 if features.contact else 0)),
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
-    kept = 1 + (record.slot(scene.frames - 1, scene.frames) or 0)
+    kept = len(record.kept(scene.frames))
     solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
     # What is smoothed is there twice.
     numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0)

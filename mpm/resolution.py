@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.geometry.placement import connected, corners
 from datasets.particles import particle_count
 from datasets.records import Record, fraction, from_mapping, read_toml
-from datasets.scene import TOLERANCE, Domain, Mass, Scene
+from datasets.scene import TOLERANCE, Domain, Scene
 from mpm.arrays.layout import Precision
 from mpm.arrays.properties import substeps_per_frame
 
@@ -117,9 +118,9 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
     known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
-    suitable = [each for each in known if tightest(each, known) <= tolerance]
+    suitable = [each for each in known if each.promised <= tolerance]
     if not suitable:
-        best = min((tightest(each, known) for each in known), default=math.inf)
+        best = min((each.promised for each in known), default=math.inf)
         raise InputError(
             f"expected at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured, "
             f"got {100 * tolerance:.3g}%",
@@ -128,16 +129,6 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     cheapest = min(suitable, key=lambda each: each.particle_steps)
     finer = with_resolution(scene, cheapest.resolution)
     return Resolved(scene=finer, measured=cheapest, cost=particle_steps(finer) / particle_steps(scene))
-
-
-def tightest(each: Measured, known: Sequence[Measured]) -> float:
-    """The largest promise on this and all finer grids that differ from it in nothing else: luck does not count."""
-    return max(
-        other.promised
-        for other in known
-        if other.resolution.cells >= each.resolution.cells
-        and dataclasses.replace(other.resolution, cells=each.resolution.cells) == each.resolution
-    )
 
 
 def with_resolution(scene: Scene, resolution: Resolution) -> Scene:
@@ -167,25 +158,14 @@ def characteristic_length(scene: Scene) -> float:
     """
     lengths: list[float] = []
     across: list[float] = []
-    for body in connected_masses(scene.masses):
-        for axis, length in enumerate(scene.domain.size):
-            low = min(mass.lower[axis] for mass in body)
-            high = max(mass.lower[axis] + mass.size[axis] for mass in body)
-            wall_to_wall = axis != 1 and high - low >= length - TOLERANCE
-            (across if wall_to_wall else lengths).append(high - low)
+    lower, upper = corners(scene.masses)
+    group = connected(lower, upper)
+    for body in np.unique(group):
+        extents = upper[group == body].max(axis=0) - lower[group == body].min(axis=0)
+        for axis, extent in enumerate(extents.tolist()):
+            wall_to_wall = axis != 1 and extent >= scene.domain.size[axis] - TOLERANCE
+            (across if wall_to_wall else lengths).append(extent)
     return min(lengths or across)
-
-
-def connected_masses(masses: Sequence[Mass]) -> list[list[Mass]]:
-    """Masses in groups whose boxes share at least a corner."""
-    lower = np.array([mass.lower for mass in masses])
-    upper = lower + np.array([mass.size for mass in masses])
-    # Imported here: who asks for help needs no graphs.
-    from scipy.sparse.csgraph import connected_components
-
-    touch = ((lower[:, None] <= upper + TOLERANCE) & (lower <= upper[:, None] + TOLERANCE)).all(axis=2)
-    count, group = connected_components(touch)
-    return [[mass for mass, own in zip(masses, group, strict=True) if own == number] for number in range(count)]
 
 
 def particle_steps(scene: Scene) -> int:

@@ -137,12 +137,20 @@ def heights_above_ground(scene: Scene) -> Floats:
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
     if shaped:
         height = np.minimum(height, heights_above_solids(scene))
-    touches = (lower[:count, None] <= upper[None, :count] + TOLERANCE).all(axis=-1)
-    touches &= touches.T
-    # A height passes from mass to mass that touch, until none changes.
-    while (lowest := np.where(touches, height[None], np.inf).min(axis=1, initial=np.inf)).tolist() != height.tolist():
-        height = lowest
-    return np.asarray(height)
+    group = connected(lower[:count], upper[:count])
+    lowest = np.full(count, np.inf)
+    np.minimum.at(lowest, group, height)
+    return np.asarray(lowest[group])
+
+
+def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
+    """The number of the group of each box, shape [K]: boxes that share at least a corner are of one."""
+    # Imported here: who asks for help needs no graphs.
+    from scipy.sparse.csgraph import connected_components
+
+    touch = (lower[:, None] <= upper + TOLERANCE).all(axis=-1)
+    group: NDArray[np.int32] = connected_components(touch & touch.T)[1]
+    return group
 
 
 def heights_above_solids(scene: Scene) -> Floats:

@@ -247,8 +247,8 @@ class Batch:
         """Record what is kept of the frames from `first` on that have been computed, where the kernel does not."""
         for index in range(0 if self.in_kernel else len(self.scenes)):
             last = int(self.offsets[index, Offset.REST]) or self.computed
-            for frame in range(first, min(last, self.computed, self.scenes[index].frames - 1) + 1):
-                if (slot := self.recording.slot(frame, self.scenes[index].frames)) is not None:
+            for slot, frame in enumerate(self.kept(index)):
+                if first <= frame <= min(last, self.computed):
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:

@@ -78,12 +78,6 @@ class Recording(Record):
             return [frames - 1]
         return [*range(0, frames - 1, self.every), frames - 1]
 
-    def slot(self, frame: int, frames: int) -> int | None:
-        """Where a frame stands among those that are kept of `frames`; None where it is not kept."""
-        if frame == frames - 1:
-            return -(-frame // self.every) if self.every > 0 else 0
-        return frame // self.every if self.every > 0 and frame % self.every == 0 else None
-
 
 ALL = Recording()
 """The positions in all frames."""
