@@ -239,7 +239,7 @@ def check_fields(scene: Scene) -> None:
 
 
 def warn_if_unlikely(scene: Scene) -> None:
-    """One UserWarning for each number that looks like another unit's: an angle in radians, a modulus in MPa."""
+    """One UserWarning for each number that looks like another unit's: an angle in radians, a modulus in MPa, grains in mm."""
     for key, material in {
         "material": scene.material,
         **{f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material},
@@ -249,6 +249,11 @@ def warn_if_unlikely(scene: Scene) -> None:
             warnings.warn(
                 f"{key}.friction_deg = {material.friction_deg:g} degrees is less than any sand's"
                 + (f"; in radians it would be {radians:.3g} degrees" if radians < 60.0 else ""),
+                stacklevel=3,
+            )
+        if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
+            warnings.warn(
+                f"{key}.grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m",
                 stacklevel=3,
             )
         heights = [mass.size[1] for mass in scene.masses if scene.material_of(mass) == material]
