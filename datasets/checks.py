@@ -239,7 +239,7 @@ def check_fields(scene: Scene) -> None:
 
 
 def warn_if_unlikely(scene: Scene) -> None:
-    """One UserWarning for each number that looks like another unit's: an angle in radians, a modulus in MPa, grains in mm."""
+    """One UserWarning for each number that looks like another unit's: an angle in radians, MPa, grains in mm."""
     for key, material in {
         "material": scene.material,
         **{f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material},

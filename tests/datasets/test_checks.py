@@ -22,7 +22,7 @@ SCENE = Scene(
         ({"young": 200.0}, r"material\.young = 200 Pa is less than 10 rho g h = 7\.06e\+04 Pa"),
         (
             {"friction_limit_deg": 40.0, "grain_diameter": 0.7},
-            r"grain_diameter = 0\.7 m .* in mm it would be 0\.0007 m",
+            r"diameter = 0\.7 m .* in mm it would be 0\.0007 m",
         ),
     ],
 )
