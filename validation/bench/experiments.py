@@ -37,7 +37,7 @@ RECORDED = 5
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.runs.RunStore.run`."""
-Flows = Mapping[tuple[str, str, Reading], Callable[[Measured], float]]
+Flows = dict[tuple[str, str, Reading], Callable[[Measured], float]]
 """What is measured of a flow [m], by experiment, case and reading."""
 
 
@@ -154,9 +154,29 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
+    compared = [one for one in firsts if one[1].extent.known]
+    inferred = [
+        Inferred(
+            experiment=each.name,
+            case=case,
+            angles=each.experiment.angles,
+            coarse_deg=coarse_deg,
+            deg=first.deg + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
+            half_width_deg=abs(CLOSE * case.extent.spread / slope),
+        )
+        for each, case, first in compared
+        for coarse_deg, slope in [crossings[each.name, case.name]]
+    ]
+    # Where no angle was measured, what else was is held against a run at the inferred one.
+    again = [
+        (each, case, dataclasses.replace(first, deg=one.deg))
+        for (each, case, first), one in zip(compared, inferred, strict=True)
+        if not each.experiment.angles and case.measured[1:]
+    ]
+    fine |= run(again, 1, simulate)
     scores: list[Score] = []
     others: list[Score] = []
-    for each, case, first in firsts:
+    for each, case, first in (*(one for one in firsts if one[0].experiment.angles), *again):
         angles = each.experiment.angles
         names = [angle.name for angle in angles] or ["inferred"]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
@@ -175,19 +195,6 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
                 # An inferred angle says nothing of the number that it was inferred from.
                 for measured in case.measured[0 if angles else 1 :]
             )
-    inferred = [
-        Inferred(
-            experiment=each.name,
-            case=case,
-            angles=each.experiment.angles,
-            coarse_deg=coarse_deg,
-            deg=first.deg + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
-            half_width_deg=abs(CLOSE * case.extent.spread / slope),
-        )
-        for each, case, first in firsts
-        if case.extent.known
-        for coarse_deg, slope in [crossings[each.name, case.name]]
-    ]
     return Findings(
         shipped=tuple(shipped),
         scores=tuple(each for each in scores if each.measured.known),
@@ -251,7 +258,7 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
         One rule for all: an angle is [that of a slope](how-to/angle.md). At the repose angle a flow stops: it is μ_s,
         and friction grows with the inertial number by the numbers of glass beads. At an avalanche angle grains begin
         to flow: it is the friction of all of the flow. The repose angle comes first; the error at the other one is of
-        the coarse cells. An inferred angle is that of the next table.
+        the coarse cells. An inferred angle is that of the next table, by the same experiment's final extent.
     """)
     text.section("At the measured angle")
     text.table(
@@ -351,8 +358,9 @@ def conclusion(findings: Findings) -> list[str]:
         first = rms([(each.coarse - each.measured.value) / each.measured.spread for each in same])
         other = rms([each.error for each in findings.others])
         lines.append(
-            f"Where there are two readings, the first leaves {first:.1f} spreads rms, the other one {other:.1f}, on the"
-            " coarse cells."
+            f"Where there are two readings, on the coarse cells the first leaves {first:.1f} spreads rms and"
+            f" {sum(abs(each.coarse - each.measured.value) > CLOSE * each.measured.spread for each in same)} lengths"
+            f" beyond {CLOSE:g}, the other one {other:.1f} and {sum(not each.agrees for each in findings.others)}."
         )
     return lines
 
