@@ -249,11 +249,11 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
     )
     text.picture("experiments.png", "measured against computed")
     text.text(f"""
-        Every experiment is a folder in `validation/experiments` with its scene, its numbers, their spread, source and
-        licence. A number was read in a source or is worked out from such numbers; where sources disagree the band
-        between them is the target, its half width the spread. Scenes are computed until they rest, undamped, one jitter
-        each, on coarse and on fine cells; nothing is fitted. The error is (computed - measured) / spread on the fine
-        cells; bold where it is beyond {CLOSE:g}, with the reason below.
+        Every experiment is a folder in `validation/experiments`: scene, numbers, spread, source, licence, and what the
+        authors do not state with the choice that was made. A number was read in a source or is worked out from such
+        numbers; where sources disagree the band between them is the target, its half width the spread. Scenes are
+        computed until they rest, undamped, one jitter each; nothing is fitted. The error is (computed - measured) /
+        spread on the fine cells; bold where it is beyond {CLOSE:g}, with the reason below.
 
         One rule for all: an angle is [that of a slope](how-to/angle.md). At the repose angle a flow stops: it is μ_s,
         and friction grows with the inertial number by the numbers of glass beads. At an avalanche angle grains begin
@@ -264,8 +264,7 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
     text.table(
         [
             {
-                "experiment": each.experiment,
-                "case": f"{each.case.name}, {each.measured.quantity}",
+                "experiment": each.label,
                 "angle": each.angle,
                 "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
                 "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
@@ -292,9 +291,8 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
     text.table(
         [
             {
-                "experiment": each.experiment,
-                "case": each.case.name,
-                "measured": ", ".join(f"{a.deg:.1f} ± {a.half_width_deg:.1f}° ({a.name})" for a in each.angles),
+                "experiment": f"{each.experiment}, {each.case.name}",
+                "measured": ", ".join(f"{a.deg:.1f} ± {a.half_width_deg:.1f}° ({a.name})" for a in each.angles[:1]),
                 "coarse cells": "none" if math.isnan(each.coarse_deg) else f"{each.coarse_deg:.1f}°",
                 "fine cells": "none" if math.isnan(each.deg) else f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
                 "difference [°]": "-" if math.isnan(each.difference_deg) else f"{each.difference_deg:+.1f}",
@@ -308,8 +306,7 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
         text.table(
             [
                 {
-                    "experiment": each.experiment,
-                    "case": f"{each.case.name}, {each.measured.quantity}",
+                    "experiment": each.label,
                     "angle": each.angle,
                     "coarse cells [m]": f"{each.coarse:.3f}",
                     "fine cells [m]": f"{each.fine:.3f}" if each.fine != each.coarse else "",
@@ -317,14 +314,9 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
                 for each in findings.predicted
             ]
         )
-    text.section("The experiments")
-    text.text("""
-        `validation/experiments/NAME/experiment.toml` has what each number is from, its spread, and what the authors do
-        not state with the choice that was made for it.
-    """)
+    text.section("Sources")
     for shipped in findings.shipped:
-        one = shipped.experiment
-        text.text(f"- `{shipped.name}`: {one.title}. {one.source} ({one.licence.rstrip('.')}).")
+        text.text(f"- `{shipped.name}`: {shipped.experiment.source} ({shipped.experiment.licence}).")
     return text
 
 
