@@ -187,6 +187,12 @@ class Material(Record):
         return phi if isinstance(friction_deg, np.ndarray) else float(phi)
 
     @property
+    def slope_deg(self) -> float:
+        """The angle on the plane that shears [deg]: `friction_deg` where that is of a "slope"."""
+        sine, psi = math.sin(math.radians(self.phi_deg)), math.radians(self.dilation_deg)
+        return math.degrees(math.atan2(sine * math.cos(psi), 1.0 - sine * math.sin(psi)))
+
+    @property
     def friction(self) -> float:
         """tan(phi) [-]."""
         return math.tan(math.radians(self.phi_deg))

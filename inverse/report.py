@@ -63,7 +63,8 @@ def conclusion(found: Found) -> list[str]:
     price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
     fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
     remarks = [f"At the answer: {each}." for each in found.remarks]
-    sentences = [verdict(found), numbers(found), *fields, equifinality(found), quality(found), *remarks, price]
+    known = [numbers(found), angles(found), *fields, equifinality(found), quality(found)]
+    sentences = [verdict(found), *known, *remarks, price]
     return [each for each in sentences if each]
 
 
@@ -128,6 +129,19 @@ def numbers(found: Found) -> str:
         return f"{texts[0]}."
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
+
+
+def angles(found: Found) -> str:
+    """The angles of friction that were found, as a triaxial test and as a slope would show them."""
+    if len(found.problem.numbers) > NAMED:
+        return ""
+    scene, parts = found.scene, []
+    for each in found.problem.numbers:
+        if each.name.rsplit(".", 1)[-1] == "friction_deg":
+            material = scene.material if each.mass is None else scene.material_of(scene.masses[each.mass])
+            both = f"φ = {material.phi_deg:.2f} deg (triaxial), {material.slope_deg:.2f} deg on a slope"
+            parts.append(f"`{each.name}` means {both}")
+    return sentence(parts)
 
 
 def cells(found: Found, answer: Answer) -> list[str]:

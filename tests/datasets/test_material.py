@@ -86,3 +86,12 @@ def test_the_residual_material() -> None:
 def test_what_cannot_be_is_named(wrong: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=rf"material\.{key}"):
         Material(friction_deg=30.0, cohesion=1000.0, **wrong)
+
+
+@pytest.mark.parametrize("dilation_deg", [0.0, 8.0])
+def test_an_angle_of_a_slope_and_of_a_triaxial_test_mean_each_other(dilation_deg: float) -> None:
+    measured = Material(friction_deg=25.5, angle="slope", dilation_deg=dilation_deg)
+    phi = Material(friction_deg=measured.phi_deg, dilation_deg=dilation_deg)
+    assert (measured.slope_deg, phi.slope_deg) == (pytest.approx(25.5), pytest.approx(25.5))
+    if not dilation_deg:
+        assert measured.phi_deg == pytest.approx(28.49, abs=0.01)  # sin phi = tan 25.5 degrees
