@@ -242,7 +242,7 @@ class Stage(Record):
     tension_cutoff: float | None = None
 
     @property
-    def values(self) -> dict[str, float]:
+    def values(self) -> dict[str, Any]:
         """The constants that it changes."""
         names = ("friction_deg", "dilation_deg", "cohesion", "strength_gradient", "tension_cutoff")
         return {name: value for name in names if (value := getattr(self, name)) is not None}

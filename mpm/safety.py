@@ -19,7 +19,7 @@ which no limit load depends, such that u = SETTLEMENT H, so that what moves is s
 strength are reduced as c is, dilation stays below phi; friction of floor and solids is theirs; initial velocities,
 stages, barriers and the growth of friction with the rate of shear are left out.
 
-**Error over cells** over the height: 10, 20 and 40, in 7, 11 and some 50 s of two threads.
+**Error over cells** over the height: 10, 20 and 40, in 6, 13 and 38 s on two threads.
 
     gamma H F / c of 60 degrees, phi = 0, over Taylor's 5.24 (1937)            1.018   0.982   0.982
     F of 1 to 2, phi = 20, c = 0.05 gamma H, over Bishop & Morgenstern's 1.380 (1960)
