@@ -24,7 +24,10 @@ stages, barriers and the growth of friction with the rate of shear are left out.
     gamma H F / c of 60 degrees, phi = 0, over Taylor's 5.24 (1937)            1.018   0.982   0.982
     F of 1 to 2, phi = 20, c = 0.05 gamma H, over Bishop & Morgenstern's 1.380 (1960)
         psi = phi, as charts and limit analysis have it                         1.004   1.004   1.004
-        psi = 0: its shear bands are as thin as cells                           1.004   0.986   0.967
+        psi = 0: its shear bands are as thin as cells                           0.986   0.986   0.967
+
+A crest shorter than 1.5 H behind the edge costs up to 8 %, for the wall of the box is smooth. On terrain, whose contact
+holds single particles worse than a floor, the second slope has 0.95 to 0.99, by where the ground cuts the cells.
 """
 
 import dataclasses
@@ -133,7 +136,8 @@ def reduced(scene: Scene, factor: float) -> Scene:
     def standing(mass: Mass) -> Mass:
         own = None if mass.material is None else weaker(mass.material)
         k0 = "elastic" if mass.k0 is None else mass.k0
-        return dataclasses.replace(mass, material=own, k0=k0, velocity=None, angular_velocity=None, release=None)
+        still: dict[str, Any] = dict.fromkeys(("velocity", "angular_velocity", "release", "gate"))
+        return dataclasses.replace(mass, material=own, k0=k0, **still)
 
     def flat(field: Field) -> Field:
         material = scene.material_of(scene.masses[field.mass or 0])

@@ -23,9 +23,9 @@ WEIGHT = DENSITY * 9.81 * HEIGHT
 def slope(steepness_deg: float, friction_deg: float, cohesion: float, cells: int) -> Scene:
     """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
     run = HEIGHT / math.tan(math.radians(steepness_deg))
-    corners = ((0.0, 0.0), (1.2 * HEIGHT + run, 0.0), (1.2 * HEIGHT, HEIGHT), (0.0, HEIGHT))
+    corners = ((0.0, 0.0), (1.5 * HEIGHT + run, 0.0), (1.5 * HEIGHT, HEIGHT), (0.0, HEIGHT))
     cell = HEIGHT / cells
-    length, tall = (cell * math.ceil(extent / cell) for extent in (1.8 * HEIGHT + run, 1.2 * HEIGHT))
+    length, tall = (cell * math.ceil(extent / cell) for extent in (2.1 * HEIGHT + run, 1.2 * HEIGHT))
     return Scene(
         domain=Domain(size=(length, tall), cell=cell),
         material=Material(
@@ -36,7 +36,7 @@ def slope(steepness_deg: float, friction_deg: float, cohesion: float, cells: int
             tension_cutoff=1.0e9,
         ),
         masses=(Mass(kind="polygon", vertices=corners),),
-        floor_friction=10.0,
+        floor_friction="rough",
     )
 
 
