@@ -10,6 +10,7 @@ The forward pass is a run of the solver with checkpoints, the backward pass `mpm
 and memory stays within `memory_mib`.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -63,14 +64,24 @@ class Run:
 
     def flow(self, parameters: Tensor) -> Flow:
         """All that is observed at the frames, of parameters [U]."""
+        (flow,) = self.flows(parameters, [self.scene.seed])
+        return flow
+
+    def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
+        """The same for several seeds of the jitter, side by side on the threads.
+
+        Corners of one flow (contact that begins, friction that sticks) lie elsewhere in another: the gradient of a mean
+        over seeds is that of a smoother function.
+        """
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
 
         def slopes(gradient: Gradient) -> Tensor:
             return torch.from_numpy(derivatives(gradient, self.kinds, values))
 
-        tape = Tape([scene], self.frames, **self.options)
-        return Flow(*_Flow.apply(tape, slopes, parameters))  # type: ignore[no-untyped-call]
+        tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
+        found = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
+        return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Vector:
@@ -90,20 +101,23 @@ def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Ve
 
 
 class _Flow(torch.autograd.Function):
-    """What a tape of one scene has observed; backwards its vector-Jacobian product."""
+    """What a tape has observed, three tensors of each scene; backwards its vector-Jacobian product."""
 
     @staticmethod
     def forward(ctx: Any, tape: Tape, slopes: Callable[[Gradient], Tensor], parameters: Tensor) -> tuple[Tensor, ...]:
         ctx.tape, ctx.slopes, ctx.dtype = tape, slopes, parameters.dtype
-        return tuple(torch.from_numpy(each()) for each in (tape.positions, tape.velocities, tape.impulses))
+        observed = (tape.positions, tape.velocities, tape.impulses)
+        return tuple(torch.from_numpy(each(index)) for index in range(len(tape.batch.scenes)) for each in observed)
 
     @staticmethod
     def backward(ctx: Any, *adjoints: Tensor) -> tuple[Any, ...]:
-        positions, velocities, impulses = (each.detach().numpy().astype(np.float64) for each in adjoints)
+        given = [each.detach().numpy().astype(np.float64) for each in adjoints]
+        positions, velocities, impulses = given[::3], given[1::3], given[2::3]
         # Most objectives depend on no force, and pay for none.
-        given = FlowAdjoints(positions, velocities, impulses if impulses.any() else None)
-        ((gradient,),) = pull_back_all(ctx.tape, [[given]])
-        return None, None, ctx.slopes(gradient).to(ctx.dtype)
+        forces: list[Any] = impulses if any(each.any() for each in impulses) else [None] * len(impulses)
+        flows = map(FlowAdjoints, positions, velocities, forces)
+        (gradients,) = pull_back_all(ctx.tape, [list(flows)])
+        return None, None, sum(map(ctx.slopes, gradients)).to(ctx.dtype)
 
 
 class AdjointForward(MpmForward):
