@@ -21,7 +21,7 @@ stages, barriers and the growth of friction with the rate of shear are left out.
 
 **Error over cells** over the height: 10, 20 and 40, in 6, 13 and 38 s on two threads.
 
-    gamma H F / c of 60 degrees, phi = 0, over Taylor's 5.24 (1937)            1.018   0.982   0.982
+    gamma H F / c of 60 degrees, phi = 0, over Taylor's 5.24 (1937)            1.018   0.982   1.000
     F of 1 to 2, phi = 20, c = 0.05 gamma H, over Bishop & Morgenstern's 1.380 (1960)
         psi = phi, as charts and limit analysis have it                         1.004   1.004   1.004
         psi = 0: its shear bands are as thin as cells                           0.986   0.986   0.967

@@ -13,6 +13,7 @@ from datasets.library import read_scene, write_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Stage
+from datasets.training.samples import check_known
 from mpm import AT_REST, LAST, Recording, runtime, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.initial.stages import particles_after
@@ -150,10 +151,12 @@ def test_a_stage_that_is_none_is_refused_with_its_key(stage: dict[str, Any], sai
     assert str(caught.value) == said
 
 
-def test_times_ascend_and_the_adjoint_says_no() -> None:
+def test_times_ascend_and_adjoint_and_surrogate_say_no() -> None:
     with pytest.raises(InputError, match=r"stages\[1\].time: expected times in ascending order, then 'settled'"):
         staged(Stage(time="settled", cohesion=1.0), Stage(time=0.2, cohesion=0.5))
     with pytest.raises(
         InputError, match="stages: expected a scene without stages, of which the adjoint has no reverse"
     ):
         gradient(staged(Stage(time=0.2, cohesion=1.0)), lambda x, v: (0.0, 0.0 * x, None))
+    with pytest.raises(InputError, match="stages: expected a material that stays as it is, a model knows no other"):
+        check_known(staged(Stage(time=0.2, cohesion=1.0)), "a model")
