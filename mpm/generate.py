@@ -95,8 +95,7 @@ def generate(
         statistics = statistics_of(
             workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
         )
-        radius = definition.connectivity_radius
-        described = metadata(definition.name, entries, connectivity_radius=radius, seed=seed, statistics=statistics)
+        described = metadata(definition.name, entries, seed=seed, statistics=statistics)
         write_json(out / "metadata.json", described)
 
 

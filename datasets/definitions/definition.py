@@ -56,8 +56,6 @@ class Definition:
     name: str
     size: int
     """Number of scenes in the whole dataset."""
-    connectivity_radius: float
-    """The radius [m] that goes into `metadata.json` for readers of other formats; Talus itself does not read it."""
     split: Callable[[int], Split]
     """Number of a scene -> its split."""
     draw: Callable[[Stream, int], Scene]
@@ -94,7 +92,6 @@ def family(
     kinds: tuple[Kind, ...],
     variant: Callable[[Stream, Scene], Scene],
     size: int,
-    connectivity_radius: float,
     storage: Storage,
 ) -> Definition:
     """A scene of each of the `kinds`, then a `variant` of each of these, and so on; drawn again where held out.
@@ -114,7 +111,6 @@ def family(
     return Definition(
         name=name,
         size=size,
-        connectivity_radius=connectivity_radius,
         split=lambda index: {1: Split.VALID, 2: Split.TEST}.get(index // (2 * count) % 10, Split.TRAIN),
         draw=draw,
         stream=lambda index: index // (2 * count) * count + index % count,

@@ -60,8 +60,6 @@ class DefinitionFile(Record):
     """Of so many scenes, the second is for validation and the third for the test."""
     baffle_gap: float = 0.0
     """Least distance of a baffle from other baffles and from masses along some axis [m]."""
-    connectivity_radius: float | None = None
-    """Radius [m] in `metadata.json` for readers of other formats; two cells of the first scene where absent."""
 
     def __post_init__(self) -> None:
         for key, minimum in (("count", 1), ("split_period", 3), ("baffle_gap", 0.0)):
@@ -84,14 +82,14 @@ def definition_from_file(path: Path) -> Definition:
             except InputError as error:
                 raise error.at(str(path)) from None
 
-        first = draw(np.random.default_rng([0, 0]), 0)
+        # A mistake is told before anything is simulated.
+        draw(np.random.default_rng([0, 0]), 0)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
     held_out = {1: Split.VALID, 2: Split.TEST}
     return Definition(
         name=path.stem,
         size=content.count,
-        connectivity_radius=content.connectivity_radius or 2.0 * first.domain.cell,
         split=lambda index: held_out.get(index % content.split_period, Split.TRAIN),
         draw=draw,
     )

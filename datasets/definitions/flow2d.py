@@ -297,6 +297,5 @@ FLOW2D = family(
     kinds=KINDS,
     variant=variant,
     size=800,
-    connectivity_radius=0.025,
     storage=Storage(cell=CELL, kept=1),
 )

@@ -328,6 +328,5 @@ OBSTACLE3D = family(
     kinds=KINDS,
     variant=variant,
     size=400,
-    connectivity_radius=0.055,
     storage=Storage(cell=KEPT_CELL, kept=KEPT),
 )

@@ -116,7 +116,6 @@ COLUMNS2D = family(
     kinds=(column, layers, column, layers, block),
     variant=flow2d.variant,
     size=600,
-    connectivity_radius=0.025,
     storage=Storage(cell=CELL, kept=1),
 )
 BAFFLES3D = family(
@@ -124,6 +123,5 @@ BAFFLES3D = family(
     kinds=tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row))),
     variant=obstacle3d.variant,
     size=600,
-    connectivity_radius=0.055,
     storage=Storage(cell=obstacle3d.KEPT_CELL, kept=obstacle3d.KEPT),
 )

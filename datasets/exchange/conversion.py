@@ -37,8 +37,6 @@ class ForeignMetadata(Record):
     """Lower and upper end of the box per axis [m]."""
     dt: float
     """Time between frames [s]."""
-    default_connectivity_radius: float
-    """Radius of their neighbour search [m]."""
 
 
 def export(dataset: Path, out: Path) -> None:
@@ -105,7 +103,7 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     content = read_metadata(source / "metadata.json")
     check_empty(out)
     entries: list[Entry] = []
-    statistics, radius = MotionStatistics.from_samples(*np.empty((2, 0, scene.dimension))), None
+    statistics = MotionStatistics.from_samples(*np.empty((2, 0, scene.dimension)))
     for split in Split:
         path = source / f"{split.value}.npz"
         if not path.exists():
@@ -117,7 +115,6 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             foreign = from_mapping(ForeignMetadata, known)
         except InputError as error:
             raise error.at(str(source / "metadata.json")) from None
-        radius = radius or foreign.default_connectivity_radius
         flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
         for index, (name, sand) in enumerate(flows):
             try:
@@ -128,9 +125,9 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             entries.append(Entry(split=split, name=f"{index:05d}", scene=flow.scene))
             if split is entries[0].split:
                 statistics += motion_statistics(flow.positions, flow.frame_dt)
-    if not entries or radius is None:
+    if not entries:
         raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
-    content = metadata("geoelements", entries, connectivity_radius=radius, seed=None, statistics=statistics)
+    content = metadata("geoelements", entries, seed=None, statistics=statistics)
     write_json(out / "metadata.json", {**content, "exchange": {"from": "geoelements", "source": str(source), "up": up}})
 
 

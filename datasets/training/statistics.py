@@ -70,14 +70,12 @@ def motion_statistics(positions: NDArray[np.floating], frame_dt: float) -> Motio
     return MotionStatistics.from_samples(velocity[moving], acceleration[moving[:-1] | moving[1:]])
 
 
-def metadata(
-    name: str, entries: Sequence[Entry], *, connectivity_radius: float, seed: int | None, statistics: MotionStatistics
-) -> dict[str, Any]:
+def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistics: MotionStatistics) -> dict[str, Any]:
     """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
 
     The box and the length are those of the largest; what differs between scenes is [smallest, largest].
-    name: of its definition; connectivity_radius: [m], for readers of other formats; seed: where it was drawn;
-    statistics: of the split of the first entry, that of the training.
+    name: of its definition; seed: where it was drawn; statistics: of the split of the first entry, that of the
+    training.
     """
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
@@ -91,7 +89,7 @@ def metadata(
         # The keys of geoelements.
         "bounds": [[0.0, max(lengths)] for lengths in zip(*(each.domain.size for each in scenes), strict=True)],
         "sequence_length": max(each.frames for each in scenes),
-        "default_connectivity_radius": connectivity_radius,
+        "default_connectivity_radius": 2.0 * scene.domain.cell,
         "dim": scene.dimension,
         "dt": scene.frame_dt,
         "vel_mean": statistics.mean[0].tolist(),

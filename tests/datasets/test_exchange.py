@@ -19,7 +19,7 @@ from tests.datasets.test_arrays import OBJECTS, npy, with_member
 from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")
-KEYS = ("bounds", "sequence_length", "default_connectivity_radius", "dim", "dt", "vel_mean", "vel_std", "acc_mean")
+KEYS = ("bounds", "sequence_length", "dim", "dt", "vel_mean", "vel_std", "acc_mean")
 
 
 def exchange(*arguments: object) -> int:
@@ -101,7 +101,7 @@ def foreign(folder: Path, *, material: float | None = 0.7) -> Path:
     folder.mkdir(parents=True)
     np.savez_compressed(folder / "train.npz", gns_data=data)
     bounds = [[0.1, 0.1 + length] for length in toy_scene(2, 0).domain.size]
-    described = {"bounds": bounds, "default_connectivity_radius": 0.029, "dim": 2, "dt": 0.0025}
+    described = {"bounds": bounds, "dim": 2, "dt": 0.0025}
     write_json(folder / "metadata.json", {"train": described, "rollout": described})
     return folder
 

@@ -57,7 +57,7 @@ def test_the_scene_on_the_page_loads() -> None:
 
 
 def test_the_solids_on_the_page_load(tmp_path: Path) -> None:
-    flume, _ = re.findall(r"```toml\n(.*?)```", section("Solids and bodies (TOML)"), re.DOTALL)
+    (flume,) = re.findall(r"```toml\n(.*?)```", section("Solids and bodies (TOML)"), re.DOTALL)
     (tmp_path / "flume.toml").write_text(flume)
     scene = read_scene(str(tmp_path / "flume.toml"))
     assert [solid.kind for solid in scene.solids] == ["terrain", "box", "polygon"]
@@ -83,7 +83,7 @@ def test_every_key_of_a_trajectory(tmp_path: Path, trajectory: Trajectory) -> No
 
 def test_every_key_of_the_metadata() -> None:
     entries, statistics = FLOW2D.entries(seed=0, count=1), motion_statistics(np.zeros((3, 1, 2)), 0.0025)
-    written = metadata("flow2d", entries, connectivity_radius=0.025, seed=0, statistics=statistics)
+    written = metadata("flow2d", entries, seed=0, statistics=statistics)
     rows = [
         row for row in rows_of("Dataset (folder)") if "definition" not in row[1] and row[1].strip()[1:-1] not in NAMES
     ]

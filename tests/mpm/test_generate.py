@@ -44,7 +44,6 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
 TINY = Definition(
     name="tiny",
     size=4,
-    connectivity_radius=0.1,
     split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index],
     draw=draw,
 )
