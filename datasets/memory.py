@@ -40,14 +40,13 @@ def free() -> int:
     return max(0, min(found))
 
 
-def require(size: float, what: str, instead: str, *, key: str = "", where: str = "") -> None:
+def require(size: float, what: str, instead: str, *, key: str = "") -> None:
     """Raise InputError where `size` [bytes] is more than is free: the number, what it is for, what to change."""
     room = USABLE * free()
     if not size <= room:
         raise InputError(
             f"expected {what} in the {spoken(room)} of memory that are free, got {spoken(size)}: {instead}",
             key=key,
-            where=where,
         )
 
 

@@ -67,10 +67,10 @@ class Gaussian:
         values, directions = self.decomposition
         return np.asarray(directions * np.sqrt(values / (1.0 + values)))
 
-    def draws(self, count: int, seed: int = 0) -> Floats:
+    def draws(self, count: int) -> Floats:
         """Samples, shape [count, W]: mean + (I + V diag((1 + s^2)^(-1/2) - 1) V^T) times white noise."""
         values, directions = self.decomposition
-        white = np.random.default_rng(seed).standard_normal((count, len(self.mean)))
+        white = np.random.default_rng(0).standard_normal((count, len(self.mean)))
         return np.asarray(self.mean + white + (white @ directions * (1.0 / np.sqrt(1.0 + values) - 1.0)) @ directions.T)
 
 

@@ -66,10 +66,8 @@ def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
     )
 
 
-def smoothed(
-    values: Floats, positions: Floats, volume: float | Floats, scene: Scene, passes: int = PASSES
-) -> NDArray[np.float32]:
-    """Fields of frames, shape [T, N] or [T, N, K], sent `passes` times through the grid; the same shape.
+def smoothed(values: Floats, positions: Floats, volume: float | Floats, scene: Scene) -> NDArray[np.float32]:
+    """Fields of frames, shape [T, N] or [T, N, K], sent through the grid; the same shape.
 
     positions: [m], shape [T, N, D]; volume: of each particle [m^D], one for all or shape [N].
     """
@@ -81,7 +79,7 @@ def smoothed(
         at_nodes = to_nodes @ own
         inverse = np.divide(1.0, at_nodes, out=np.zeros_like(at_nodes), where=at_nodes > 0.0)
         field = values[frame].astype(np.float64).reshape(len(points), -1)
-        for _ in range(passes):
+        for _ in range(PASSES):
             field = to_particles @ ((to_nodes @ (own[:, None] * field)) * inverse[:, None])
         found[frame] = field.reshape(values.shape[1:])
     return found
