@@ -59,27 +59,3 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> N
     # Away from the walls its aspect is none of those that are tested, nor are those between.
     assert not is_held_out(column(length, height, left=0.5))
     assert not is_held_out(column(0.2, 0.48))
-
-
-def test_a_scene_of_other_corners_walls_or_masses_is_no_neighbour() -> None:
-    scene = read_scene("baffles-2")
-    (mass,) = scene.masses
-    side = (mass.size[0] * mass.size[1] * mass.size[2]) ** (1.0 / 3.0)
-    near, far = (
-        dataclasses.replace(
-            scene,
-            baffles=(
-                dataclasses.replace(
-                    scene.baffles[0], lower=(scene.baffles[0].lower[0] + share * side, *scene.baffles[0].lower[1:])
-                ),
-                *scene.baffles[1:],
-            ),
-        )
-        for share in (0.05, 0.08)
-    )
-    assert neighbours(near, scene)
-    assert not neighbours(far, scene)
-    assert not neighbours(dataclasses.replace(scene, baffles=scene.baffles[:1]), scene)
-    tall = read_scene("column-tall-42")
-    assert neighbours(tall, read_scene("column-tall-21"))
-    assert not neighbours(tall, read_scene("column-short-21"))

@@ -49,15 +49,6 @@ def test_points_at_rest_do_not_count() -> None:
     np.testing.assert_array_equal([both.mean, both.std], [alone.mean, alone.std])
 
 
-def test_a_stop_counts_as_an_acceleration() -> None:
-    step = 2.0 * MOVING_SPEED * FRAME_DT
-    x = np.array([0.0, step, 2 * step, 2 * step, 2 * step])
-    statistics = motion_statistics(np.stack([x, np.zeros(5)], axis=-1)[:, None, :], FRAME_DT)
-    # Two steps of motion; going on and stopping, but not the rest after it.
-    assert statistics.count.tolist() == [[2], [2]]
-    np.testing.assert_allclose(statistics.mean, [[step, 0.0], [-step / 2, 0.0]], atol=1e-18)
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("kept", [1, 2, 5])
 def test_every_cell_keeps_its_volume(dimension: int, kept: int) -> None:

@@ -147,30 +147,6 @@ def test_a_fast_frame_takes_more_steps() -> None:
     assert simulate(fast).summary["steps"] == 2 * math.ceil(crossing * (SAND.wave_speed + 20.0))
 
 
-def test_a_slope_at_repose_stays_and_a_steeper_one_slides() -> None:
-    """A layer on a rough incline is an infinite slope: without dilation it bears atan(sin phi) = 26.6 degrees."""
-
-    def speed(slope_deg: float) -> float:
-        layer = Mass(lower=(0.0, 0.0, 0.0), size=(1.2, 0.12, 0.12))
-        scene = room(
-            layer,
-            domain=Domain(size=(1.8, 0.4, 0.12), cell=0.04),
-            slope_deg=slope_deg,
-            floor_friction=2.0,
-            duration=0.4,
-        )
-        trajectory = simulate(scene, record=WITH_FIELDS)
-        assert trajectory.velocities is not None
-        # The middle of the layer's surface, far from both of its ends.
-        start = trajectory.positions[0]
-        middle = (start[:, 0] > 0.4) & (start[:, 0] < 0.8) & (start[:, 1] > 0.08)
-        return float(trajectory.velocities[-20:, middle, 0].mean())
-
-    # Gravity comes on at once, without the stress that bears it: the layer has to settle first.
-    assert abs(speed(20.0)) < 0.01
-    assert speed(33.0) > 0.2
-
-
 @pytest.mark.slow
 @pytest.mark.double
 def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,6 @@ from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
-from inverse.jacobian import automatic
 from inverse.observations import Rollout, build
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
@@ -83,16 +82,3 @@ def test_between_two_steps_particles_move_straight(problem: Problem, share: floa
         between = (1.0 - share) * path[3] + share * path[4]
         alone = Rollout(positions=between[None], times=np.array([time]), volumes=initial.conditions.volume)
         torch.testing.assert_close(seen[0], observation.predict(alone)[0], rtol=1e-5, atol=1e-7)
-
-
-def test_memory_changes_nothing_but_memory(problem: Problem) -> None:
-    evaluations = []
-    kept = []
-    for memory_gib in (0.0, 0.0005, 1.0):
-        forward = forward_of(problem, memory_gib=memory_gib)
-        kept.append(forward.kept_steps)
-        evaluations.append(automatic(forward, np.array([0.1]))(np.array([33.0])))
-    assert kept[0] == 0 < kept[1] < kept[2] == forward.steps
-    for evaluation in evaluations[1:]:
-        np.testing.assert_allclose(evaluation.observation, evaluations[0].observation, rtol=1e-6)
-        np.testing.assert_allclose(evaluation.gradient, evaluations[0].gradient, rtol=1e-3)

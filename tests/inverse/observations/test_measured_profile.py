@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.scene import Solid
+from datasets.maps.__main__ import write_profile
+from datasets.maps.plan import maps_of
+from datasets.material import Material
+from datasets.particles import initial_particles
+from datasets.scene import Domain, Mass, Scene, Solid
+from datasets.trajectory import Trajectory
+from inverse.observations.measured_profile import profile_of
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
+from inverse.observations.table import Context
 from inverse.problem import Problem, read_problem
 from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
 from inverse.target import Target, read_each, read_target
@@ -130,3 +137,30 @@ def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
     moved = deposit + np.stack([np.zeros(20_000), 0.3 - 0.2 * deposit[:, 0]], axis=1)
     seen = operator_of(over).exact(moved)
     np.testing.assert_allclose(seen, operator_of(plain).exact(deposit), atol=1e-6)
+
+
+@pytest.mark.parametrize("heights", list(Heights))
+@pytest.mark.parametrize("spacing", [0.03])
+def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spacing: float) -> None:
+    """A column that has slumped into a wedge against the left wall."""
+    scene = Scene(
+        domain=Domain(size=(1.0, 0.5), cell=0.02),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
+    )
+    start = initial_particles(scene)
+    wedge = start.positions * [1.0, 0.5]
+    wedge[:, 0] = 0.8 * (1.0 - np.sqrt(1.0 - start.positions[:, 0] / 0.2))
+    flow = Trajectory(
+        positions=wedge[None].astype(np.float32),
+        time=np.array([1.0]),
+        velocity0=np.zeros_like(wedge, np.float32),
+        friction=start.friction,
+        scene=scene,
+    )
+    maps = maps_of(flow, spacing)
+    write_profile(maps, tmp_path)
+    settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
+    profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
+    np.testing.assert_allclose(profile.at(maps.grid.axes[0]), maps.thickness, rtol=1e-8, atol=1e-9)
+    assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)

@@ -5,9 +5,10 @@ import pytest
 from numpy.typing import NDArray
 
 from inverse.observations import build
+from inverse.posterior.emulator import linear
 from inverse.posterior.information import information
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter
-from inverse.posterior.reduction import reduction
+from inverse.posterior.reduction import cross_fitted, directions, reduction
 from inverse.posterior.sampling import sample
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings
@@ -129,3 +130,31 @@ def test_information_is_that_of_a_gaussian() -> None:
     assert (clear.name, blind.name) == ("clear", "blind")
     assert clear.gain == pytest.approx(0.5 * np.log1p(1.0 / 12.0 / 0.05**2), rel=0.15)
     assert blind.gain < 0.15
+
+
+UNKNOWNS, NUMBERS, RUNS = 10, 4000, 27
+
+
+def residuals(*, crossed: bool) -> tuple[float, float]:
+    """Of a linear fit to the components of few runs: their own, and those of further runs, root mean square."""
+    rng = np.random.default_rng(0)
+    slopes = 20.0 * rng.standard_normal((UNKNOWNS, NUMBERS))
+    points, further = rng.random((RUNS, UNKNOWNS)), rng.random((200, UNKNOWNS))
+    points[:3] = 0.5
+    runs, others = (each @ slopes + 5.0 * rng.standard_normal((len(each), NUMBERS)) for each in (points, further))
+    mean = runs.mean(axis=0)
+    runs, others = runs - mean, others - mean
+    found = np.linalg.lstsq(points - points.mean(axis=0), runs, rcond=None)[0]
+    first = directions(found, UNKNOWNS, 0.0)
+    components = cross_fitted(runs, points, first) if crossed else runs @ first
+    fit = np.linalg.lstsq(linear(points), components, rcond=None)[0]
+    own = ((components - linear(points) @ fit) ** 2).sum() / (RUNS - UNKNOWNS - 1) / UNKNOWNS
+    return float(np.sqrt(own)), float(np.sqrt(((others @ first - linear(further) @ fit) ** 2).mean()))
+
+
+def test_components_by_the_directions_of_other_runs_lie_no_closer_to_a_line_than_further_runs() -> None:
+    own, others = residuals(crossed=True)
+    # A prediction by eleven coefficients from 27 runs: its own error besides the scatter.
+    assert others < 1.7 * own
+    own, others = residuals(crossed=False)
+    assert others > 3.0 * own

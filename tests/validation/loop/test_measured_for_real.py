@@ -13,6 +13,7 @@ from datasets.command_line import run
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import particle_volumes
 from mpm import LAST, simulate_many
+from validation.demo import main as demo
 from validation.loop.__main__ import main as loop
 
 pytestmark = pytest.mark.slow
@@ -83,3 +84,13 @@ def test_what_is_twice_as_high_or_in_millimetres_is_refused_at_once(
     assert status == 2
     assert message in capsys.readouterr().err
     assert not path.exists()
+
+
+def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
+    assert run(demo, "demo", ["--out", str(tmp_path), "--seed", "11"]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["verdict"] == "confirmed"
+    assert result["error_pct"]["front"] <= 0.5
+    found, truth = result["unknowns"]["friction_deg"], result["truth"]["friction_deg"]
+    assert abs(found - truth) <= result["certainty"]["friction_deg"]
+    assert result["peak_memory_mib"] < 2048.0
