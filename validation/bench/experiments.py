@@ -32,6 +32,8 @@ CLOSE = 2.0
 LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
 QUICK = "aluminium-rods"
+INFERRED = "inferred"
+"""Name of an angle that comes from the experiment itself."""
 RECORDED = 5
 """Frames from one to the next of a flow that is measured over time."""
 
@@ -66,6 +68,11 @@ class Score:
         """Such as 22.0° (repose, μ(I))."""
         read = [self.name, *(["μ(I)"] if self.reading.rate else []), *({self.reading.angle} - {"slope"})]
         return f"{self.reading.deg:.1f}° ({', '.join(read)})"
+
+    @property
+    def independent(self) -> bool:
+        """Whether the angle was measured by itself."""
+        return self.name != INFERRED
 
     @property
     def error(self) -> float:
@@ -178,7 +185,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     others: list[Score] = []
     for each, case, first in (*(one for one in firsts if one[0].experiment.angles), *again):
         angles = each.experiment.angles
-        names = [angle.name for angle in angles] or ["inferred"]
+        names = [angle.name for angle in angles] or [INFERRED]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
             known = coarse.get((each.name, case.name, reading), no_number)
             best = fine[each.name, case.name, first] if reading == first else known
@@ -322,7 +329,8 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
 
 def conclusion(findings: Findings) -> list[str]:
     """What was found, each sentence from its numbers."""
-    scores, inferred = findings.scores, [each for each in findings.inferred if not math.isnan(each.difference_deg)]
+    scores = [each for each in findings.scores if each.independent]
+    inferred = [each for each in findings.inferred if not math.isnan(each.difference_deg)]
     if not scores:
         return ["No experiment has an angle of friction of its own."]
     agreed = sum(each.agrees for each in scores)
@@ -340,7 +348,8 @@ def conclusion(findings: Findings) -> list[str]:
     if inferred:
         off = [each.difference_deg for each in inferred]
         lines.append(
-            f"The angle inferred from the front alone is {np.mean(off):+.1f}° from the measured one on average,"
+            f"The angle inferred from the front alone is {abs(np.mean(off)):.1f}°"
+            f" {'above' if sum(off) > 0.0 else 'below'} the measured one on average, {rms(off):.1f}° rms,"
             f" {min(off):+.1f} to {max(off):+.1f}°; in {sum(each.agrees for each in inferred)} of {len(inferred)} cases"
             " the two ranges overlap."
         )
@@ -354,6 +363,11 @@ def conclusion(findings: Findings) -> list[str]:
             f" {sum(abs(each.coarse - each.measured.value) > CLOSE * each.measured.spread for each in same)} lengths"
             f" beyond {CLOSE:g}, the other one {other:.1f} and {sum(not each.agrees for each in findings.others)}."
         )
+    lines += [
+        f"{each.label}: {each.error:+.1f} spreads at the angle that is inferred from its final extent."
+        for each in findings.scores
+        if not each.independent
+    ]
     return lines
 
 

@@ -235,7 +235,7 @@ def test_the_page_follows_the_numbers(shelf: Path) -> None:
     text = page(compute(read_experiments(shelf), deposits))
     assert "0 of 1 lengths are within 2 times their spread; rms 4.0 spreads, at most -4.0 (wedge" in text.conclusion
     assert "Fronts come 3.8 % too short" in text.conclusion
-    assert "-2.0° from the measured one" in text.conclusion
+    assert "2.0° below the measured one" in text.conclusion
     assert "the first leaves 6.0 spreads rms and 1 lengths beyond 2, the other one 3.8 and 1." in text.conclusion
     assert "| wedge, unseen, front | 20.0° (repose, μ(I)) |" in str(text)
     assert "- wedge, wedge, front: The wedge is imaginary." in str(text)
