@@ -17,7 +17,7 @@ import pytest
 
 from datasets.library import read_scene
 from inverse.problem import read_problem
-from tests.commands import DOCS, README, ROOT, blocks, commands, measured_pages, status, written_pages
+from tests.commands import DOCS, ROOT, blocks, commands, measured_pages, status, written_pages
 from validation.bench.__main__ import BENCHES
 
 PAGES = written_pages()
@@ -164,9 +164,3 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert "<h2" in (tmp_path / "api" / "datasets.html").read_text()
     # The search reads its index from a script, as a page that is opened from disk may not fetch one.
     assert (tmp_path / "search" / "search_index.js").exists()
-
-
-def test_the_front_page_begins_with_a_picture() -> None:
-    text = README.read_text()
-    assert text.index("![") < 500
-    assert text.count("\n") <= 130

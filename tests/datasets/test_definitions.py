@@ -1,6 +1,5 @@
 """The dataset definitions: reproducible, divided as promised, and blind to the test scenarios."""
 
-import dataclasses
 import hashlib
 import json
 import re
@@ -12,16 +11,14 @@ import pytest
 
 from datasets.definitions import NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
-from datasets.definitions.flow2d import FLOW2D, KINDS
+from datasets.definitions.flow2d import FLOW2D
 from datasets.definitions.held_out import is_held_out
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.errors import InputError
 from datasets.library import read_scene
-from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.records import changed
-from datasets.scene import Scene
 
 every = pytest.mark.parametrize("definition", [read_definition(name) for name in NAMES], ids=NAMES)
 SMALL = 40
@@ -86,36 +83,6 @@ def test_paper2d_is_the_paper_s() -> None:
 def test_no_flow_is_a_neighbour_of_what_is_held_out() -> None:
     for definition in (FLOW2D, COLUMNS2D, OBSTACLE3D, BAFFLES3D):
         assert [entry.name for entry in first_entries(definition) if is_held_out(entry.scene)] == []
-
-
-def parameters(scene: Scene) -> dict[str, object]:
-    """What variants may differ in, and the rest."""
-    sands = [scene.material, *map(scene.material_of, scene.masses)]
-    bare = tuple(dataclasses.replace(mass, velocity=None, material=None) for mass in scene.masses)
-    return {
-        "friction_deg": [sand.friction_deg for sand in sands],
-        "cohesion": [sand.cohesion for sand in sands],
-        "velocity": [mass.velocity for mass in scene.masses],
-        "baffles": scene.baffles,
-        "others": dataclasses.replace(scene, masses=bare, material=Material(friction_deg=30.0), baffles=()),
-    }
-
-
-def test_a_variant_has_the_particles_of_its_base_and_differs_in_one_parameter() -> None:
-    entries, count = first_entries(FLOW2D, 200), len(KINDS)
-    kinds = Counter[str]()
-    for index, entry in enumerate(entries):
-        if index // count % 2 == 0:
-            continue
-        base = entries[index - count]
-        assert base.split is entry.split
-        before, after = parameters(base.scene), parameters(entry.scene)
-        (kind,) = [key for key in before if before[key] != after[key]]
-        kinds[kind] += 1
-    assert set(kinds) == {"friction_deg", "velocity", "cohesion", "baffles"}
-    assert kinds["friction_deg"] > 50
-    base_particles, particles = (initial_particles(entries[index].scene) for index in (0, count))
-    np.testing.assert_array_equal(particles.positions, base_particles.positions)
 
 
 @pytest.mark.parametrize(("name", "count"), [("baffles-2", 11_010), ("baffles-5", 32_113)])

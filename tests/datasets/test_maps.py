@@ -78,12 +78,6 @@ def test_volume_is_that_of_the_particles(dimension: int, cell: float) -> None:
         np.testing.assert_allclose(maps.thickness, profile, rtol=1e-12)
 
 
-@pytest.mark.parametrize("cell", [0.025, 0.1])
-def test_an_even_layer_is_even_to_the_walls(cell: float) -> None:
-    maps = maps_of(flow_of(scene_of((0.5, 0.2, 0.3), ((0.0, 0.0, 0.0), (0.5, 0.05, 0.3)))), cell)
-    np.testing.assert_allclose(maps.thickness, 0.05, rtol=1e-5)
-
-
 def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None:
     scene = scene_of((1.0, 0.5, 0.4), ((0.2, 0.0, 0.1), (0.2, 0.1, 0.2)))
     start = initial_particles(scene).positions

@@ -173,36 +173,6 @@ def test_nothing_gets_in_or_out_whatever_the_moves(dimension: int, dtype: torch.
     assert held.float().mean() > 0.5
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_a_particle_on_a_face_moves_with_the_face(dimension: int, is_turned: bool) -> None:
-    generator = torch.Generator().manual_seed(1)
-    baffles, turn = turned_boxes(dimension) if is_turned else (scattered(dimension), None)
-    start, batch = near_surfaces(baffles, 400, generator)
-    start = hold(start, start, baffles, batch, turn)
-    target = start + 0.03 * torch.randn(start.shape, generator=generator, dtype=start.dtype).clamp(-1.0, 1.0)
-    kept = hold(target, start, baffles, batch, turn)
-    held = (kept != target).any(1)
-    assert held.sum() > 20
-    target, start, batch = target[held], start[held], batch[held]
-    # Keep what no small change of target, corners or turns sends elsewhere: the choice of the face is discontinuous.
-    solids = [baffles] if turn is None else [baffles, turn]
-
-    def moved(x: Tensor, corners: Tensor, angles: Tensor | None = None) -> Tensor:
-        return hold(x, start, corners, batch, angles)
-
-    moves = [
-        moved(*(x + 1e-6 * (2.0 * torch.rand(x.shape, generator=generator).double() - 1.0) for x in (target, *solids)))
-        - kept[held]
-        for _ in range(10)
-    ]
-    steady = torch.stack(moves).abs().amax((0, 2)) < 1e-5
-    assert steady.float().mean() > 0.9
-    target, start, batch = target[steady], start[steady], batch[steady]
-    inputs = tuple(each.requires_grad_() for each in (target, *solids))
-    assert torch.autograd.gradcheck(moved, inputs, eps=1e-8, atol=1e-5, fast_mode=True)
-
-
 def test_a_particle_on_a_wall_has_its_whole_gradient() -> None:
     point = torch.tensor([[0.0, 0.2], [-0.1, 0.2]], dtype=torch.float64, requires_grad=True)
     keep_out(point, point.detach(), conditions(2)).sum().backward()

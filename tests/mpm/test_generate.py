@@ -115,15 +115,6 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
             np.testing.assert_array_equal(getattr(stored, key), getattr(expected, key))
 
 
-@pytest.mark.slow
-def test_dask_workers_give_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
-    """The workers of a cluster on this machine, processes of their own that share the folder."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler=cluster.scheduler_address)
-    assert contents(tmp_path) == contents(dataset)
-
-
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("mpm.cluster.CONNECT", 0.5)

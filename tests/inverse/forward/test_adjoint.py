@@ -8,7 +8,7 @@ import torch
 
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
-from inverse.forward.adjoint import AdjointForward, Flow, Run
+from inverse.forward.adjoint import AdjointForward, Run
 from inverse.jacobian import automatic
 from inverse.observations import build
 from inverse.parameters.parameter import Parameter
@@ -48,30 +48,6 @@ def test_a_layer_is_ten_lines() -> None:
         change = np.where(np.arange(len(VALUES)) == index, step, 0.0)
         found = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
         assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
-
-
-@pytest.mark.slow
-def test_the_gradient_of_a_mean_over_jitters() -> None:
-    """That of each jitter by itself, averaged; the forces on a baffle too."""
-    scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.31, 0.0), size=(0.05, 0.1)),), duration=0.05)
-    names = ("friction_deg", "baffles[0].x")
-    run = Run(scene, names=names, precision="f64")
-
-    def objective(flow: Flow) -> torch.Tensor:
-        return flow.positions[-1, :, 0].mean() + 1.0e-4 * flow.impulses[-1, 0, 0]
-
-    parameters = torch.tensor([30.0, 0.335], dtype=torch.float64, requires_grad=True)
-    torch.stack([objective(flow) for flow in run.flows(parameters, [3, 4])]).mean().backward()
-    assert parameters.grad is not None
-    each = []
-    for seed in (3, 4):
-        alone = Run(dataclasses.replace(scene, seed=seed), names=names, precision="f64")
-        own = parameters.detach().requires_grad_()
-        objective(alone.flow(own)).backward()
-        assert own.grad is not None
-        each.append(own.grad)
-    assert (each[0] - each[1]).abs().min() > 0.0
-    torch.testing.assert_close(parameters.grad, torch.stack(each).mean(dim=0), rtol=1.0e-12, atol=0.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The loop and the coverage by workers of a Dask scheduler: the same results as here."""
 
-import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +8,6 @@ import pytest
 
 from datasets.command_line import run
 from tests.breaking import PROBLEM, SCENE, answer
-from validation.bench import __main__ as benches
-from validation.bench.coverage import read_twin
 from validation.loop.__main__ import main
 
 distributed = pytest.importorskip("distributed")
@@ -32,15 +29,3 @@ def test_the_loop_finds_the_same(scheduler: str, tmp_path: Path) -> None:
         assert run(main, "loop", [problem, "--out", str(tmp_path / name), *flags]) in (0, 1)
     assert answer(tmp_path / "there") == answer(tmp_path / "here")
     assert json.loads((tmp_path / "there" / "result.json").read_text())["mpm_runs"]
-
-
-def test_twins_are_the_same(scheduler: str, tmp_path: Path) -> None:
-    found = []
-    for name, flags in (("here", []), ("there", ["--scheduler", scheduler])):
-        keep = tmp_path / name
-        arguments = ["--out", str(tmp_path), "--keep", str(keep), "--only", "front", "--twins", "1", *flags]
-        assert benches.main(["coverage", *arguments]) == 0
-        twin = read_twin(keep / "front" / "000.json")
-        assert twin is not None
-        found.append(dataclasses.replace(twin, seconds=0.0))
-    assert found[0] == found[1]

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -106,22 +105,6 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     assert identified.unknowns["friction_deg"] == pytest.approx(22.0, abs=1.0)
 
 
-@pytest.mark.slow
-def test_what_is_not_constrained_is_ambiguous(tmp_path: Path) -> None:
-    """The furthest tenth of the particles is the last layer's: it does not depend on the first."""
-    result = layers(tmp_path, count=4, kind="toe", scatter=0.002).solve(tmp_path)
-    assert result.verdict is Verdict.AMBIGUOUS
-    assert result.certainty is not None
-    assert result.certainty["masses[0].velocity_x"] > 0.4 * WIDTH
-    best, *_, worst = result.combinations
-    assert best.weights["masses[3].velocity_x"] > 0.7
-    assert best.identifiable
-    assert not worst.identifiable
-    assert len(result.inside) == 4
-    result.save(tmp_path)
-    assert "Not identifiable: `masses[0].velocity_x`" in (tmp_path / "report.md").read_text()
-
-
 def test_what_ran_before_a_kill_is_not_run_again(tmp_path: Path) -> None:
     after = 17
     whole, case = (wedge(tmp_path, truth=42.0, scatter=0.003) for _ in range(2))
@@ -190,17 +173,6 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     figure = found.plot()
     assert "confirmed" in figure.get_suptitle()
     assert len(figure.axes) == 3
-
-
-def test_a_measured_profile_is_enough(tmp_path: Path) -> None:
-    case = wedge(tmp_path, truth=24.0, kind="profile", scatter=0.001)
-    observation: Any = case.target.observation
-    rows = zip(observation.stations, observation.heights(case.target.deposit), strict=True)
-    (tmp_path / "seen.csv").write_text("x,height\n" + "".join(f"{x},{height}\n" for x, height in rows))
-    measured = wedge(tmp_path, kind="profile", csv="seen.csv", scatter=0.001)
-    result = measured.solve(tmp_path / "profile")
-    assert result.verdict is Verdict.CONFIRMED
-    assert result.unknowns["friction_deg"] == pytest.approx(24.0, rel=0.02)
 
 
 def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
