@@ -79,7 +79,7 @@ class RunStore:
     ) -> None:
         """label: what the names of new files begin with, before their number."""
         self.folder, self.simulate, self.label = folder, simulate, label
-        self.width: int = getattr(simulate, "width", 2 * processors())
+        self.width: Callable[[], int] = getattr(simulate, "width", lambda: 2 * processors())
         """How many runs are handed out at a time."""
 
     def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
@@ -98,7 +98,7 @@ class RunStore:
         total = sum(particle_steps(run.scene) for run in missing)
         with tqdm(total=total, desc="MPM", unit="particle-step", unit_scale=True, leave=False, disable=None) as bar:
             for kernel, group in groupby(missing, key=lambda run: run.kernel):
-                alike, size = list(group), 1 if kernel[0] else self.width
+                alike, size = list(group), 1 if kernel[0] else self.width()
                 for first in range(0, len(alike), size):
                     batch = alike[first : first + size]
                     found.update(zip(batch, self._make(batch), strict=True))
